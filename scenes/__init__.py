@@ -1,0 +1,1 @@
+"""Scenes: TOML files, and procedural families as Python files with a function build."""

@@ -1,0 +1,1 @@
+"""Tasks: versioned TOML files; a released one never changes."""

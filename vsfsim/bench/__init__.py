@@ -1,0 +1,1 @@
+"""Methods, tasks, metrics, results, leaderboard."""

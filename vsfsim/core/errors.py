@@ -1,0 +1,58 @@
+"""Errors a user can act on: where it happened, what was given, what is allowed, what to do."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class VsfsimError(Exception):
+    """A mistake in the input or the surroundings, told in one paragraph.
+
+    The command line prints the message and exits with code 2; ``--debug`` shows the traceback.
+    Bugs of our own are ``AssertionError`` and the like, never this class.
+    """
+
+
+class SceneError(VsfsimError):
+    """A scene file says something that cannot be built."""
+
+
+class MeshError(VsfsimError):
+    """A surface mesh cannot be read, repaired or filled with tetrahedra."""
+
+
+class DatasetError(VsfsimError):
+    """A dataset is missing, damaged, of another scene, or cannot be written."""
+
+
+class TaskError(VsfsimError):
+    """A task file, or what it asks for, does not fit."""
+
+
+class MethodError(VsfsimError):
+    """A method is unknown, does not conform, or returned something that cannot be scored."""
+
+
+class SolverError(VsfsimError):
+    """The solver was asked for something it cannot do (never: that it did not converge)."""
+
+
+def did_you_mean(given: str, allowed: Iterable[str]) -> str:
+    """A sentence that names the nearest allowed word, or lists all of them.
+
+    Args:
+        given: the word the user wrote.
+        allowed: the words that would have been understood.
+    """
+    names = sorted(str(name) for name in allowed)
+    near = difflib.get_close_matches(str(given), names, n=1, cutoff=0.6)
+    listing = ", ".join(names) if names else "(none)"
+    if near:
+        return f"Did you mean '{near[0]}'? Allowed: {listing}."
+    return f"Allowed: {listing}."
+
+
+def unknown_key(where: str, given: str, allowed: Iterable[str]) -> str:
+    """The message for a key that a table does not have."""
+    return f"{where}: unknown key '{given}'. {did_you_mean(given, allowed)}"

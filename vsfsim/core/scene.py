@@ -1,0 +1,390 @@
+"""The scene file: what is pressed, by what, along which path, and seen from where.
+
+TOML becomes a frozen dataclass. Any value may be a distribution, ``{ uniform = [a, b] }``,
+``{ loguniform = [a, b] }`` or ``{ choice = [..] }``; `SceneFile.sample` fixes them all with one seed.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.material import MaterialField, parse_material
+from vsfsim.core.shape import (
+    Family,
+    MeshFile,
+    ObjectShape,
+    ProbeShape,
+    Sphere,
+    parse_object_shape,
+    parse_probe_shape,
+)
+
+TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
+NEEDS = ("normal-force", "bulging", "large-deformation", "appearance")
+_DISTRIBUTIONS = ("uniform", "loguniform", "choice")
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """``[object]``.
+
+    shape: what it is. pose: base centre in the world (3,) [m]; yaw: turn about +z [rad].
+    fixed: "bottom", "none", or a box (x0, y0, z0, x1, y1, z1) [m] in the object's frame whose nodes are held.
+    tier: fidelity, one of `TIERS`. resolution: element size [m] or None for the tier's own.
+    poisson_ratio: [-]. density: [kg/m^3]. friction: Coulomb coefficient [-].
+    young_modulus: the field E(x) [Pa]. appearance: table for the family or the renderer.
+    """
+
+    shape: ObjectShape
+    pose: tuple[float, float, float]
+    yaw: float
+    fixed: str | tuple[float, ...]
+    tier: str
+    resolution: float | None
+    poisson_ratio: float
+    density: float
+    friction: float
+    young_modulus: MaterialField
+    appearance: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class PressSpec:
+    """``[press]``: the probe's centre goes straight from ``start`` to ``stop``.
+
+    start, stop: (3,) [m], world. frames: equilibria on the way in, the last at ``stop``.
+    hold: frames that stay there. retract: frames on the way back out.
+    """
+
+    start: tuple[float, float, float]
+    stop: tuple[float, float, float]
+    frames: int
+    hold: int
+    retract: int
+
+
+@dataclass(frozen=True)
+class TouchSpec:
+    """``[touches]``: how a dataset's touches are drawn on the visible cloud.
+
+    count: touches a view. depth: how far the probe goes past first contact [m].
+    approach: clearance between the probe and the target point at the start [m].
+    frames: (free, in, hold, out) readings in each phase.
+    """
+
+    count: int
+    depth: float
+    approach: float
+    frames: tuple[int, int, int, int]
+
+
+@dataclass(frozen=True)
+class CameraSpec:
+    """``[camera]``: a pinhole camera that looks at the object.
+
+    width, height: [px]. fov: vertical field of view [rad]. distance: to the look-at point [m].
+    azimuth, elevation: direction from the object to the camera [rad].
+    """
+
+    width: int
+    height: int
+    fov: float
+    distance: float
+    azimuth: float
+    elevation: float
+
+
+@dataclass(frozen=True)
+class DatasetSpec:
+    """``[dataset]``: objects: how many. views: of each. splits: number of objects by split name, in order."""
+
+    objects: int
+    views: int
+    splits: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One concrete scene: every distribution fixed.
+
+    name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
+    source: the file it came from. The other fields: see their classes; None where the file has no such table.
+    """
+
+    name: str
+    needs: tuple[str, ...]
+    gravity: tuple[float, float, float]
+    object: ObjectSpec
+    probe: ProbeShape
+    press: PressSpec | None
+    touches: TouchSpec | None
+    camera: CameraSpec
+    dataset: DatasetSpec | None
+    source: Path
+
+
+@dataclass(frozen=True)
+class SceneFile:
+    """A scene as written, distributions and all.
+
+    path: where it lies. text: its bytes as text (stored in datasets). tree: the parsed TOML.
+    """
+
+    path: Path
+    text: str
+    tree: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """The scene's name."""
+        return str(self.tree.get("name", self.path.stem))
+
+    def sample(self, seed: int | np.random.SeedSequence = 0) -> Scene:
+        """Fix every distribution.
+
+        Args:
+            seed: an integer >= 0 (0 is valid) or a `SeedSequence`; the same seed gives the same scene.
+
+        Raises:
+            SceneError: a value out of its range.
+        """
+        rng = np.random.default_rng(seed)
+        return _build(_resolve(self.tree, lambda kind, args: _draw(kind, args, rng)), self.path)
+
+
+def load_scene(path: str | Path) -> SceneFile:
+    """Read a scene file and refuse at once what could not be built from it.
+
+    Args:
+        path: the TOML file.
+
+    Raises:
+        SceneError: not readable, not TOML, an unknown key, or a value (or an end of a distribution) out of range.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(f"scene file '{path}' cannot be read: {error}. Give the path of a TOML text file.") from error
+    return parse_scene(text, path)
+
+
+def parse_scene(text: str, path: str | Path) -> SceneFile:
+    """Like `load_scene`, from text; ``path`` names it in messages and anchors relative mesh paths."""
+    path = Path(path)
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"scene file '{path}' is not valid TOML: {error}.") from error
+    scene = SceneFile(path, text, tree)
+    # The ends of every distribution (and each choice) must build; a mid-run surprise is worse than a refusal now.
+    for end in range(max(2, _longest_choice(tree))):
+        _build(_resolve(tree, lambda kind, args, end=end: _end(kind, args, end)), path)
+    return scene
+
+
+def _is_distribution(node: Any) -> bool:
+    return isinstance(node, Mapping) and len(node) == 1 and next(iter(node)) in _DISTRIBUTIONS
+
+
+def _longest_choice(node: Any) -> int:
+    if _is_distribution(node):
+        kind, args = next(iter(node.items()))
+        return len(args) if kind == "choice" and isinstance(args, list) else 2
+    if isinstance(node, Mapping):
+        return max((_longest_choice(v) for v in node.values()), default=1)
+    if isinstance(node, list):
+        return max((_longest_choice(v) for v in node), default=1)
+    return 1
+
+
+def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
+    if _is_distribution(node):
+        kind, args = next(iter(node.items()))
+        _check_distribution(kind, args)
+        return _resolve(pick(kind, args), pick)
+    if isinstance(node, Mapping):
+        return {key: _resolve(value, pick) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_resolve(value, pick) for value in node]
+    return node
+
+
+def _check_distribution(kind: str, args: Any) -> None:
+    if not isinstance(args, list) or not args:
+        raise SceneError(f"distribution {{ {kind} = {args!r} }}: give a list, e.g. {{ uniform = [0.1, 0.2] }}.")
+    if kind == "choice":
+        return
+    if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in args):
+        raise SceneError(f"distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
+    low, high = args
+    if low > high or (kind == "loguniform" and low <= 0):
+        need = "0 < low <= high" if kind == "loguniform" else "low <= high"
+        raise SceneError(f"distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
+
+
+def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
+    if kind == "choice":
+        return args[int(rng.integers(len(args)))]
+    if kind == "uniform":
+        return float(rng.uniform(args[0], args[1]))
+    return float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
+
+
+def _end(kind: str, args: list, end: int) -> Any:
+    if kind == "choice":
+        return args[end % len(args)]
+    return args[end % 2]
+
+
+# ---------------------------------------------------------------------------------------------- tables
+
+
+class _Table:
+    """A TOML table that knows where it stands and refuses keys nobody asked for."""
+
+    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
+        if not isinstance(table, Mapping):
+            raise SceneError(f"{where} is {table!r}; it must be a table.")
+        for key in table:
+            if key not in allowed:
+                raise SceneError(unknown_key(where, key, allowed))
+        self.table, self.where = table, where
+
+    def number(self, key: str, default: float, low: float, high: float, unit: str = "") -> float:
+        value = self.table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to {high:g}{' ' + unit if unit else ''}.")
+        return float(value)
+
+    def count(self, key: str, default: int, low: int, high: int) -> int:
+        value = self.table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a whole number from {low} to {high}.")
+        return value
+
+    def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> tuple[float, ...]:
+        value = self.table.get(key, default)
+        if not isinstance(value, (list, tuple)) or len(value) != size or any(
+            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
+        ):
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be {size} numbers.")
+        return tuple(float(v) for v in value)
+
+    def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
+        value = self.table.get(key, default)
+        if value not in allowed:
+            raise SceneError(f"{self.where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
+        return value
+
+
+def _build(tree: Mapping[str, Any], path: Path) -> Scene:
+    top = _Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
+                                   "press", "touches", "camera", "dataset"))
+    if "sensor" in tree:
+        raise SceneError(f"{path} [sensor]: the bubble sensor is not built yet; use [probe] with a rigid shape.")
+    if "object" not in tree:
+        raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}.")
+    needs = tree.get("needs", ["normal-force"])
+    if not isinstance(needs, list):
+        raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")
+    for need in needs:
+        if need not in NEEDS:
+            raise SceneError(f"{path}: needs names '{need}'. {did_you_mean(str(need), NEEDS)}")
+    probe: ProbeShape = Sphere(0.02)
+    if "probe" in tree:
+        table = _Table(tree["probe"], f"{path} [probe]", ("shape",))
+        probe = parse_probe_shape(table.table.get("shape"), f"{path} [probe]")
+    return Scene(
+        name=str(tree.get("name", path.stem)),
+        needs=tuple(needs),
+        gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
+        object=_object(tree["object"], path),
+        probe=probe,
+        press=_press(tree["press"], path) if "press" in tree else None,
+        touches=_touches(tree["touches"], path) if "touches" in tree else None,
+        camera=_camera(tree.get("camera", {}), path),
+        dataset=_dataset(tree["dataset"], path) if "dataset" in tree else None,
+        source=path,
+    )
+
+
+def _object(node: Any, path: Path) -> ObjectSpec:
+    where = f"{path} [object]"
+    t = _Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
+                             "friction", "young_modulus", "appearance"))
+    shape = parse_object_shape(t.table.get("shape"), where)
+    fixed = t.table.get("fixed", "bottom")
+    if isinstance(fixed, str):
+        fixed = t.word("fixed", "bottom", ("bottom", "none"))
+    else:
+        fixed = t.vector("fixed", None, 6)
+    material = parse_material(t.table.get("young_modulus"), where)
+    if material.base is None and not isinstance(shape, Family):
+        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or {{ base = 1e5, inclusions = [..] }}.")
+    appearance = t.table.get("appearance", {})
+    if not isinstance(appearance, Mapping):
+        raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
+    friction = t.number("friction", 0.0, 0.0, 10.0)
+    if isinstance(shape, MeshFile) and not Path(shape.path).is_absolute():
+        shape = MeshFile(str(path.parent / shape.path), shape.scale)
+    resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
+    return ObjectSpec(
+        shape=shape,
+        pose=t.vector("pose", (0.0, 0.0, 0.0)),
+        yaw=t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"),
+        fixed=fixed,
+        tier=t.word("tier", "auto", TIERS),
+        resolution=resolution,
+        poisson_ratio=t.number("poisson_ratio", 0.45, 0.0, 0.4999),
+        density=t.number("density", 1000.0, 1e-3, 3e4, "kg/m^3"),
+        friction=friction,
+        young_modulus=material,
+        appearance=appearance,
+    )
+
+
+def _press(node: Any, path: Path) -> PressSpec:
+    t = _Table(node, f"{path} [press]", ("from", "to", "frames", "hold", "retract"))
+    start, stop = t.vector("from", None), t.vector("to", None)
+    if start == stop:
+        raise SceneError(f"{path} [press]: from and to are both {list(start)}; the probe must move.")
+    return PressSpec(start, stop, t.count("frames", 10, 1, 10_000), t.count("hold", 0, 0, 10_000),
+                     t.count("retract", 0, 0, 10_000))
+
+
+def _touches(node: Any, path: Path) -> TouchSpec:
+    t = _Table(node, f"{path} [touches]", ("count", "depth", "approach", "frames"))
+    where = f"{path} [touches] frames"
+    f = _Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
+    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000), f.count("out", 3, 0, 1000))
+    return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
+                     t.number("approach", 0.01, 1e-4, 0.5, "m"), frames)
+
+
+def _camera(node: Any, path: Path) -> CameraSpec:
+    t = _Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation"))
+    return CameraSpec(t.count("width", 640, 8, 8192), t.count("height", 480, 8, 8192),
+                      t.number("fov", 0.8, 0.05, 2.8, "rad"), t.number("distance", 0.6, 0.01, 100.0, "m"),
+                      t.number("azimuth", 0.9, -2 * math.pi, 2 * math.pi, "rad"),
+                      t.number("elevation", 0.7, -1.55, 1.55, "rad"))
+
+
+def _dataset(node: Any, path: Path) -> DatasetSpec:
+    where = f"{path} [dataset]"
+    t = _Table(node, where, ("objects", "views", "splits"))
+    objects = t.count("objects", 6, 1, 100_000)
+    splits = t.table.get("splits", {"test": objects})
+    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0 for n in splits.values()):
+        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. {{ train = 4, test = 2 }}.")
+    if sum(splits.values()) != objects:
+        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make them equal.")
+    return DatasetSpec(objects, t.count("views", 1, 1, 1000), dict(splits))

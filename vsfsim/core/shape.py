@@ -1,0 +1,185 @@
+"""Shapes as a scene file names them: objects to press, and rigid probes to press them with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+
+
+@dataclass(frozen=True)
+class Box:
+    """A block; its local origin is the centre of its base.
+
+    size: edge lengths (3,) [m].
+    """
+
+    size: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A ball. As an object its origin is its lowest point; as a probe, its centre.
+
+    radius: [m].
+    """
+
+    radius: float
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """A cylinder along +z. As an object its origin is the centre of its base; as a probe, its centre.
+
+    radius: [m]. height: [m].
+    """
+
+    radius: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Rod:
+    """A slender round bar lying along +x; its origin is the lowest point of its end at x = 0.
+
+    length: [m]. radius: [m].
+    """
+
+    length: float
+    radius: float
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A probe: a cylinder along +z with half-spheres on both ends; its origin is its centre.
+
+    radius: [m]. length: distance between the centres of the half-spheres [m].
+    """
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A probe: the half-space z <= 0 of its own frame is solid, its normal +z points at the object.
+
+    A press moves it like any probe; turn it with the pose. No size.
+    """
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """A surface mesh of the user's own (OBJ, PLY, STL).
+
+    path: the file, relative to the scene file. scale: metres per unit of the file, or None to
+    decide from the size (a bounding box over 5 units is read as millimetres, and said so).
+    """
+
+    path: str
+    scale: float | None = None
+
+
+@dataclass(frozen=True)
+class Family:
+    """A procedural family in ``scenes/``: name and its own parameters (SI units)."""
+
+    name: str
+    parameters: Mapping[str, Any]
+
+
+ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
+ProbeShape = Sphere | Capsule | Cylinder | Plane | Box
+
+OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
+PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane")
+
+
+def _positive(where: str, name: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < float(value) < 1e3:
+        raise SceneError(
+            f"{where}: {name} is {value!r}; it must be a length in metres, greater than 0 (and under 1000)."
+        )
+    return float(value)
+
+
+def _numbers(where: str, key: str, value: Any, names: tuple[str, ...]) -> list[float]:
+    if not isinstance(value, (list, tuple)) or len(value) != len(names):
+        raise SceneError(f"{where}: {key} is {value!r}; give [{', '.join(names)}] in metres.")
+    return [_positive(where, f"{key} {name}", v) for name, v in zip(names, value, strict=True)]
+
+
+def parse_object_shape(table: Any, where: str) -> ObjectShape:
+    """The shape of ``[object]`` from its TOML table.
+
+    Args:
+        table: e.g. ``{"box": [0.1, 0.1, 0.05]}`` or ``{"family": "shoe", "length": 0.26}``.
+        where: file and section, for the messages.
+
+    Raises:
+        SceneError: not a table, an unknown shape, or sizes that are not positive lengths.
+    """
+    if not isinstance(table, Mapping) or not table:
+        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(OBJECT_SHAPES)}, e.g. {{ box = [0.1, 0.1, 0.05] }}.")
+    if "family" in table:
+        rest = {k: v for k, v in table.items() if k != "family"}
+        return Family(str(table["family"]), rest)
+    if "mesh" in table:
+        for key in table:
+            if key not in ("mesh", "scale"):
+                raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale")))
+        scale = table.get("scale")
+        return MeshFile(str(table["mesh"]), None if scale is None else _positive(where, "scale", scale))
+    key = _only_key(table, OBJECT_SHAPES, where)
+    value = table[key]
+    if key == "box":
+        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))
+    if key == "sphere":
+        return Sphere(_positive(where, "sphere radius", value))
+    if key == "cylinder":
+        return Cylinder(*_numbers(where, key, value, ("radius", "height")))
+    return Rod(*_numbers(where, key, value, ("length", "radius")))
+
+
+def parse_probe_shape(table: Any, where: str) -> ProbeShape:
+    """The shape of ``[probe]`` from its TOML table; see `parse_object_shape`."""
+    if not isinstance(table, Mapping) or not table:
+        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. {{ sphere = 0.02 }}.")
+    key = _only_key(table, PROBE_SHAPES, where)
+    value = table[key]
+    if key == "sphere":
+        return Sphere(_positive(where, "sphere radius", value))
+    if key == "capsule":
+        return Capsule(*_numbers(where, key, value, ("radius", "length")))
+    if key == "cylinder":
+        return Cylinder(*_numbers(where, key, value, ("radius", "height")))
+    if key == "box":
+        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))
+    return Plane()
+
+
+def probe_table(shape: ProbeShape) -> dict[str, Any]:
+    """The TOML/JSON table of a probe; `parse_probe_shape` reads it back."""
+    match shape:
+        case Sphere(radius):
+            return {"sphere": radius}
+        case Capsule(radius, length):
+            return {"capsule": [radius, length]}
+        case Cylinder(radius, height):
+            return {"cylinder": [radius, height]}
+        case Box(size):
+            return {"box": list(size)}
+        case Plane():
+            return {"plane": True}
+    raise AssertionError(shape)
+
+
+def _only_key(table: Mapping[str, Any], allowed: tuple[str, ...], where: str) -> str:
+    for key in table:
+        if key not in allowed:
+            raise SceneError(f"{where}: unknown shape '{key}'. {did_you_mean(key, allowed)}")
+    if len(table) != 1:
+        raise SceneError(f"{where}: a shape has one kind, this one has {len(table)}: {', '.join(table)}.")
+    return next(iter(table))

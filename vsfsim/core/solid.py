@@ -1,0 +1,83 @@
+"""A body before any model is made of it: a tetrahedral volume with named regions and a look."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Appearance:
+    """How each region looks to a camera.
+
+    albedo: base colour of each region, linear RGB in 0..1 (R, 3).
+    texture: kind of procedural texture of each region, one of `TEXTURES` (R,).
+    texture_scale: wavelength of the texture [m] (R,).
+    texture_contrast: relative amplitude of the texture, 0..1 (R,).
+    """
+
+    albedo: np.ndarray
+    texture: tuple[str, ...]
+    texture_scale: np.ndarray
+    texture_contrast: np.ndarray
+
+
+TEXTURES = ("plain", "noise", "weave", "grain", "stripes")
+
+
+@dataclass(frozen=True)
+class Solid:
+    """A watertight volume filled with tetrahedra, in the object's own frame.
+
+    vertices: corner positions (n, 3) [m].
+    tets: corner indices of each tetrahedron, positively oriented (m, 4).
+    region: region of each tetrahedron, an index into `region_names` (m,).
+    region_names: names, at least one.
+    young_modulus: per region [Pa] (R,), or None where the scene gives a field instead.
+    appearance: the look of each region, or None for a plain grey.
+    notes: what was repaired or decided on the way, one sentence each.
+    """
+
+    vertices: np.ndarray
+    tets: np.ndarray
+    region: np.ndarray
+    region_names: tuple[str, ...]
+    young_modulus: np.ndarray | None = None
+    appearance: Appearance | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def volume(self) -> float:
+        """Volume of the body [m^3]."""
+        return float(tet_volumes(self.vertices, self.tets).sum())
+
+    def surface(self) -> tuple[np.ndarray, np.ndarray]:
+        """Boundary triangles, wound outwards, and the tetrahedron behind each: (f, 3), (f,)."""
+        return boundary_faces(self.tets)
+
+
+def tet_volumes(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Signed volumes (m,) [m^3] of tetrahedra ``tets`` (m, 4) on ``vertices`` (n, 3) [m]."""
+    a, b, c, d = (vertices[tets[:, k]] for k in range(4))
+    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0
+
+
+# Face k is opposite corner k and wound outwards for a positively oriented tetrahedron.
+TET_FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])
+
+
+def boundary_faces(tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces that belong to one tetrahedron only.
+
+    Args:
+        tets: (m, 4) positively oriented corner indices.
+
+    Returns:
+        Triangles (f, 3) wound outwards, and the index of the tetrahedron behind each (f,).
+    """
+    faces = tets[:, TET_FACES].reshape(-1, 3)
+    owner = np.repeat(np.arange(len(tets)), 4)
+    key = np.sort(faces, axis=1)
+    _, first, count = np.unique(key, axis=0, return_index=True, return_counts=True)
+    once = np.sort(first[count == 1])
+    return faces[once], owner[once]

@@ -1,0 +1,1 @@
+"""The dataset on disk: one schema for writer, reader, verifier and docs."""

@@ -1,0 +1,1 @@
+"""From a scene to touches to a dataset."""

@@ -1,0 +1,1 @@
+"""Finite elements on Warp: model, contact, quasi-static solver, tiers."""

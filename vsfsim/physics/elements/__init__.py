@@ -1,0 +1,1 @@
+"""One element a file: energy, forces, stiffness."""

@@ -1,0 +1,1 @@
+"""The papers' particle model: structure from a view, stick-slip motion, observation rows, MAP estimate."""
