@@ -1,0 +1,106 @@
+"""From corner tetrahedra to the quadratic mesh that the solver works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
+from vsfsim.physics.elements.tet10 import EDGES, GAUSS_FAR, GAUSS_NEAR
+
+# The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
+_EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
+FACE_NODES = np.array([
+    [*map(int, f), _EDGE_OF[frozenset(map(int, f[[0, 1]]))], _EDGE_OF[frozenset(map(int, f[[1, 2]]))],
+     _EDGE_OF[frozenset(map(int, f[[2, 0]]))]] for f in TET_FACES
+])
+
+
+@dataclass(frozen=True)
+class QuadraticMesh:
+    """Ten-node tetrahedra with straight sides, in the object's frame.
+
+    points: nodes (n, 3) [m], the corners first. tets: (m, 10), corners then the edges of `tet10.EDGES`.
+    gradients: of the four barycentric coordinates (m, 4, 3) [1/m]. volume: (m,) [m^3].
+    faces: boundary triangles (f, 6), corners then edge nodes, wound outwards. owner: tetrahedron behind each (f,).
+    """
+
+    points: np.ndarray
+    tets: np.ndarray
+    gradients: np.ndarray
+    volume: np.ndarray
+    faces: np.ndarray
+    owner: np.ndarray
+
+    def gauss_points(self) -> np.ndarray:
+        """Positions of the Gauss points (m, 4, 3) [m]."""
+        bary = np.full((4, 4), GAUSS_FAR)
+        np.fill_diagonal(bary, GAUSS_NEAR)
+        return np.einsum("qk,mkc->mqc", bary, self.points[self.tets[:, :4]])
+
+    def surface_nodes(self) -> np.ndarray:
+        """Indices of the nodes on the boundary (s,), increasing."""
+        return np.unique(self.faces)
+
+    def face_area(self) -> np.ndarray:
+        """Areas of the boundary triangles (f,) [m^2]."""
+        a, b, c = (self.points[self.faces[:, k]] for k in range(3))
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def quadratic_mesh(solid: Solid) -> QuadraticMesh:
+    """Put a node in the middle of every edge.
+
+    Args:
+        solid: positively oriented corner tetrahedra.
+    """
+    tets = np.asarray(solid.tets, np.int64)
+    corners = np.asarray(solid.vertices, float)
+    pairs = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
+    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    middle = corners[edges].mean(axis=1)
+    tets10 = np.hstack([tets, len(corners) + inverse.reshape(len(tets), 6)])
+    volume = tet_volumes(corners, tets)
+    assert (volume > 0).all(), "tetrahedra must be positively oriented"
+    frame = corners[tets[:, 1:]] - corners[tets[:, :1]]  # rows: edges from corner 0
+    inv = np.linalg.inv(frame)  # columns: gradients of coordinates 1..3
+    gradients = np.empty((len(tets), 4, 3))
+    gradients[:, 1:] = inv.transpose(0, 2, 1)
+    gradients[:, 0] = -gradients[:, 1:].sum(axis=1)
+    faces, owner = boundary_faces(tets)
+    # find which face of its owner each boundary triangle is: the corner of the owner that it does not have
+    local = np.array([[c in f for c in t] for f, t in zip(faces, tets[owner], strict=True)])
+    opposite = np.argmin(local, axis=1)
+    faces6 = np.take_along_axis(tets10[owner], FACE_NODES[opposite], axis=1)
+    return QuadraticMesh(np.vstack([corners, middle]), tets10.astype(np.int32), gradients, volume,
+                         faces6.astype(np.int32), owner)
+
+
+def rest_stiffness_blocks(mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
+    """Element stiffness at rest, i.e. of linear elasticity, (m, 30, 30) [N/m], rows node by node.
+
+    Args:
+        mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
+    """
+    m = len(mesh.tets)
+    out = np.zeros((m, 10, 3, 10, 3))
+    for q in range(4):
+        bary = np.full(4, GAUSS_FAR)
+        bary[q] = GAUSS_NEAR
+        shape = np.zeros((10, 4))
+        shape[np.arange(4), np.arange(4)] = 4.0 * bary - 1.0
+        for e, (i, j) in enumerate(EDGES):
+            shape[4 + e, i] = 4.0 * bary[j]
+            shape[4 + e, j] = 4.0 * bary[i]
+        dn = np.einsum("ak,mkc->mac", shape, mesh.gradients)
+        w = 0.25 * mesh.volume
+        product = np.einsum("mai,mbj->maibj", dn, dn)
+        out += (w * lam[:, q])[:, None, None, None, None] * product
+        swapped = product.transpose(0, 1, 4, 3, 2)
+        dots = np.einsum("mac,mbc->mab", dn, dn)
+        shear = (w * mu[:, q])[:, None, None, None, None]
+        out += shear * swapped
+        for c in range(3):
+            out[:, :, c, :, c] += (w * mu[:, q])[:, None, None] * dots
+    return out.reshape(m, 30, 30)

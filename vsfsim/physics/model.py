@@ -1,0 +1,89 @@
+"""A body ready for the solver: quadratic mesh, moduli, supports, loads, and the factor that all touches share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.solid import Solid
+from vsfsim.physics.coefficients import lame
+from vsfsim.physics.factor import RestFactor
+from vsfsim.physics.mesh import QuadraticMesh, quadratic_mesh
+
+
+@dataclass(frozen=True)
+class Model:
+    """One body in the world frame.
+
+    mesh: quadratic tetrahedra, world frame. young_modulus: at the Gauss points (m, 4) [Pa]. mu, lam: Lamé's constants (m, 4) [Pa].
+    free: 1 where a degree of freedom may move (3 n,). load: gravity's nodal forces (3 n,) [N].
+    surface_modulus: modulus under each boundary triangle (f,) [Pa].
+    solid: where it came from. element_size: cube root of the mean volume of a hexahedron's worth of tets [m].
+    factor: rest-state factor.
+    """
+
+    mesh: QuadraticMesh
+    young_modulus: np.ndarray
+    mu: np.ndarray
+    lam: np.ndarray
+    free: np.ndarray
+    load: np.ndarray
+    surface_modulus: np.ndarray
+    solid: Solid
+    element_size: float
+    factor: RestFactor = field(repr=False)
+
+
+def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
+    """Mask (n,) of the nodes that the supports hold, points (n, 3) [m] in the object's frame.
+
+    Args:
+        fixed: "bottom" (within ``tolerance`` [m] of the lowest point), or a box (x0, y0, z0, x1, y1, z1).
+    """
+    if fixed == "bottom":
+        return points[:, 2] <= points[:, 2].min() + tolerance
+    low, high = np.minimum(fixed[:3], fixed[3:]), np.maximum(fixed[:3], fixed[3:])
+    return ((points >= low - 1e-9) & (points <= high + 1e-9)).all(axis=1)
+
+
+def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np.ndarray:
+    """Consistent nodal weight (3 n,) [N]: -1/20 of a tetrahedron's weight on each corner, 1/5 on each edge node."""
+    share = np.array([-0.05] * 4 + [0.2] * 6)
+    nodal = np.zeros(len(mesh.points))
+    np.add.at(nodal, mesh.tets, density * mesh.volume[:, None] * share)
+    return (nodal[:, None] * np.asarray(gravity, float)).ravel()
+
+
+def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float, fixed: str | tuple[float, ...],
+                bottom_tolerance: float, where: str, density: float = 1000.0, gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
+                rotation: np.ndarray | None = None, translation: np.ndarray | None = None, device: str = "cpu") -> Model:
+    """Put a solid into the world, hold it and factorise its rest state.
+
+    Args:
+        solid: corner tetrahedra in the object's frame.
+        young_modulus: E at the Gauss points of its quadratic mesh (m, 4) [Pa].
+        poisson_ratio: nu. fixed, bottom_tolerance: see `held_nodes`. where: scene and section, for messages.
+        density: [kg/m^3]. gravity: [m/s^2], world. rotation (3, 3), translation (3,) [m]: object to world.
+
+    Raises:
+        SceneError: the supports hold nothing, or fewer than three points that fix the body.
+    """
+    mesh = quadratic_mesh(solid)
+    if fixed == "none":
+        raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no single "
+                         "equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")
+    held = held_nodes(mesh.points, fixed, bottom_tolerance)
+    spread = np.linalg.matrix_rank(mesh.points[held] - mesh.points[held].mean(axis=0), tol=1e-9) if held.any() else 0
+    if spread < 2:
+        raise SceneError(f"{where}: fixed = {fixed!r} holds {int(held.sum())} of {len(held)} nodes, on a line at most; "
+                         "the body could turn. Enlarge the box so that it holds a face of the body.")
+    turn = np.eye(3) if rotation is None else rotation
+    shift = np.zeros(3) if translation is None else np.asarray(translation, float)
+    placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces, mesh.owner)
+    mu, lam = lame(young_modulus, poisson_ratio)
+    free = np.repeat(np.where(held, 0.0, 1.0), 3)
+    size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
+    return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
+                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(placed, mu, lam, free, device=device))
