@@ -130,15 +130,16 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, modulus: np.ndarray) -> P
 
 
 def contact_matrices(patch: Patch, gap: np.ndarray, normal: np.ndarray,
-                     curvature: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                     curvature: np.ndarray, *, bend: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rows and curvature block of the active Gauss points.
 
     Args:
         patch: the touch's patch. gap (f, 6) [m], normal (f, 6, 3), curvature (f, 6, 3, 3) [1/m]: from the kernel.
+        bend: also the geometric part.
 
     Returns:
         rows (m, 3 s): derivative of each active gap by the patch's degrees of freedom; stiffness (m,) [N/m];
-        bend (3 s, 3 s) [N/m]: w k g Hess(g), the (negative) geometric part.
+        geometric (3 s, 3 s) [N/m]: w k g Hess(g), negative semi-definite, or zeros.
     """
     f, q = np.nonzero(gap < 0.0)
     dof = 3 * patch.local[f][:, :, None] + np.arange(3)  # (m, 6, 3)
@@ -147,9 +148,11 @@ def contact_matrices(patch: Patch, gap: np.ndarray, normal: np.ndarray,
     rows = np.zeros((m, 3 * len(patch.nodes)))
     rows[np.arange(m)[:, None], dof.reshape(m, 18)] = values.reshape(m, 18)
     stiffness = patch.stiffness[f, q]
+    geometric = np.zeros((rows.shape[1], rows.shape[1]))
+    if not bend:
+        return rows, stiffness, geometric
     weight = stiffness * gap[f, q]
     blocks = np.einsum("m,ma,mb,mcd->macbd", weight, SHAPE[q], SHAPE[q], curvature[f, q]).reshape(m, 18, 18)
-    bend = np.zeros((rows.shape[1], rows.shape[1]))
     flat = dof.reshape(m, 18)
-    np.add.at(bend, (flat[:, :, None], flat[:, None, :]), blocks)
-    return rows, stiffness, bend
+    np.add.at(geometric, (flat[:, :, None], flat[:, None, :]), blocks)
+    return rows, stiffness, geometric

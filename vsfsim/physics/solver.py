@@ -130,7 +130,7 @@ class Solver:
         for t in range(frames):
             began = time.perf_counter()
             deadline = began + self.options.seconds
-            self._guess(poses, t, known)
+            self._guess(poses[t], known)
             out = self._advance(columns, previous, poses[t], deadline, self.options.halvings)
             previous = poses[t].copy()
             known.append((poses[t], self.u.numpy().copy()))
@@ -162,6 +162,8 @@ class Solver:
         reachable = [self._reachable(poses[:, b]) for b in range(batch)]
         self.patches = [contact.make_patch(model.mesh, faces, model.surface_modulus) for faces in reachable]
         self._upload_patches()
+        self._good = np.zeros((size, batch))
+        self._pushed = [np.zeros(3 * len(p.nodes)) for p in self.patches]
 
     def _reachable(self, path: np.ndarray) -> np.ndarray:
         """Boundary triangles that the probe may meet on its way, by rest position and a margin for what bulges up."""
@@ -195,24 +197,68 @@ class Solver:
         self.curvature = wp.zeros((batch, faces, 6), dtype=a.contact.mat33, **new)
         self.contact_energy = wp.zeros((batch, faces), dtype=a.real, **new)
         self.face_force = wp.zeros((batch, faces, 6), dtype=a.contact.vec3, **new)
-        self.compliance = [None] * batch
+        self.compliance: list[np.ndarray | None] = [None] * batch
 
     # ------------------------------------------------------------------------------------------ frames
 
-    def _guess(self, poses: np.ndarray, t: int, known: list[tuple[np.ndarray, np.ndarray]]) -> None:
-        """Start from the equilibrium at this very pose if it is known (frictionless: the way back is the way in), else extrapolate."""
-        for pose, u in reversed(known):
-            if np.array_equal(pose, poses[t]):
+    def _guess(self, pose: np.ndarray, known: list[tuple[np.ndarray, np.ndarray]]) -> None:
+        """Start from the equilibrium at this very pose if it is known (frictionless: the way back is the way in), else predict."""
+        for seen, u in reversed(known):
+            if np.array_equal(seen, pose):
                 self._set(u)
                 return
-        if len(known) < 2:
+        self._predict(np.arange(self.u.shape[1]), pose)
+
+    def _predict(self, columns: np.ndarray, pose: np.ndarray) -> None:
+        """Move to ``pose`` with the elasticity of the rest state condensed on the patch, contact exact.
+
+        Solves u_S = u0_S + A (f(u_S) - f0) for the patch's displacements by a semi-smooth Newton method; the rest of the body
+        follows with one back-substitution. Only a start for Newton's method: kept if it lowers the potential.
+        """
+        before = self._evaluate(columns, pose, self.u, hessian=False)
+        gap = self.gap.numpy()
+        touching = columns[[bool((gap[b, : len(self.patches[b].faces)] < 0.0).any()) or bool(self._pushed[b].any()) for b in columns]]
+        if not len(touching):
             return
-        (p1, u1), (p0, u0) = known[-1], known[-2]
-        step = np.linalg.norm(poses[t][:, :3, 3] - p1[:, :3, 3], axis=1)
-        last = np.linalg.norm(p1[:, :3, 3] - p0[:, :3, 3], axis=1)
-        along = np.einsum("bc,bc->b", poses[t][:, :3, 3] - p1[:, :3, 3], p1[:, :3, 3] - p0[:, :3, 3]) > 0
-        ratio = np.where(along & (last > 0), np.minimum(step / np.maximum(last, 1e-12), 2.0), 0.0)
-        self._set(u1 + ratio * (u1 - u0))
+        base = self.u.numpy().astype(np.float64).copy()
+        trial = base.copy()
+        for b in touching:
+            if self.compliance[b] is None:
+                self.compliance[b] = self._patch_compliance(b)
+        dof = {b: (3 * self.patches[b].nodes[:, None] + np.arange(3)).ravel() for b in touching}
+        running, delta = list(touching), {}
+        for _ in range(20):
+            self._touch(np.array(running), pose, wp.array(trial, dtype=self.a.real, device=self.device))
+            gap, normal, curvature = self.gap.numpy(), self.normal.numpy(), self.curvature.numpy()
+            face_force = self.face_force.numpy()
+            for b in list(running):
+                p, a = self.patches[b], self.compliance[b]
+                f = len(p.faces)
+                delta[b] = self._nodal(b, face_force[b]) - self._pushed[b]
+                miss = trial[dof[b], b] - base[dof[b], b] - a @ delta[b]
+                rows, d, _ = contact.contact_matrices(p, gap[b, :f], normal[b, :f], curvature[b, :f], bend=False)
+                small = rows @ a @ rows.T
+                small[np.diag_indices_from(small)] += 1.0 / d
+                step = -miss + a @ (rows.T @ np.linalg.solve(small, rows @ miss))
+                if np.abs(step).max() < 1e-4 * max(np.abs(trial[dof[b], b]).max(), 1e-9):
+                    running.remove(b)
+                trial[dof[b], b] += step
+            if not running:
+                break
+        change = np.zeros((len(self.model.free), len(touching)))
+        for k, b in enumerate(touching):
+            change[dof[b], k] = delta[b]
+        moved = self.model.factor.solve(change * self.model.free[:, None])
+        self._set(base[:, touching] + moved, touching)
+        after = self._evaluate(touching, pose, self.u, hessian=False)
+        worse = ~(after["potential"] < before["potential"][np.isin(columns, touching)])
+        if worse.any():
+            self._set(base[:, touching[worse]], touching[worse])
+
+    def _patch_compliance(self, b: int) -> np.ndarray:
+        nodes = self.patches[b].nodes
+        free = self.model.free.reshape(-1, 3)[nodes].ravel()
+        return self.model.factor.compliance(nodes) * free * free[:, None]
 
     def _set(self, u: np.ndarray, columns: np.ndarray | None = None) -> None:
         if columns is not None:
@@ -224,7 +270,7 @@ class Solver:
     def _advance(self, columns: np.ndarray, before: np.ndarray, pose: np.ndarray, deadline: float,
                  halvings: int) -> dict[str, np.ndarray]:
         """Equilibria of ``columns`` at ``pose`` (B, 4, 4); columns that fail are retried from the last good state in half steps."""
-        start = self._last_good() if halvings == self.options.halvings else self.u.numpy().copy()
+        start = self._good if halvings == self.options.halvings else self.u.numpy().copy()
         out = self._equilibrium(columns, pose, deadline)
         failed = columns[~out["converged"][columns]]
         if len(failed) and halvings > 0 and time.perf_counter() < deadline:
@@ -239,11 +285,8 @@ class Solver:
                     values[failed] += first[key][failed]
         if halvings == self.options.halvings:
             self._good = self.u.numpy().copy()
+            self._pushed = [self._nodal(b, f) for b, f in enumerate(self.face_force.numpy())]
         return out
-
-    def _last_good(self) -> np.ndarray:
-        return getattr(self, "_good", None) if getattr(self, "_good", None) is not None and \
-            self._good.shape == self.u.shape else np.zeros(self.u.shape)
 
     # ------------------------------------------------------------------------------------------ Newton
 
@@ -260,25 +303,35 @@ class Solver:
                   inputs=[a.start, a.slot, a.every, index, 0, self.element_force, self.internal])
         wp.launch(a.tet.summarise, dim=count, device=self.device,
                   inputs=[index, self.tet_energy, self.tet_det, self.energy, self.det])
-        wp.launch(a.contact.evaluate, dim=(self.face_nodes.shape[1], count), device=self.device, inputs=[
-            a.rest, a.contact.mat66(contact.SHAPE), self._kind, a.contact.vec4(self._size), index, self.face_nodes,
-            self.stiffness, wp.array(pose[:, :3, 3], dtype=a.contact.vec3, device=self.device),
-            wp.array(pose[:, :3, :3], dtype=a.contact.mat33, device=self.device), u,
-            self.gap, self.normal, self.curvature, self.contact_energy, self.face_force])
+        self._touch(columns, pose, u)
         internal = self.internal.numpy()[:, columns].astype(np.float64)
-        on_faces = self.face_force.numpy()[columns].astype(np.float64)
+        face_force = self.face_force.numpy()
         pushed = np.zeros((3 * n, count))
         for k, b in enumerate(columns):
-            p = self.patches[b]
-            nodal = np.zeros((len(p.nodes), 3))
-            np.add.at(nodal, p.local, on_faces[k, : len(p.faces)])
-            pushed[(3 * p.nodes[:, None] + np.arange(3)).ravel(), k] = nodal.ravel()
+            pushed[(3 * self.patches[b].nodes[:, None] + np.arange(3)).ravel(), k] = self._nodal(b, face_force[b])
         where = u.numpy()[:, columns].astype(np.float64)
         load = self.model.load[:, None]
         total = (self.energy.numpy()[columns].astype(np.float64) + self.contact_energy.numpy()[columns].sum(axis=1)
                  - (load * where).sum(axis=0))
         return {"internal": internal, "contact": pushed, "potential": total,
                 "residual": (load + pushed - internal) * self.model.free[:, None]}
+
+    def _touch(self, columns: np.ndarray, pose: np.ndarray, u: wp.array) -> None:
+        """Gaps, normals and contact forces of ``columns`` at ``pose`` for displacements u (3 n, B)."""
+        a = self.a
+        wp.launch(a.contact.evaluate, dim=(self.face_nodes.shape[1], len(columns)), device=self.device, inputs=[
+            a.rest, a.contact.mat66(contact.SHAPE), self._kind, a.contact.vec4(self._size),
+            wp.array(columns, dtype=wp.int32, device=self.device), self.face_nodes, self.stiffness,
+            wp.array(pose[:, :3, 3], dtype=a.contact.vec3, device=self.device),
+            wp.array(pose[:, :3, :3], dtype=a.contact.mat33, device=self.device), u,
+            self.gap, self.normal, self.curvature, self.contact_energy, self.face_force])
+
+    def _nodal(self, b: int, face_force: np.ndarray) -> np.ndarray:
+        """Contact forces on the patch's degrees of freedom (3 s,) [N] from those on its faces (f, 6, 3)."""
+        p = self.patches[b]
+        nodal = np.zeros((len(p.nodes), 3))
+        np.add.at(nodal, p.local, face_force[: len(p.faces)].astype(np.float64))
+        return nodal.ravel()
 
     def _measure(self, state: dict[str, np.ndarray]) -> np.ndarray:
         """Unbalanced force over acting force, per column: sums of the lengths of nodal vectors."""
@@ -329,7 +382,7 @@ class Solver:
             if not len(rows):
                 continue
             if self.compliance[b] is None:
-                self.compliance[b] = self.model.factor.compliance(p.nodes)
+                self.compliance[b] = self._patch_compliance(b)
             rows = rows * self.model.free.reshape(-1, 3)[p.nodes].ravel()
             s = rows.shape[1]
             stiff[b, :s, :s] = rows.T @ (d[:, None] * rows) + bend
