@@ -25,7 +25,7 @@ SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
 
 # How round an edge of the grid becomes (0 square, 1 a circle): seen from above; the heel's and the toe's
 # profile; the cross-section at the collar and over the forefoot.
-_PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.90, 0.12, 0.80, 0.20, 0.92
+_PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
 # How far walls lean in towards the collar, as a fraction of the half width.
 _LEAN = 0.10
 
@@ -82,7 +82,7 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     ni = max(8, round((form.length - 2 * form.wall) / h)) + 2
     nj = 2 * max(2, round((form.width - 2 * form.wall) / h / 2)) + 2
     height = (2 * form.toe_height + form.collar_height + form.throat_height) / 4 - form.sole_fore
-    ks = max(1, min(2, math.floor(0.5 * (form.sole_heel + form.sole_fore) / h + 0.25)))
+    ks = 2 if 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
     nk = max(2, round((height - form.wall) / h)) + 1 + ks
     along = np.concatenate([[0.0], np.linspace(form.wall, form.length - form.wall, ni - 1), [form.length]])
 
@@ -126,7 +126,8 @@ def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
     outer = ((i == 0) | (i == ni)).astype(int) + ((j == 0) | (j == nj)) + (k == nk)
     inner = ((i == 1) | (i == ni - 1)).astype(int) + ((j == 1) | (j == nj - 1)) + (k == nk - 1)
     edge = (outer >= 2) | ((outer == 0) & (inner >= 2))
-    return np.where(edge, 0, 1 + (i + j + k) % 2)
+    # Where three edges meet all three outer faces lie flat: the cut must start from that very corner.
+    return np.where(outer == 3, 0, np.where(edge, 1, 2 + (i + j + k) % 2))
 
 
 # ---------------------------------------------------------------------------------------------- the form
@@ -149,7 +150,8 @@ def _bend(form: ShoeForm, along: np.ndarray, nj: int, nk: int, ks: int) -> np.nd
     # The sole's rim: under the upper it stands out, most halfway down.
     flare = np.where(k < ks, form.flare * np.where((k == 0) & (ks > 1), 0.6, 1.0), 0.0)
     shell = _surface(form, profile, u, v_out, w_out, flare)
-    lining = _surface(form, profile, u, side, rise, np.full(u.shape, -form.wall))
+    # The sole's inner vertices follow its flare, or the diagonals of its tall outer cells would nearly cross.
+    lining = _surface(form, profile, u, side, rise, flare - form.wall)
     points = np.where(outside[..., None], shell, lining)
     x = points[..., 0]
     below = profile.bottom(x) + (profile.sole(x) - profile.bottom(x)) * k / ks
@@ -190,7 +192,7 @@ class _Profile:
         self.half_width = _spline(form.length, ((0.0, heel), (0.16, heel), (0.42, waist), (0.68, ball), (0.85, 0.97 * ball), (1.0, 0.88 * ball)))
         self.top = _spline(form.length, (
             (0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height), (0.20, form.collar_height),
-            (0.7 * o + 0.02, 0.35 * form.collar_height + 0.65 * form.throat_height), (o, form.throat_height),
+            (0.5 * (0.2 + o), 0.45 * form.collar_height + 0.55 * form.throat_height), (o, form.throat_height),
             (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe), (1.0, 0.92 * toe)))
         self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore), (1.0, form.sole_fore)))
         self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0), (1.0, 0.0)))
