@@ -1,0 +1,88 @@
+"""What shoes are made of: how stiff each class of material is, and how it usually looks.
+
+The moduli are effective ones of the parts of a shoe under a fingertip-sized press (a sheet of leather in tension is far
+stiffer), chosen so that the parts span 1e4 to 1e7 Pa as SBML reports for its shoes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.solid import Appearance
+
+# How much of a material's brightness follows its stiffness within the class; the rest is chance.
+_BRIGHTNESS_CORRELATION = 0.6
+_BRIGHTNESS_SPREAD = 0.35
+
+
+@dataclass(frozen=True)
+class MaterialClass:
+    """One class of material.
+
+    young_modulus: (low, high) [Pa], log-uniform in between.
+    colours: typical colours, linear RGB in 0..1; one is picked and varied.
+    texture: kind, one of `vsfsim.core.solid.TEXTURES`.
+    texture_scale: (low, high) wavelength [m]. texture_contrast: (low, high) relative amplitude 0..1.
+    """
+
+    young_modulus: tuple[float, float]
+    colours: tuple[tuple[float, float, float], ...]
+    texture: str
+    texture_scale: tuple[float, float]
+    texture_contrast: tuple[float, float]
+
+
+CLASSES: dict[str, MaterialClass] = {
+    "foam": MaterialClass((1e4, 1e5), ((0.72, 0.66, 0.12), (0.80, 0.42, 0.38), (0.55, 0.70, 0.78), (0.75, 0.73, 0.68)),
+                          "noise", (0.006, 0.012), (0.10, 0.25)),
+    "mesh": MaterialClass((5e4, 3e5), ((0.10, 0.30, 0.62), (0.62, 0.10, 0.12), (0.14, 0.48, 0.22), (0.36, 0.37, 0.40)),
+                          "weave", (0.003, 0.006), (0.35, 0.60)),
+    "nylon": MaterialClass((1e5, 5e5), ((0.05, 0.08, 0.22), (0.08, 0.08, 0.09), (0.42, 0.16, 0.05), (0.20, 0.22, 0.12)),
+                           "stripes", (0.004, 0.009), (0.20, 0.40)),
+    "suede": MaterialClass((2e5, 8e5), ((0.36, 0.22, 0.11), (0.26, 0.25, 0.24), (0.45, 0.32, 0.18), (0.12, 0.16, 0.26)),
+                           "noise", (0.012, 0.025), (0.20, 0.35)),
+    "leather": MaterialClass((3e5, 1.5e6), ((0.22, 0.08, 0.03), (0.05, 0.04, 0.04), (0.38, 0.17, 0.06), (0.68, 0.66, 0.62)),
+                             "grain", (0.004, 0.010), (0.15, 0.35)),
+    "rubber": MaterialClass((1e6, 1e7), ((0.04, 0.04, 0.045), (0.12, 0.11, 0.11), (0.40, 0.20, 0.07), (0.72, 0.71, 0.66)),
+                            "plain", (0.010, 0.020), (0.00, 0.06)),
+    "plastic": MaterialClass((1.5e6, 8e6), ((0.78, 0.78, 0.80), (0.70, 0.08, 0.06), (0.06, 0.20, 0.55), (0.03, 0.03, 0.03)),
+                             "plain", (0.010, 0.020), (0.00, 0.03)),
+}
+
+
+def draw_modulus(name: str, rng: np.random.Generator) -> float:
+    """Young's modulus [Pa] of a piece of class ``name``."""
+    low, high = CLASSES[name].young_modulus
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float,
+                    rng: np.random.Generator) -> Appearance:
+    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely.
+
+    Args:
+        names: material class of each region, R of them.
+        young_modulus: of each region (R,) [Pa].
+        informative: probability that a region looks like its own class; else like one drawn from all.
+        rng: stream; the number of draws does not depend on the outcome.
+    """
+    every = tuple(CLASSES)
+    albedo, texture, scale, contrast = [], [], [], []
+    for name, modulus in zip(names, young_modulus):
+        keeps, other = rng.uniform() < informative, every[int(rng.integers(len(every)))]
+        look = CLASSES[name if keeps else other]
+        base = np.array(look.colours[int(rng.integers(len(look.colours)))])
+        low, high = np.log(CLASSES[name].young_modulus)
+        # -1 at the soft end of the class, +1 at the stiff end.
+        place = np.clip(2.0 * (np.log(modulus) - low) / (high - low) - 1.0, -1.0, 1.0)
+        chance = rng.uniform(-1.0, 1.0)
+        rho = _BRIGHTNESS_CORRELATION
+        brightness = np.exp(-_BRIGHTNESS_SPREAD * (rho * place + np.sqrt(1.0 - rho**2) * chance))
+        albedo.append(np.clip(base * brightness * np.exp(rng.normal(0.0, 0.08, 3)), 0.01, 0.95))
+        texture.append(look.texture)
+        scale.append(rng.uniform(*look.texture_scale))
+        contrast.append(rng.uniform(*look.texture_contrast))
+    return Appearance(np.array(albedo), tuple(texture), np.array(scale), np.array(contrast))

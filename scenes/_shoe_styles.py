@@ -1,0 +1,135 @@
+"""Styles of shoe and the allowed range of every parameter: the table to extend with a new shoe."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+
+REGIONS = ("sole", "toe_cap", "upper", "tongue", "heel_counter")
+
+
+@dataclass(frozen=True)
+class ShoeForm:
+    """The form of a shoe. Lengths in metres; heights above the ground under the foot.
+
+    length: heel to toe of the upper. width: at the ball of the foot. heel_width: at the heel.
+    collar_height: top line at the ankle. throat_height: top line where the tongue begins.
+    toe_height: of the toe box. sole_heel, sole_fore: thickness of the sole under heel and ball.
+    wall: thickness of upper, toe cap, tongue and heel counter.
+    opening: where the collar opening ends, as a fraction of the length from the heel.
+    toe_spring: how far the toe stands off the ground. arch: how far the waist does.
+    flare: how far the sole stands out beyond the upper. bend: sideways curve of the centre line.
+    """
+
+    length: float
+    width: float
+    heel_width: float
+    collar_height: float
+    throat_height: float
+    toe_height: float
+    sole_heel: float
+    sole_fore: float
+    wall: float
+    opening: float
+    toe_spring: float
+    arch: float
+    flare: float
+    bend: float
+
+
+RANGES: dict[str, tuple[float, float]] = {
+    "length": (0.22, 0.30), "width": (0.080, 0.115), "heel_width": (0.060, 0.085),
+    "collar_height": (0.050, 0.120), "throat_height": (0.075, 0.130), "toe_height": (0.048, 0.070),
+    "sole_heel": (0.012, 0.030), "sole_fore": (0.012, 0.025), "wall": (0.004, 0.007),
+    "opening": (0.36, 0.52), "toe_spring": (0.0, 0.015), "arch": (0.0, 0.006),
+    "flare": (0.0, 0.005), "bend": (0.0, 0.010),
+}
+
+
+@dataclass(frozen=True)
+class Style:
+    """A kind of shoe: its usual form, and the material classes each region may be made of."""
+
+    form: ShoeForm
+    materials: Mapping[str, tuple[str, ...]]
+
+
+STYLES: dict[str, Style] = {
+    "sneaker": Style(
+        ShoeForm(0.265, 0.100, 0.070, 0.072, 0.098, 0.056, 0.024, 0.018, 0.0055, 0.44, 0.006, 0.000, 0.003, 0.006),
+        {"sole": ("rubber",), "toe_cap": ("rubber", "leather"), "upper": ("nylon", "leather", "suede"),
+         "tongue": ("foam", "mesh"), "heel_counter": ("leather", "plastic")}),
+    "boot": Style(
+        ShoeForm(0.280, 0.102, 0.076, 0.112, 0.120, 0.062, 0.028, 0.020, 0.0065, 0.40, 0.008, 0.005, 0.002, 0.005),
+        {"sole": ("rubber",), "toe_cap": ("leather", "plastic"), "upper": ("leather", "suede"),
+         "tongue": ("foam", "nylon"), "heel_counter": ("leather", "plastic")}),
+    "runner": Style(
+        ShoeForm(0.270, 0.098, 0.072, 0.070, 0.094, 0.054, 0.028, 0.020, 0.0050, 0.43, 0.013, 0.002, 0.005, 0.007),
+        {"sole": ("rubber",), "toe_cap": ("suede", "plastic"), "upper": ("mesh", "nylon"),
+         "tongue": ("foam",), "heel_counter": ("plastic",)}),
+    "slipper": Style(
+        ShoeForm(0.255, 0.096, 0.074, 0.054, 0.078, 0.053, 0.014, 0.013, 0.0060, 0.48, 0.002, 0.000, 0.001, 0.003),
+        {"sole": ("rubber", "plastic"), "toe_cap": ("suede", "nylon"), "upper": ("suede", "mesh"),
+         "tongue": ("foam",), "heel_counter": ("suede", "leather")}),
+}
+
+
+@dataclass(frozen=True)
+class ShoeOptions:
+    """What is not form. style: key of `STYLES`. side: "left" or "right".
+
+    variation: form values the scene does not give are drawn within this fraction of the style's.
+    appearance_informative: probability that a region looks like what it is made of.
+    """
+
+    style: str
+    side: str
+    variation: float
+    appearance_informative: float
+
+
+def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, where: str) -> tuple[ShoeForm, ShoeOptions]:
+    """Check the scene's parameters and draw the ones it leaves open.
+
+    Raises:
+        SceneError: an unknown parameter, style or side, or a number out of its range.
+    """
+    allowed = (*RANGES, *(f.name for f in fields(ShoeOptions)))
+    for key in parameters:
+        if key not in allowed:
+            raise SceneError(unknown_key(where, key, allowed))
+    options = ShoeOptions(
+        _word(parameters, "style", "sneaker", tuple(STYLES), where),
+        _word(parameters, "side", "right", ("left", "right"), where),
+        _number(parameters, "variation", 0.05, 0.0, 0.3, where),
+        _number(parameters, "appearance_informative", 0.8, 0.0, 1.0, where),
+    )
+    usual = STYLES[options.style].form
+    form = {}
+    for name, (low, high) in RANGES.items():
+        # Drawn whether needed or not, so that fixing one parameter leaves the others as they were.
+        factor = 1.0 + options.variation * rng.uniform(-1.0, 1.0)
+        if name in parameters:
+            form[name] = _number(parameters, name, 0.0, low, high, where)
+        else:
+            form[name] = float(np.clip(getattr(usual, name) * factor, low, high))
+    return ShoeForm(**form), options
+
+
+def _number(parameters: Mapping[str, Any], key: str, default: float, low: float, high: float, where: str) -> float:
+    value = parameters.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
+        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g} (lengths in metres).")
+    return float(value)
+
+
+def _word(parameters: Mapping[str, Any], key: str, default: str, allowed: tuple[str, ...], where: str) -> str:
+    value = parameters.get(key, default)
+    if value not in allowed:
+        raise SceneError(f"{where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
+    return value

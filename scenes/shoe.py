@@ -1,0 +1,218 @@
+"""A hollow shoe, meshed by construction.
+
+A grid of hexahedra, length x width x height, keeps its outermost layers (the walls) and its lowest (the sole); what
+is inside is the cavity, and a hole in the top layer is the collar. The grid is then bent into a shoe: its outside
+onto one closed surface, its inside onto the same surface drawn in by the wall's thickness. That surface is half a
+ball at the heel, a vault in the middle and half a ball at the toe (the cube-to-sphere map, pairwise
+blended), scaled by the width and height of the shoe along its length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.hexes import split_hexes
+from vsfsim.core.solid import Solid
+from vsfsim.scenes._materials import draw_appearance, draw_modulus
+from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
+
+SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
+
+# How round an edge of the grid becomes (0 square, 1 a circle): seen from above; the heel's and the toe's
+# profile; the cross-section at the collar and over the forefoot.
+_PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
+# How far walls lean in towards the collar, as a fraction of the half width.
+_LEAN = 0.10
+
+
+def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
+    """A shoe standing on z = 0, toe towards +x, the origin under the middle of its bounding box.
+
+    Args:
+        parameters: fields of `ShoeForm` and `ShoeOptions`; what is missing is drawn around the style's values.
+        rng: stream of form, moduli and look (in this order).
+        resolution: size of a cell along the surface [m]; walls are one cell thick, the sole one or two.
+        where: file and section, for the messages.
+
+    Raises:
+        SceneError: an unknown or impossible parameter, or a resolution outside 4 to 30 mm.
+    """
+    if not 0.004 <= resolution <= 0.030:
+        raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
+    form, options = read_parameters(parameters, rng, where)
+    vertices, hexes, hex_region, rank = _mesh(form, resolution)
+    if options.side == "left":
+        # A mirrored grid would be inside out; mirroring the bend alone keeps the cells right-handed.
+        form_bend = -form.bend
+    else:
+        form_bend = form.bend
+    vertices[:, 1] += form_bend * _curve(vertices[:, 0] / form.length)
+    tets, owner = split_hexes(hexes, rank)
+    young_modulus, classes = _moduli(STYLES[options.style].materials, rng)
+    look = draw_appearance(classes, young_modulus, options.appearance_informative, rng)
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices -= [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]
+    made_of = ", ".join(f"{region} {material}" for region, material in zip(REGIONS, classes))
+    return Solid(vertices, tets, hex_region[owner], REGIONS, young_modulus, look,
+                 (f"{options.style}, {options.side}: {made_of}.",))
+
+
+def _moduli(materials: Mapping[str, tuple[str, ...]], rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
+    classes, values = [], []
+    for region in REGIONS:
+        allowed = materials[region]
+        classes.append(allowed[int(rng.integers(len(allowed)))])
+        values.append(draw_modulus(classes[-1], rng))
+    # A toe cap and a heel counter are there to stiffen the upper.
+    values[TOE_CAP] = max(values[TOE_CAP], 1.5 * values[UPPER])
+    values[HEEL_COUNTER] = max(values[HEEL_COUNTER], 1.2 * values[UPPER])
+    return np.array(values), classes
+
+
+# ---------------------------------------------------------------------------------------------- the grid
+
+
+def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), rank of each vertex for cutting (n,)."""
+    ni = max(8, round((form.length - 2 * form.wall) / h)) + 2
+    nj = 2 * max(2, round((form.width - 2 * form.wall) / h / 2)) + 2
+    height = (2 * form.toe_height + form.collar_height + form.throat_height) / 4 - form.sole_fore
+    ks = 2 if 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
+    nk = max(2, round((height - form.wall) / h)) + 1 + ks
+    along = np.concatenate([[0.0], np.linspace(form.wall, form.length - form.wall, ni - 1), [form.length]])
+
+    def station(fraction: float) -> int:
+        return int(np.abs(along - fraction * form.length).argmin())
+
+    opening, toe, heel = station(form.opening), station(0.80), station(0.17)
+    strap = max(1, round(0.17 * (nj - 2)))  # half the tongue's width in cells
+    tongue = (nj // 2 - strap, nj // 2 + strap)
+    tongue_end = min(max(station(form.opening + 0.22), opening + 2), toe - 1)
+
+    i, j, k = np.indices((ni, nj, nk))
+    inside = (i > 0) & (i < ni - 1) & (j > 0) & (j < nj - 1)
+    top = k == nk - 1
+    cavity = inside & (k >= ks) & ~top
+    collar = inside & top & (i < opening)
+    region = np.full((ni, nj, nk), UPPER)
+    region[heel_block(i, heel) & ~top] = HEEL_COUNTER
+    region[i >= toe] = TOE_CAP
+    region[top & (i >= opening) & (i < tongue_end) & (j >= tongue[0]) & (j < tongue[1])] = TONGUE
+    region[k < ks] = SOLE
+
+    keep = ~(cavity | collar)
+    index = np.arange((ni + 1) * (nj + 1) * (nk + 1)).reshape(ni + 1, nj + 1, nk + 1)
+    steps = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
+    hexes = np.stack([index[a:a + ni, b:b + nj, c:c + nk][keep] for a, b, c in steps], axis=1)
+    points = _bend(form, along, nj, nk, ks).reshape(-1, 3)
+    used, hexes = np.unique(hexes, return_inverse=True)
+    rank = _rank(ni, nj, nk, ks).reshape(-1)[used]
+    return points[used], hexes.reshape(-1, 8), region[keep], rank.argsort(kind="stable").argsort(kind="stable")
+
+
+def heel_block(i: np.ndarray, heel: int) -> np.ndarray:
+    """Cells behind station ``heel``."""
+    return i < heel
+
+
+def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
+    """Cut cells from the grid's edges first (where a corner is flattened), elsewhere in mirrored fives."""
+    i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
+    outer = ((i == 0) | (i == ni)).astype(int) + ((j == 0) | (j == nj)) + (k == nk)
+    inner = ((i == 1) | (i == ni - 1)).astype(int) + ((j == 1) | (j == nj - 1)) + (k == nk - 1)
+    edge = (outer >= 2) | ((outer == 0) & (inner >= 2))
+    # Where three edges meet all three outer faces lie flat: the cut must start from that very corner.
+    return np.where(outer == 3, 0, np.where(edge, 1, 2 + (i + j + k) % 2))
+
+
+# ---------------------------------------------------------------------------------------------- the form
+
+
+def _bend(form: ShoeForm, along: np.ndarray, nj: int, nk: int, ks: int) -> np.ndarray:
+    """Positions (ni+1, nj+1, nk+1, 3) [m] of the grid's vertices; x from the heel, before the sideways bend."""
+    ni = len(along) - 1
+    profile = _Profile(form)
+    i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
+    u = along[i]
+    edge = 1.4 * form.wall  # on a rounded corner a step along the grid is that much longer than the wall is thick
+    side = np.clip((2.0 * (j - 1) / (nj - 2) - 1.0), -1.0, 1.0)
+    half = 0.5 * form.width
+    v_out = np.where((j == 0) | (j == nj), np.sign(j - nj / 2), side * (1.0 - edge / half))
+    rise = np.clip((k - ks) / (nk - 1 - ks), 0.0, 1.0)
+    upper = profile.top(u) - profile.sole(u)
+    w_out = np.where(k == nk, 1.0, rise * (1.0 - edge / upper))
+    outside = (i == 0) | (i == ni) | (j == 0) | (j == nj) | (k == nk)
+    # The sole's rim: under the upper it stands out, most halfway down.
+    flare = np.where(k < ks, form.flare * np.where((k == 0) & (ks > 1), 0.6, 1.0), 0.0)
+    shell = _surface(form, profile, u, v_out, w_out, flare)
+    # The sole's inner vertices follow its flare, or the diagonals of its tall outer cells would nearly cross.
+    lining = _surface(form, profile, u, side, rise, flare - form.wall)
+    points = np.where(outside[..., None], shell, lining)
+    x = points[..., 0]
+    below = profile.bottom(x) + (profile.sole(x) - profile.bottom(x)) * k / ks
+    points[..., 2] = np.where(k < ks, below, points[..., 2])
+    points[..., 2] += profile.spring(x)
+    return points
+
+
+def _surface(form: ShoeForm, profile: _Profile, u: np.ndarray, v: np.ndarray, w: np.ndarray, grow: np.ndarray) -> np.ndarray:
+    """The shoe's outside, moved out by ``grow`` [m]; v in -1..1 across, w in 0..1 from the sole up."""
+    heel_end, toe_start = 0.55 * form.heel_width, form.length - 0.62 * form.width
+    heel_cap, toe_cap = heel_end + grow, form.length - toe_start + grow
+    toe = np.clip((u - toe_start) / toe_cap, 0.0, 1.0)
+    heel = np.clip((heel_end - u) / heel_cap, 0.0, 1.0)
+    end = np.maximum(toe, heel)
+    lengthwise = np.where(toe > 0.0, _TOE, _HEEL)
+    across = _COLLAR + (_FOREFOOT - _COLLAR) * _step((u / form.length - form.opening + 0.06) / 0.24)
+    ee, vv, ww = 0.5 * end**2, 0.5 * v**2, 0.5 * w**2
+    fx = np.sqrt(1.0 - _PLAN * vv - lengthwise * ww + _PLAN * lengthwise * vv * ww * 4.0 / 3.0)
+    fy = np.sqrt(1.0 - _PLAN * ee - across * ww + _PLAN * across * ee * ww * 4.0 / 3.0)
+    fz = np.sqrt(1.0 - lengthwise * ee - across * vv + lengthwise * across * ee * vv * 4.0 / 3.0)
+    x = np.where(toe > 0.0, toe_start + toe_cap * toe * fx, np.where(heel > 0.0, heel_end - heel_cap * heel * fx, u))
+    lean = 1.0 - _LEAN * w * (1.0 - _step((u / form.length - form.opening) / 0.3))
+    y = (profile.half_width(x) + grow) * v * fy * lean
+    # Outwards the sole grows sideways only; inwards the lining sinks below the top.
+    z = profile.sole(x) + (profile.top(x) - profile.sole(x) + np.minimum(grow, 0.0)) * w * fz
+    return np.stack([x, y, z], axis=-1)
+
+
+class _Profile:
+    """Width and heights of a shoe along its length, smooth functions of x [m] from the heel."""
+
+    def __init__(self, form: ShoeForm):
+        heel, ball = 0.5 * form.heel_width, 0.5 * form.width
+        waist = 0.94 * 0.5 * (heel + ball)
+        toe = form.toe_height
+        o = form.opening
+        self.half_width = _spline(form.length, ((0.0, heel), (0.16, heel), (0.42, waist), (0.68, ball), (0.85, 0.97 * ball), (1.0, 0.88 * ball)))
+        self.top = _spline(form.length, (
+            (0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height), (0.20, form.collar_height),
+            (0.5 * (0.2 + o), 0.45 * form.collar_height + 0.55 * form.throat_height), (o, form.throat_height),
+            (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe), (1.0, 0.92 * toe)))
+        self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore), (1.0, form.sole_fore)))
+        self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0), (1.0, 0.0)))
+        self.spring = _spline(form.length, ((0.0, 0.0), (0.70, 0.0), (0.85, 0.30 * form.toe_spring), (1.0, form.toe_spring)))
+
+
+def _spline(length: float, knots: tuple[tuple[float, float], ...]) -> Callable[[np.ndarray], np.ndarray]:
+    """A smooth curve near ``knots`` (fraction of the length, value): the polygon, averaged over a tenth."""
+    grid = np.linspace(-0.2, 1.2, 1401)
+    polygon = np.interp(grid, *np.transpose(knots))
+    kernel = np.hanning(103)[1:-1]
+    smooth = np.convolve(np.pad(polygon, 50, mode="edge"), kernel / kernel.sum(), mode="valid")
+    return lambda x: np.interp(np.asarray(x) / length, grid, smooth)
+
+
+def _step(t: np.ndarray) -> np.ndarray:
+    t = np.clip(t, 0.0, 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _curve(s: np.ndarray) -> np.ndarray:
+    """Sideways offset of the centre line, one at the waist and minus one at the toe, for s in 0..1."""
+    return np.sin(math.pi * np.clip(s, 0.0, 1.0)) * 0.6 - _step((s - 0.45) / 0.55)

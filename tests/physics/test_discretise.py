@@ -1,0 +1,150 @@
+"""Structured meshes: orientation, boundary, shape quality and the observed order of the volume."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import trimesh
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import Box, Cylinder, Family, Rod, Sphere
+from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics.blocks import GROWTH, grid_line
+from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.quality import dihedral_angles, worst_angle
+
+SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
+
+SHAPES = {
+    "box": (Box((0.1, 0.1, 0.05)), 0.02, 0.1 * 0.1 * 0.05),
+    "odd box": (Box((0.1, 0.03, 0.07)), 0.021, 0.1 * 0.03 * 0.07),
+    "sphere": (Sphere(0.04), 0.012, 4 / 3 * math.pi * 0.04**3),
+    "cylinder": (Cylinder(0.03, 0.08), 0.012, math.pi * 0.03**2 * 0.08),
+    "rod": (Rod(0.4, 0.006), 0.01, math.pi * 0.006**2 * 0.4),
+}
+
+
+def solid_of(shape: object, resolution: float, **options: object) -> Solid:
+    return build_solid(dataclasses.replace(SPEC, shape=shape), resolution=resolution, **options)
+
+
+def check_boundary(solid: Solid, *, euler: int = 2) -> None:
+    """Watertight, wound outwards, each edge in two faces, the faces at each vertex one fan."""
+    faces, owner = solid.surface()
+    surface = trimesh.Trimesh(solid.vertices, faces, process=False)
+    assert surface.is_watertight and surface.is_winding_consistent
+    # rounding of a sum of some thousand volumes
+    assert surface.volume == pytest.approx(solid.volume(), rel=1e-9)
+    used = np.unique(faces)
+    assert len(used) - len(surface.edges_unique) + len(faces) == euler
+    assert (np.sort(faces, axis=1)[:, :, None] == np.sort(solid.tets[owner], axis=1)[:, None, :]).any(axis=2).all()
+    # Vertex-manifold: around each vertex the faces form one closed fan, not two that touch at a point.
+    link: dict[int, dict[int, int]] = {}
+    for a, b, c in faces.tolist():
+        for v, start, stop in ((a, b, c), (b, c, a), (c, a, b)):
+            link.setdefault(v, {})[start] = stop
+    for v, fan in link.items():
+        start = next(iter(fan))
+        seen, at = 1, fan[start]
+        while at != start:
+            seen, at = seen + 1, fan[at]
+        assert seen == len(fan), f"vertex {v} joins {len(fan)} faces in more than one fan"
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_mesh_is_whole(name: str) -> None:
+    shape, resolution, volume = SHAPES[name]
+    solid = solid_of(shape, resolution)
+    assert tet_volumes(solid.vertices, solid.tets).min() > 0.0
+    assert len(np.unique(solid.tets)) == len(solid.vertices), "a vertex belongs to no tetrahedron"
+    check_boundary(solid)
+    # The cube's corner tetrahedron has 54.7 degrees; the rod's cells are three times longer than wide, on purpose.
+    assert worst_angle(solid.vertices, solid.tets) > math.radians(12.0 if name == "rod" else 30.0)
+    assert solid.vertices[:, 2].min() == pytest.approx(0.0, abs=1e-15)
+    assert 0.7 * volume < solid.volume() <= volume * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_same_input_same_arrays(name: str) -> None:
+    shape, resolution, _ = SHAPES[name]
+    one, two = solid_of(shape, resolution), solid_of(shape, resolution)
+    assert np.array_equal(one.vertices, two.vertices) and np.array_equal(one.tets, two.tets)
+
+
+@pytest.mark.parametrize("shape, volume", [(Sphere(0.04), 4 / 3 * math.pi * 0.04**3),
+                                           (Cylinder(0.03, 0.08), math.pi * 0.03**2 * 0.08)])
+def test_volume_converges_at_second_order(shape: object, volume: float) -> None:
+    size = shape.radius
+    errors = [1.0 - solid_of(shape, size / n).volume() / volume for n in (3, 6)]
+    # Chords of a smooth surface: O(h^2); a quarter of an order for the next term at three cells a radius.
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.25)
+
+
+def test_boundary_lies_on_the_surface() -> None:
+    ball = solid_of(Sphere(0.04), 0.012)
+    on = np.unique(ball.surface()[0])
+    assert np.linalg.norm(ball.vertices[on] - [0, 0, 0.04], axis=1) == pytest.approx(np.full(len(on), 0.04), rel=1e-12)
+    rod = solid_of(Rod(0.1, 0.01), 0.004)
+    radius = np.hypot(rod.vertices[:, 1], rod.vertices[:, 2] - 0.01)
+    assert radius.max() == pytest.approx(0.01, rel=1e-12)
+    assert np.ptp(rod.vertices[:, 0]) == pytest.approx(0.1) and rod.vertices[:, 0].min() == 0.0
+
+
+@pytest.mark.parametrize("name", ["sphere", "cylinder", "rod"])
+def test_equal_volume(name: str) -> None:
+    shape, resolution, volume = SHAPES[name]
+    assert solid_of(shape, resolution, equal_volume=True).volume() == pytest.approx(volume, rel=1e-12)
+
+
+def test_box_is_symmetric() -> None:
+    # A mirrored mesh is the same mesh: same edges under x -> -x, so no sideways force under a centred press.
+    solid = solid_of(Box((0.1, 0.1, 0.05)), 0.03)
+    key = {tuple(np.round(p, 9)): i for i, p in enumerate(solid.vertices + 0.0)}
+    mirror = np.array([key[tuple(np.round(p * [-1, 1, 1], 9) + 0.0)] for p in solid.vertices])
+    original, mirrored = ({tuple(sorted(row)) for row in t.tolist()} for t in (solid.tets, mirror[solid.tets]))
+    assert mirrored == original
+
+
+def test_focus_grades_the_box() -> None:
+    fine = 0.004
+    focus = np.array([[0.0, 0.0, 0.05]])
+    graded, uniform = solid_of(Box((0.1, 0.1, 0.05)), fine, focus=focus), solid_of(Box((0.1, 0.1, 0.05)), fine)
+    assert len(graded.tets) < 0.35 * len(uniform.tets)
+    assert graded.volume() == pytest.approx(0.1 * 0.1 * 0.05, rel=1e-12)
+    check_boundary(graded)
+    for axis, at in ((0, 0.0), (2, 0.05)):
+        ticks = np.unique(np.round(graded.vertices[:, axis], 12))
+        widths = np.diff(ticks)
+        assert (widths[1:] / widths[:-1]).max() < GROWTH + 0.02 and (widths[:-1] / widths[1:]).max() < GROWTH + 0.02
+        nearest = np.abs(0.5 * (ticks[1:] + ticks[:-1]) - at).argmin()
+        assert widths[nearest] <= fine * 1.001 and widths.max() <= 3.0 * fine * 1.001
+
+
+def test_grid_line_with_several_foci() -> None:
+    ticks = grid_line(0.0, 1.0, 0.01, focus=np.array([0.2, 0.8]))
+    widths = np.diff(ticks)
+    middle = 0.5 * (ticks[1:] + ticks[:-1])
+    for at in (0.2, 0.8):
+        assert widths[np.abs(middle - at).argmin()] <= 0.01
+    assert widths[np.abs(middle - 0.5).argmin()] > 0.025
+
+
+def test_dihedral_angles_of_known_tetrahedra() -> None:
+    regular = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], float)
+    corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    assert np.degrees(dihedral_angles(regular, np.array([[0, 1, 2, 3]]))) == pytest.approx(np.full((1, 6), 70.528779))
+    found = np.sort(np.degrees(dihedral_angles(corner, np.array([[0, 1, 2, 3]]))))
+    assert found == pytest.approx(np.array([[54.735610] * 3 + [90.0] * 3]))
+
+
+def test_refusals() -> None:
+    with pytest.raises(SceneError, match=r"unknown family 'shoo'. Did you mean 'shoe'"):
+        solid_of(Family("shoo", {}), 0.01)
+    with pytest.raises(SceneError, match="cells"):
+        solid_of(Box((1.0, 1.0, 1.0)), 0.001)
+    with pytest.raises(SceneError, match="resolution"):
+        solid_of(Sphere(0.1), float("nan"))
