@@ -1,0 +1,282 @@
+"""The folder: resume, refusal of another recipe, locks, a full disk, and what verify finds."""
+
+import dataclasses
+import errno
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.core.errors import DatasetError
+from vsfsim.data import writer as writer_module
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.hdf5 import write_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.summary import summary
+from vsfsim.data.verify import verify
+from vsfsim.data.writer import DatasetWriter
+
+RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4, splits={"train": 2, "test": 1},
+                device="cpu", tier="vsf", precision="float64", renderer="warp", options={})
+VIEWS = [mock_view(i, split="train" if i < 2 else "test", touches=4) for i in range(3)]
+NAMES = [view.name for view in VIEWS]
+
+
+def build(path, views=VIEWS):
+    with DatasetWriter(path, RECIPE, NAMES) as writer:
+        for view in views:
+            if view.name in writer.missing():
+                writer.add(view)
+        return writer.finish()
+
+
+def contents(path):
+    return {p.name: p.read_bytes() for p in sorted(path.iterdir())}
+
+
+def test_open_iterate_blind(tmp_path):
+    dataset = build(tmp_path / "d")
+    assert len(dataset) == 3 and dataset.names("train") == tuple(NAMES[:2])
+    assert [view.name for view in dataset] == NAMES
+    assert dataset.load(NAMES[0]).truth is not None
+    assert all(view.truth is None for view in dataset.blind())
+    assert dataset.recipe == RECIPE
+    with pytest.raises(DatasetError, match=r"no split 'trian'. Did you mean 'train'\?"):
+        dataset.names("trian")
+
+
+def test_an_interrupted_run_resumes_to_the_same_bits(tmp_path):
+    build(tmp_path / "whole")
+    broken = tmp_path / "broken"
+    with DatasetWriter(broken, RECIPE, NAMES) as writer:
+        writer.add(VIEWS[1])
+        (broken / f"{NAMES[2]}.h5.123.part").write_bytes(b"half")
+    with pytest.raises(DatasetError, match="unfinished"):
+        Dataset.open(broken)
+    before = (broken / f"{NAMES[1]}.h5").stat().st_mtime_ns
+    with DatasetWriter(broken, RECIPE, NAMES) as writer:
+        assert writer.missing() == [NAMES[0], NAMES[2]]
+        for name in writer.missing():
+            write_view(writer.file_of(name), VIEWS[NAMES.index(name)])
+        writer.finish()
+    assert (broken / f"{NAMES[1]}.h5").stat().st_mtime_ns == before, "a whole file was made again"
+    assert contents(broken) == contents(tmp_path / "whole")
+
+
+def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(tmp_path):
+    build(tmp_path / "whole")
+    script = tmp_path / "run.py"
+    script.write_text(textwrap.dedent(f"""
+        import sys, time
+        sys.path.insert(0, {str(Path(__file__).parent)!r})
+        from test_dataset import NAMES, RECIPE, VIEWS, DatasetWriter
+        with DatasetWriter(sys.argv[1], RECIPE, NAMES) as writer:
+            print("begun", flush=True)
+            for view in VIEWS:
+                if view.name in writer.missing():
+                    writer.add(view)
+                    print("added", flush=True)
+                    time.sleep(float(sys.argv[2]))
+            writer.finish()
+    """))
+    out = tmp_path / "killed"
+    for lines in (1, 2):  # killed after it began, then after one more file
+        process = subprocess.Popen([sys.executable, str(script), str(out), "30"], stdout=subprocess.PIPE)
+        for _ in range(lines):
+            process.stdout.readline()
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert (out / "dataset.lock").exists() and not (out / "dataset.json").exists()
+    with DatasetWriter(out, RECIPE, NAMES) as writer:
+        assert any("died" in note for note in writer.notes)
+    subprocess.run([sys.executable, str(script), str(out), "0"], check=True, stdout=subprocess.DEVNULL)
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_a_finished_dataset_is_left_alone_and_repaired_if_damaged(tmp_path):
+    build(tmp_path / "d")
+    before = contents(tmp_path / "d")
+    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+        assert writer.missing() == [] and "finished already" in writer.notes[0]
+        writer.finish()
+    assert contents(tmp_path / "d") == before
+    (tmp_path / "d" / f"{NAMES[0]}.h5").write_bytes(b"rot")
+    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+        assert writer.missing() == [NAMES[0]]
+        writer.add(VIEWS[0])
+        writer.finish()
+    assert contents(tmp_path / "d") == before
+
+
+@pytest.mark.parametrize("finished", [True, False])
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"seed": 1}, "seed 0 there, 1 asked for"),
+    ({"tier": "fem"}, "tier 'vsf' there, 'fem' asked for"),
+    ({"scene_text": 'name = "mock"\nseed = 2\n'}, "line 2: 'seed = 1' there, 'seed = 2' asked for"),
+])
+def test_the_folder_of_another_recipe_is_refused(tmp_path, changes, message, finished):
+    if finished:
+        build(tmp_path / "d")
+    else:
+        DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
+    before = contents(tmp_path / "d")
+    with pytest.raises(DatasetError, match=message):
+        DatasetWriter(tmp_path / "d", dataclasses.replace(RECIPE, **changes), NAMES)
+    assert contents(tmp_path / "d") == before
+
+
+def test_the_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "thesis.tex").write_text("x")
+    with pytest.raises(DatasetError, match=r"not empty and holds no dataset \(thesis.tex\)"):
+        DatasetWriter(tmp_path, RECIPE, NAMES)
+    assert contents(tmp_path) == {"thesis.tex": b"x"}
+
+
+def test_files_of_two_versions_of_the_code_are_not_mixed(tmp_path, monkeypatch):
+    DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
+    monkeypatch.setattr(writer_module, "made_by", lambda: {"vsfsim": "9.9", "commit": None})
+    with pytest.raises(DatasetError, match="begun by other code"):
+        DatasetWriter(tmp_path / "d", RECIPE, NAMES)
+
+
+def test_one_writer_at_a_time(tmp_path):
+    with DatasetWriter(tmp_path / "d", RECIPE, NAMES):
+        with pytest.raises(DatasetError, match=f"being written by process {os.getpid()}"):
+            DatasetWriter(tmp_path / "d", RECIPE, NAMES)
+    DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
+
+
+def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
+    writer = DatasetWriter(tmp_path / "d", RECIPE, NAMES)
+    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(DatasetError, match=r"No space left on device .*MB were needed.*Free some space"):
+        writer.add(VIEWS[0])
+    monkeypatch.undo()
+    assert sorted(p.name for p in (tmp_path / "d").iterdir()) == ["dataset.lock", "dataset.part.json"]
+    writer.close()
+
+
+def test_a_file_size_limit_of_the_kernel_is_told_like_a_full_disk(tmp_path):
+    code = f"""
+import resource, sys
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_dataset import *
+writer = DatasetWriter({str(tmp_path / "d")!r}, RECIPE, NAMES)
+resource.setrlimit(resource.RLIMIT_FSIZE, (20000, 20000))
+try:
+    writer.add(VIEWS[0])
+except DatasetError as error:
+    print(error)
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert "cannot be written: File too large" in out
+    assert not list((tmp_path / "d").glob("*.part")) and not list((tmp_path / "d").glob("*.h5"))
+
+
+def test_finish_refuses_a_gap(tmp_path):
+    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+        writer.add(VIEWS[0])
+        with pytest.raises(DatasetError, match=f"'{NAMES[1]}' is missing"):
+            writer.finish()
+        with pytest.raises(DatasetError, match="not one of the names"):
+            writer.add(mock_view(9))
+
+
+def test_verify_is_content_with_a_good_dataset(tmp_path):
+    build(tmp_path / "d")
+    report = verify(tmp_path / "d")
+    assert report.ok, report.text()
+    assert (report.files, report.touches, report.untouched, report.unconverged) == (3, 12, 3, 0)
+    with pytest.raises(DatasetError, match="holds no dataset"):
+        verify(tmp_path / "nothing")
+
+
+def test_one_flipped_bit_anywhere_is_found(tmp_path):
+    build(tmp_path / "d")
+    rng = np.random.default_rng(0)
+    for file in sorted((tmp_path / "d").iterdir()):
+        whole = file.read_bytes()
+        for position in [0, len(whole) - 1, *rng.integers(0, len(whole), 10)]:
+            broken = bytearray(whole)
+            broken[position] ^= 1 << int(rng.integers(8))
+            file.write_bytes(bytes(broken))
+            report = verify(tmp_path / "d")
+            assert not report.ok and report.problems[0].file == file.name, f"{file.name} byte {position}"
+        file.write_bytes(whole)
+    assert verify(tmp_path / "d").ok
+
+
+def rewrite(path, change):
+    """Change an object file and the manifest with it, as a wrong writer would have."""
+    from vsfsim.data.dataset import make_manifest
+    from vsfsim.data.disk import file_sha256
+
+    dataset = Dataset.open(path)
+    entry = dataset.entries[0]
+    with h5py.File(path / entry.file, "r+") as file:
+        change(file)
+    entries = (dataclasses.replace(entry, sha256=file_sha256(path / entry.file)), *dataset.entries[1:])
+    (path / "dataset.json").write_bytes(make_manifest(dataset.recipe, dataset.made_by, entries))
+
+
+def replace_data(file, name, data):
+    attrs = dict(file[name].attrs)
+    del file[name]
+    file[name] = data
+    file[name].attrs.update(attrs)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda f: f.__delitem__("touches/001/force"), "touches/001/force is missing"),
+    (lambda f: f.create_dataset("view/extra", data=1), "view/extra is not in the schema"),
+    (lambda f: f.create_group("more"), "'more', which is not in the schema"),
+    (lambda f: f["view/depth"].attrs.__setitem__("units", "mm"), "@units 'mm'; the schema says 'm'"),
+    (lambda f: f["view/depth"].attrs.__delitem__("dims"), "@dims None"),
+    (lambda f: replace_data(f, "touches/000/time", np.zeros(5)), r"shape \(.*T = "),
+    (lambda f: replace_data(f, "touches/000/residual", np.zeros(12, np.float32)), "dtype float32; the schema says float64"),
+    (lambda f: f["touches/002/force"].__setitem__((3, 1), np.nan), r"touches/002/force\[3, 1\] is not finite in a frame marked converged"),
+    (lambda f: f["touches/000/audit/force_balance"].__setitem__(7, 0.01), "touches/000 frame 7: force and reaction differ by 1.0e-02"),
+    (lambda f: f.attrs.__setitem__("split", "other"), "says split = 'other'"),
+])
+def test_verify_names_what_is_wrong(tmp_path, change, message):
+    build(tmp_path / "d")
+    rewrite(tmp_path / "d", change)
+    report = verify(tmp_path / "d")
+    assert len(report.problems) >= 1
+    import re
+    assert re.search(message, report.text()), report.text()
+    assert report.problems[0].file == f"{NAMES[0]}.h5" and report.problems[0].todo
+
+
+def test_verify_finds_missing_and_foreign_files(tmp_path):
+    build(tmp_path / "d")
+    (tmp_path / "d" / f"{NAMES[0]}.h5").unlink()
+    (tmp_path / "d" / "notes.txt").write_text("x")
+    text = verify(tmp_path / "d").text()
+    assert f"{NAMES[0]}.h5: is missing" in text and "notes.txt: is not listed" in text
+
+
+def test_unconverged_frames_are_counted_not_complained_about(tmp_path):
+    touch = VIEWS[0].touches[0]
+    converged, force = touch.converged.copy(), touch.force.copy()
+    converged[4:6], force[4:6] = False, np.nan
+    view = dataclasses.replace(VIEWS[0], touches=(dataclasses.replace(touch, converged=converged, force=force), *VIEWS[0].touches[1:]))
+    build(tmp_path / "d", [view, *VIEWS[1:]])
+    report = verify(tmp_path / "d")
+    assert report.ok and report.unconverged == 2
+
+
+def test_summary_tells_the_main_figures(tmp_path):
+    build(tmp_path / "d")
+    text = summary(tmp_path / "d")
+    assert "3 in 3 views: 2 train, 1 test" in text
+    assert "12, 3 met nothing" in text
+    top = max(t.normal_force().max() for v in VIEWS for t in v.touches)
+    assert f"0 to {top:.3g} N" in text.replace("-0 to", "0 to")

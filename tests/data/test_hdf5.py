@@ -1,0 +1,111 @@
+"""One object file: round trip, same bytes, blindness, refusal of NaN passed off as data."""
+
+import dataclasses
+
+import h5py
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.hdf5 import encode_view, read_view, write_view
+
+
+def same(a, b):
+    if dataclasses.is_dataclass(a):
+        return type(a) is type(b) and all(same(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
+    if isinstance(a, dict):
+        return set(a) == set(b) and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(same(x, y) for x, y in zip(a, b))
+    if isinstance(a, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    return a == b
+
+
+def with_touch(view, index, **changes):
+    touches = list(view.touches)
+    touches[index] = dataclasses.replace(touches[index], **changes)
+    return dataclasses.replace(view, touches=tuple(touches))
+
+
+def full_view():
+    """Every optional field, an unconverged frame with NaN, reasons, and an unusual letter."""
+    view = mock_view(3, split="train", touches=3)
+    touch = view.touches[0]
+    frames = len(touch.time)
+    converged, force = touch.converged.copy(), touch.force.copy()
+    converged[5], force[5] = False, np.nan
+    rng = np.random.default_rng(1)
+    return with_touch(view, 0, converged=converged, force=force, reason=np.where(converged, 0, 2), reason_names=("a", "Schrittweite zu groß"),
+                      q=rng.normal(size=(frames, 7)), torque=rng.normal(size=(frames, 7)), pressure=rng.normal(size=frames),
+                      node_position=rng.normal(size=(frames, 4, 3)).astype(np.float32), node_force=rng.normal(size=(frames, 4, 3)).astype(np.float32))
+
+
+def test_round_trip_keeps_every_bit(tmp_path):
+    view = full_view()
+    write_view(tmp_path / "a.h5", view)
+    back = read_view(tmp_path / "a.h5")
+    assert same(view, back)
+    assert np.isnan(back.touches[0].force[5]).all() and not back.touches[0].converged[5]
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"], "a .part was left"
+
+
+def test_same_input_gives_the_same_bytes():
+    assert encode_view(full_view()) == encode_view(full_view())
+    assert encode_view(mock_view(0)) != encode_view(mock_view(1))
+
+
+def test_blind_reader_never_opens_truth(tmp_path):
+    path = tmp_path / "a.h5"
+    write_view(path, mock_view(0))
+    with h5py.File(path, "r+") as file:
+        del file["truth"]  # if blind reading touched it, this would fail
+    assert read_view(path, blind=True).truth is None
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_view(path)
+
+
+@pytest.mark.parametrize("name", ["force", "reaction", "residual"])
+def test_nan_in_a_converged_frame_is_refused(tmp_path, name):
+    view = mock_view(0)
+    values = getattr(view.touches[2], name).copy()
+    values[4] = np.nan
+    with pytest.raises(DatasetError, match=rf"touches/002 {name} is not finite in frame 4, which is marked converged"):
+        write_view(tmp_path / "a.h5", with_touch(view, 2, **{name: values}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_nan_in_a_pose_is_refused_even_if_unconverged(tmp_path):
+    view = mock_view(0)
+    pose = view.touches[0].mount_pose.copy()
+    pose[0, 0, 0] = np.inf
+    with pytest.raises(DatasetError, match="mount_pose is not finite"):
+        write_view(tmp_path / "a.h5", with_touch(view, 0, mount_pose=pose, converged=np.zeros(len(pose), bool)))
+
+
+@pytest.mark.parametrize(("changes", "message"), [
+    ({"force": np.zeros((3, 3))}, r"shape \(3, 3\).*T = 12"),
+    ({"axis": np.zeros((1, 3))}, r"shape \(1, 3\); the schema wants \(3\)"),
+    ({"reason": np.zeros(12)}, "dtype float64; the schema wants int64"),
+    ({"audit": {}}, "audit/force_balance is missing"),
+    ({"audit": {"heat": np.zeros(12)}}, "audit column 'heat' is not in the schema"),
+])
+def test_misfits_are_refused(changes, message):
+    with pytest.raises(DatasetError, match=message):
+        encode_view(with_touch(mock_view(0), 0, **changes))
+
+
+def test_a_blind_view_cannot_be_stored():
+    with pytest.raises(DatasetError, match="no truth"):
+        encode_view(dataclasses.replace(mock_view(0), truth=None))
+
+
+def test_not_an_object_file(tmp_path):
+    (tmp_path / "a.h5").write_bytes(b"no")
+    with pytest.raises(DatasetError, match="cannot be read"):
+        read_view(tmp_path / "a.h5")
+    with h5py.File(tmp_path / "b.h5", "w") as file:
+        file.attrs["format"] = "other"
+    with pytest.raises(DatasetError, match="not an object view"):
+        read_view(tmp_path / "b.h5")

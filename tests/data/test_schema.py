@@ -1,0 +1,77 @@
+"""The schema table, the records and the files say the same thing, units and all."""
+
+import dataclasses
+import re
+
+import h5py
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.data import records
+from vsfsim.data.hdf5 import write_view
+from vsfsim.data.schema import FIELDS, TEXT, fields_of, schema_markdown
+
+UNITLESS = {"1"}
+
+
+def test_every_field_has_dims_and_a_unit_from_the_si_list():
+    for field in FIELDS:
+        assert field.unit in {"1", "m", "s", "N", "J", "Pa", "N/m", "N m", "rad", "px"}, field.path
+        assert all(re.fullmatch(r"\d+|[A-Za-z]", dim) for dim in field.dims), field.path
+        assert field.doc.endswith("."), field.path
+        if field.dtype != TEXT:
+            np.dtype(field.dtype)
+        if field.masked:
+            assert field.dims[0] == "T", field.path
+    assert len({f.path for f in FIELDS}) == len(FIELDS)
+
+
+def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
+    path = tmp_path / "a.h5"
+    write_view(path, mock_view(0))
+    by_path = {f.path: f for f in FIELDS}
+    seen = set()
+
+    def look(name, item):
+        if isinstance(item, h5py.Dataset):
+            field = by_path[re.sub(r"^touches/\d{3}", "touches/*", name)]
+            assert item.attrs["units"] == field.unit, name
+            assert item.attrs["dims"] == field.dims_text, name
+            seen.add(field.path)
+
+    with h5py.File(path, "r") as file:
+        file.visititems(look)
+        assert list(file) == ["view", "touches", "truth"], "truth must be the last group"
+    assert seen == {f.path for f in FIELDS if f.required}
+
+
+@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"), (records.Truth, "truth")])
+def test_records_and_schema_have_the_same_fields(record, group):
+    names = {f.name.split("/")[0] for f in fields_of(group)}
+    assert {f.name for f in dataclasses.fields(record)} == names
+
+
+@pytest.mark.parametrize("record", [records.View, records.Touch, records.Truth])
+def test_docstrings_of_records_name_shape_and_unit(record):
+    group = {records.View: "view", records.Touch: "touches/*", records.Truth: "truth"}[record]
+    text = " ".join(record.__doc__.split())
+    for field in fields_of(group):
+        if "/" in field.name:
+            column = field.name.split("/")[1]
+            entry = re.search(rf"{column} = [^;]*", text)
+            assert entry, field.path
+            assert f"[{'-' if field.unit == '1' else field.unit}]" in entry[0], f"{field.path}: {entry[0]}"
+            continue
+        entry = re.search(rf"(?:^|[ .]){field.name}: (.*?)(?= [a-z_]+: |$)", text)
+        assert entry, f"{record.__name__}.{field.name} is not in the docstring"
+        if field.unit not in UNITLESS:
+            assert f"[{field.unit}]" in entry[1], f"{record.__name__}.{field.name}: {entry[1]}"
+        if field.dims and field.dtype != TEXT:
+            assert f"({', '.join(field.dims)}{',' if len(field.dims) == 1 else ''})" in entry[1], f"{record.__name__}.{field.name}: {entry[1]}"
+
+
+def test_docs_page_lists_every_field():
+    page = schema_markdown()
+    for field in FIELDS:
+        assert f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} |" in page

@@ -1,0 +1,58 @@
+"""Putting bytes on disk whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import os
+from pathlib import Path
+
+from vsfsim.core.errors import DatasetError, VsfsimError
+
+
+def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = DatasetError) -> None:
+    """Write ``content`` to ``path`` so that a reader, or a crash, sees the old file or the new one, never a part.
+
+    The bytes go to ``<name>.<pid>.part`` beside it, are synced, and renamed; then the folder is synced, because
+    a rename is only as durable as the folder that holds it. The process id keeps a worker orphaned by a killed
+    run from writing into the part of the run that took over.
+
+    Raises:
+        VsfsimError: of class ``error``; the disk is full or refuses to be written. The part is removed.
+    """
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with open(part, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(part, path)
+        sync_folder(path.parent)
+    except OSError as problem:
+        part.unlink(missing_ok=True)
+        raise error(_complaint(path, len(content), problem)) from problem
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+
+
+def file_sha256(path: Path) -> str:
+    """sha256 of a file, hexadecimal."""
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def sync_folder(folder: Path) -> None:
+    """Make the entries of ``folder`` durable."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _complaint(path: Path, size: int, problem: OSError) -> str:
+    if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+        return (f"{path} cannot be written: {problem.strerror} ({size / 1e6:.1f} MB were needed for this file). Nothing half-written is left. "
+                f"Free some space, or choose a folder on another disk, and run the same command again; finished files are kept.")
+    return f"{path} cannot be written: {problem.strerror or problem}. Choose a folder that exists and that you may write to."

@@ -1,0 +1,184 @@
+"""One object view to one HDF5 file and back; the same input gives the same bytes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.shape import ProbeShape, parse_probe_shape, probe_table
+from vsfsim.data.disk import write_atomic
+from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.data.schema import (
+    ATTRIBUTES,
+    FORMAT,
+    SCHEMA_VERSION,
+    TEXT,
+    Field,
+    check_array,
+    fields_of,
+    first_bad,
+)
+
+_COMPRESS_FROM = 4096  # bytes; below this a chunk's own bookkeeping costs more than it saves
+
+
+def write_view(path: str | Path, object_view: ObjectView) -> None:
+    """Store ``object_view``, truth and all, as ``path``; the file appears whole or not at all.
+
+    May be called from worker processes, each with files of its own.
+
+    Raises:
+        DatasetError: a field does not fit the schema, a number is not finite in a frame marked converged, or the
+            disk refuses.
+    """
+    write_atomic(Path(path), encode_view(object_view))
+
+
+def encode_view(object_view: ObjectView) -> bytes:
+    """The bytes of an object file; see `write_view`. Nothing in them depends on the clock or the machine."""
+    if object_view.truth is None:
+        raise DatasetError(f"object view '{object_view.name}' has no truth (it is blind); a dataset stores the truth too.")
+    # In memory first: then every way a disk can fail is a plain OSError of one write.
+    with h5py.File("object-view", "w", driver="core", backing_store=False, libver="v108", track_order=True) as file:
+        values = {"format": FORMAT, "schema_version": SCHEMA_VERSION, "name": object_view.name,
+                  "object_index": int(object_view.object_index), "view_index": int(object_view.view_index),
+                  "split": object_view.split, "probe": json.dumps(probe_table(object_view.probe))}
+        for key in ATTRIBUTES:
+            file.attrs[key] = values[key]
+        _write_group(file, "view", "view", object_view.view, object_view.name, None)
+        touches = file.create_group("touches", track_order=True)
+        if len(object_view.touches) > 1000:
+            raise DatasetError(f"object view '{object_view.name}' has {len(object_view.touches)} touches; a file holds at most 1000. Use more views.")
+        for index, touch in enumerate(object_view.touches):
+            _write_group(touches, f"{index:03d}", "touches/*", touch, f"{object_view.name} touches/{index:03d}", touch.converged)
+        _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
+        file.flush()
+        return file.id.get_file_image()
+
+
+def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch | Truth, where: str,
+                 converged: np.ndarray | None) -> None:
+    group = parent.create_group(name, track_order=True)
+    lengths: dict[str, int] = {}
+    if isinstance(record, Touch):
+        known = {f.name.removeprefix("audit/") for f in fields_of(kind) if f.name.startswith("audit/")}
+        for column in record.audit:
+            if column not in known:
+                raise DatasetError(f"{where}: audit column '{column}' is not in the schema ({', '.join(sorted(known))}); "
+                                   f"add a row to vsfsim/data/schema.py or leave it out.")
+    for field in fields_of(kind):
+        value = _value(record, field)
+        spot = f"{where} {field.name}"
+        if value is None:
+            if field.required:
+                raise DatasetError(f"{spot} is missing; the schema requires it.")
+            continue
+        array = check_array(field, value, spot, lengths)
+        bad = first_bad(field, array, converged)
+        if bad is not None:
+            frame = f" in frame {bad[0]}, which is marked converged" if field.masked else f" at index {bad}"
+            raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; it is never stored as data.")
+        _write_array(group, field, array)
+
+
+def _value(record: Any, field: Field) -> Any:
+    if field.name.startswith("audit/"):
+        return record.audit.get(field.name.removeprefix("audit/"))
+    return getattr(record, field.name)
+
+
+def _write_array(group: h5py.Group, field: Field, array: np.ndarray) -> None:
+    if field.dtype == TEXT:
+        encoded = [str(text).encode() for text in array]
+        longest = max((len(text) for text in encoded), default=1)
+        array = np.array(encoded, dtype=h5py.string_dtype("utf-8", max(longest, 1)))
+    options = {"compression": "gzip", "compression_opts": 4, "shuffle": True} if array.nbytes >= _COMPRESS_FROM else {}
+    dataset = group.create_dataset(field.name, data=array, track_times=False, **options)
+    dataset.attrs["units"] = field.unit
+    dataset.attrs["dims"] = field.dims_text
+
+
+def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
+    """Read an object file.
+
+    Args:
+        path: the file.
+        blind: leave the truth alone; its group is not even opened, and `ObjectView.truth` is None.
+
+    Raises:
+        DatasetError: not an object file, another schema version, or a dataset that does not fit the schema.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise DatasetError(f"{path} does not exist.")
+    try:
+        with h5py.File(path, "r") as file:
+            check_attributes(file, path)
+            view = View(**_read_group(file["view"], "view", f"{path} view"))
+            touches = tuple(_read_touch(file["touches"][name], f"{path} touches/{name}") for name in sorted(file["touches"]))
+            truth = None if blind else Truth(**_read_group(file["truth"], "truth", f"{path} truth"))
+            attrs = file.attrs
+            return ObjectView(str(attrs["name"]), int(attrs["object_index"]), int(attrs["view_index"]), str(attrs["split"]),
+                              _probe(attrs["probe"], path), view, touches, truth)
+    except (OSError, KeyError, RuntimeError) as error:
+        raise DatasetError(f"{path} cannot be read: {error}. It is damaged; delete it and run the same `vsfsim generate` again, which makes only what is missing.") from error
+
+
+def check_attributes(file: h5py.File, path: Path) -> None:
+    """Refuse a file that is not an object view of this schema version.
+
+    Raises:
+        DatasetError: with what it is instead.
+    """
+    kind = file.attrs.get("format")
+    if kind != FORMAT:
+        raise DatasetError(f"{path} is not an object view of vsfsim (its @format is {kind!r}, not {FORMAT!r}).")
+    version = file.attrs.get("schema_version")
+    if version != SCHEMA_VERSION:
+        raise DatasetError(f"{path} has schema version {version}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim version that dataset.json names, or generate it again.")
+    for name in ATTRIBUTES:
+        if name not in file.attrs:
+            raise DatasetError(f"{path} has no attribute '{name}'; it is damaged.")
+
+
+def _probe(text: str, path: Path) -> ProbeShape:
+    try:
+        return parse_probe_shape(json.loads(text), str(path))
+    except (ValueError, SceneError) as error:
+        raise DatasetError(f"{path}: attribute 'probe' is {text!r}, not a probe's shape: {error}") from error
+
+
+def _read_touch(group: h5py.Group, where: str) -> Touch:
+    values = _read_group(group, "touches/*", where)
+    audit = {name.removeprefix("audit/"): values.pop(name) for name in list(values) if name.startswith("audit/")}
+    values["touched"] = bool(values["touched"])
+    return Touch(**values, audit=audit)
+
+
+def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    lengths: dict[str, int] = {}
+    for field in fields_of(kind):
+        if field.name not in group:
+            if field.required:
+                raise DatasetError(f"{where}/{field.name} is missing; the file is damaged or was not written by vsfsim.")
+            values[field.name] = None
+            continue
+        array = read_array(group[field.name], field)
+        values[field.name] = check_array(field, array, f"{where}/{field.name}", lengths)
+        if field.dtype == TEXT:
+            values[field.name] = tuple(array)
+    return values
+
+
+def read_array(dataset: h5py.Dataset, field: Field) -> np.ndarray:
+    """The values of an HDF5 dataset; text rows decoded to str."""
+    array = dataset[()]
+    if field.dtype == TEXT:
+        return np.array([text.decode() for text in array], dtype=object)
+    return np.asarray(array)

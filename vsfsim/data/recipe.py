@@ -1,0 +1,90 @@
+"""What a dataset was made from: enough to make it again."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from vsfsim.core.errors import DatasetError, unknown_key
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """The input of `vsfsim generate`; two datasets of one recipe and one version of the code hold the same bits.
+
+    scene: its name. scene_text: the scene file, whole. seed: root of all random streams, >= 0.
+    objects, views, touches: how many; views of each object, touches of each view.
+    splits: number of objects by split, in order. device: "cpu" or "cuda", the kind that decides the bits.
+    tier: fidelity asked for. precision: "float32" or "float64". renderer: "warp" or "pyrender".
+    options: anything else that changes the numbers, e.g. {"resolution": 0.004}; plain JSON values.
+    """
+
+    scene: str
+    scene_text: str
+    seed: int
+    objects: int
+    views: int
+    touches: int
+    splits: Mapping[str, int]
+    device: str
+    tier: str
+    precision: str
+    renderer: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def scene_sha256(self) -> str:
+        """sha256 of the scene text."""
+        return text_sha256(self.scene_text)
+
+    def table(self) -> dict[str, Any]:
+        """As JSON values; `Recipe.read` takes them back."""
+        out = dataclasses.asdict(self)
+        out["splits"], out["options"] = dict(self.splits), dict(self.options)
+        return {**out, "scene_sha256": self.scene_sha256}
+
+    @classmethod
+    def read(cls, table: Any, where: str) -> Recipe:
+        """The recipe in a dataset.json.
+
+        Raises:
+            DatasetError: a key is missing or unknown.
+        """
+        names = [f.name for f in dataclasses.fields(cls)]
+        if not isinstance(table, Mapping):
+            raise DatasetError(f"{where}: recipe is {table!r}; it must be a table.")
+        for key in table:
+            if key not in names and key != "scene_sha256":
+                raise DatasetError(unknown_key(f"{where} recipe", key, names))
+        for name in names:
+            if name not in table:
+                raise DatasetError(f"{where}: the recipe has no '{name}'; the file is damaged or of another version.")
+        return cls(**{name: table[name] for name in names})
+
+    def differences(self, other: Recipe) -> list[str]:
+        """What ``other`` has otherwise, one phrase a field: "seed 0 there, 1 asked for"; self is what lies on disk."""
+        out = []
+        mine, theirs = self.table(), other.table()
+        for key in mine:
+            if mine[key] == theirs[key] or key == "scene_text":
+                continue
+            if key == "scene_sha256":
+                out.append(_text_difference(self.scene_text, other.scene_text))
+            else:
+                out.append(f"{key} {mine[key]!r} there, {theirs[key]!r} asked for")
+        return out
+
+
+def text_sha256(text: str) -> str:
+    """sha256 of a text in UTF-8, hexadecimal."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _text_difference(there: str, asked: str) -> str:
+    for number, (a, b) in enumerate(zip(there.splitlines(), asked.splitlines()), start=1):
+        if a != b:
+            return f"scene text, first in line {number}: {a.strip()!r} there, {b.strip()!r} asked for"
+    return "scene text of another length"

@@ -1,0 +1,185 @@
+"""The one table of what an object file holds; writer, reader, verifier and the docs page are made from it.
+
+A path is relative to the root of the HDF5 file; ``*`` stands for the three-digit number of a touch. A dimension is a
+number, or a letter whose length must agree wherever it occurs within the view, within one touch, or within the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.errors import DatasetError
+
+FORMAT = "vsfsim-object-view"
+SCHEMA_VERSION = 1
+TEXT = "text"
+"""dtype of a row of strings: UTF-8, padded with zero bytes to the longest."""
+
+
+@dataclass(frozen=True)
+class Field:
+    """One HDF5 dataset.
+
+    path: where it lies in the file. dtype: numpy name, or `TEXT`. dims: lengths or letters, outermost first.
+    unit: of the stored numbers; "1" is dimensionless. required: False where the record may hold None.
+    masked: along T, only the rows of converged frames must be finite. doc: one sentence.
+    """
+
+    path: str
+    dtype: str
+    dims: tuple[str, ...]
+    unit: str
+    doc: str
+    required: bool = True
+    masked: bool = False
+
+    @property
+    def group(self) -> str:
+        """"view", "touches/*" or "truth"."""
+        return "touches/*" if self.path.startswith("touches/") else self.path.split("/")[0]
+
+    @property
+    def name(self) -> str:
+        """The path within its group: the attribute of the record, or ``audit/<column>``."""
+        return self.path.removeprefix(self.group + "/")
+
+    @property
+    def dims_text(self) -> str:
+        """What ``@dims`` says: the dimensions with a space between; "scalar" for none."""
+        return " ".join(self.dims) or "scalar"
+
+
+def _view(name: str, dtype: str, dims: str, unit: str, doc: str) -> Field:
+    return Field(f"view/{name}", dtype, tuple(dims.split()), unit, doc)
+
+
+def _touch(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: bool = True, masked: bool = False) -> Field:
+    return Field(f"touches/*/{name}", dtype, tuple(dims.split()), unit, doc, required, masked)
+
+
+def _truth(name: str, dtype: str, dims: str, unit: str, doc: str) -> Field:
+    return Field(f"truth/{name}", dtype, tuple(dims.split()), unit, doc)
+
+
+FIELDS: tuple[Field, ...] = (
+    _view("rgb", "uint8", "H W 3", "1", "Colour image of the object at rest, sRGB, 0 to 255."),
+    _view("depth", "float32", "H W", "m", "Distance along the optical axis; 0 where there is no object."),
+    _view("mask", "bool", "H W", "1", "True on the object."),
+    _view("intrinsics", "float64", "3 3", "px", "Pinhole matrix; the centre of the top-left pixel is (0, 0)."),
+    _view("camera_pose", "float64", "4 4", "m", "Camera-to-world transform, OpenCV axes; its rotation part has no unit."),
+    _touch("time", "float64", "T", "s", "Time of each frame."),
+    _touch("mount_pose", "float64", "T 4 4", "m", "Probe-to-world transform; its rotation part has no unit."),
+    _touch("axis", "float64", "3", "1", "Unit direction of the press, world."),
+    _touch("target", "float64", "3", "m", "The visible point that was aimed at, world."),
+    _touch("normal", "float64", "3", "1", "Outward unit normal of the visible cloud at the target, world."),
+    _touch("force", "float64", "T 3", "N", "Contact force on the probe, world, free of sensor noise.", masked=True),
+    _touch("reaction", "float64", "T 3", "N", "Force of the supports on the object, world.", masked=True),
+    _touch("converged", "bool", "T", "1", "The frame is an equilibrium within the solver's tolerance."),
+    _touch("residual", "float64", "T", "1", "Relative residual of the equilibrium.", masked=True),
+    _touch("iterations", "int64", "T", "1", "Newton iterations spent on the frame."),
+    _touch("touched", "bool", "", "1", "The probe met the object in at least one frame."),
+    _touch("reason", "int64", "T", "1", "0 for a good frame, else 1 + an index into reason_names."),
+    _touch("reason_names", TEXT, "Q", "1", "What the codes of reason mean."),
+    _touch("audit/force_balance", "float64", "T", "1", "|force + reaction| over the larger of the two norms.", masked=True),
+    _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element.", masked=True),
+    _touch("audit/energy", "float64", "T", "J", "Total potential.", masked=True),
+    _touch("audit/penetration", "float64", "T", "m", "Deepest penetration of the probe by a node.", masked=True),
+    _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
+    _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
+    _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
+    _touch("node_position", "float32", "T N 3", "m", "Sensor read-out vertices, world.", required=False, masked=True),
+    _touch("node_force", "float32", "T N 3", "N", "Contact force on each read-out vertex, world.", required=False, masked=True),
+    _truth("points", "float64", "M 3", "m", "Centroid of each element at rest, world."),
+    _truth("young_modulus", "float64", "M", "Pa", "Young's modulus at each centroid."),
+    _truth("region", "int64", "M", "1", "Region of each element, an index into region_names."),
+    _truth("region_names", TEXT, "R", "1", "Names of the object's parts."),
+    _truth("probe_points", "float64", "P 3", "m", "Surface points where the small cone was pressed, world."),
+    _truth("probe_normals", "float64", "P 3", "1", "Outward unit normals there, world."),
+    _truth("probe_stiffness", "float64", "P", "N/m", "Force of the cone over its displacement (SBML appendix C.4)."),
+    _truth("vsf_points", "float64", "n 3", "m", "Particles of the oracle VSF, world."),
+    _truth("vsf_stiffness", "float64", "n", "N/m", "Spring constant of each particle of the oracle VSF."),
+    _truth("vsf_touched", "bool", "n", "1", "The particle was displaced by at least one touch of the oracle's fit."),
+)
+
+ATTRIBUTES: Mapping[str, tuple[str, str]] = {
+    "format": ("text", f"always {FORMAT!r}"),
+    "schema_version": ("integer", f"{SCHEMA_VERSION} in this version of vsfsim"),
+    "name": ("text", "name of the object view, unique in its dataset"),
+    "object_index": ("integer", "of the object, from 0"),
+    "view_index": ("integer", "of the view of that object, from 0"),
+    "split": ("text", "train, test, ... as the scene names them"),
+    "probe": ("text", 'JSON table of the rigid probe\'s shape in metres, e.g. {"sphere": 0.02}'),
+}
+"""Attributes of the root of an object file: type and meaning."""
+
+
+def fields_of(group: str) -> tuple[Field, ...]:
+    """The rows of one group: "view", "touches/*" or "truth"."""
+    return tuple(field for field in FIELDS if field.group == group)
+
+
+def check_array(field: Field, array: np.ndarray, where: str, lengths: dict[str, int]) -> np.ndarray:
+    """``array`` as the schema wants it, or a refusal.
+
+    Args:
+        field: the row of the table.
+        array: what is to be stored, or was read.
+        where: file and path, for the message.
+        lengths: length of each letter seen so far in this group; new letters are added.
+
+    Raises:
+        DatasetError: wrong number of dimensions, a length that disagrees, or a dtype that would lose information.
+    """
+    if field.dtype == TEXT:
+        array = np.asarray(array, dtype=object).reshape(-1) if np.size(array) == 0 else np.asarray(array, dtype=object)
+    else:
+        array = np.asarray(array)
+        if not np.can_cast(array.dtype, field.dtype, "same_kind"):
+            raise DatasetError(f"{where} has dtype {array.dtype}; the schema wants {field.dtype}. Convert it before it is stored.")
+        array = array.astype(field.dtype, copy=False)
+    if array.ndim != len(field.dims):
+        raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}).")
+    for dim, length in zip(field.dims, array.shape):
+        want = int(dim) if dim.isdigit() else lengths.setdefault(dim, length)
+        if length != want:
+            raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}) with {dim} = {want} here.")
+    return array
+
+
+def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None) -> tuple[int, ...] | None:
+    """Index of the first number that must be finite and is not, or None.
+
+    Args:
+        field: the row of the table; ``masked`` rows may be NaN in frames that did not converge.
+        array: its values.
+        converged: (T,) bool of the touch; None outside touches.
+    """
+    if array.dtype.kind != "f":
+        return None
+    bad = ~np.isfinite(array)
+    if field.masked and converged is not None:
+        bad[~np.asarray(converged, bool)] = False
+    where = np.argwhere(bad)
+    return tuple(int(i) for i in where[0]) if len(where) else None
+
+
+def schema_markdown() -> str:
+    """The docs page of the object file."""
+    lines = [
+        "# The object file", "",
+        f"One HDF5 file per object view, schema version {SCHEMA_VERSION}. Every dataset carries `@units` and `@dims`.",
+        "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are lengths: H, W of",
+        "the image; T frames of a touch; N read-out vertices; Q reasons; M elements, R regions, P probed points and n",
+        "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and nowhere else.", "",
+        "| root attribute | type | meaning |", "|---|---|---|",
+    ]
+    lines += [f"| `{name}` | {kind} | {doc} |" for name, (kind, doc) in ATTRIBUTES.items()]
+    for group, title in (("view", "View"), ("touches/*", "Touches"), ("truth", "Truth (the last group; a blind dataset never reads it)")):
+        lines += ["", f"## {title}", "", "| path | dtype | dims | unit | | meaning |", "|---|---|---|---|---|---|"]
+        for field in fields_of(group):
+            marks = ", ".join(m for m, on in (("optional", not field.required), ("*masked*", field.masked)) if on)
+            lines.append(f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} | {marks} | {field.doc} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,57 @@
+"""A dataset in a dozen lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.verify import contact_frames
+
+
+def summary(path: str | Path) -> str:
+    """Objects, splits, touches, frames, forces, effort, truth and size of the dataset in folder ``path``.
+
+    Raises:
+        DatasetError: no finished dataset there.
+    """
+    dataset = Dataset.open(path)
+    recipe = dataset.recipe
+    force, iterations, balance, modulus, regions = [], [], [], [], {}
+    touched = 0
+    for view in dataset:
+        for touch in view.touches:
+            force.append(touch.normal_force()[touch.converged])
+            iterations.append(touch.iterations)
+            balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
+            touched += touch.touched
+        assert view.truth is not None
+        modulus.append(view.truth.young_modulus)
+        for index, name in enumerate(view.truth.region_names):
+            regions.setdefault(name, []).append(view.truth.young_modulus[view.truth.region == index])
+    force_all, iterations_all, balance_all, modulus_all = (np.concatenate(x) if x else np.zeros(0) for x in (force, iterations, balance, modulus))
+    touches = sum(e.touches for e in dataset.entries)
+    frames = sum(e.frames for e in dataset.entries)
+    unconverged = sum(e.unconverged for e in dataset.entries)
+    objects = len({e.object_index for e in dataset.entries})
+    by_split = {split: len({e.object_index for e in dataset.entries if e.split == split}) for split in dict.fromkeys(e.split for e in dataset.entries)}
+    rows = [
+        ("dataset", f"{dataset.path}   sha256 {dataset.sha256[:12]}"),
+        ("recipe", f"scene {recipe.scene}, seed {recipe.seed}, tier {recipe.tier}, {recipe.device}, {recipe.precision}, renderer {recipe.renderer}"),
+        ("made by", f"vsfsim {dataset.made_by['vsfsim']}, commit {dataset.made_by['commit'] or 'unknown'}"),
+        ("objects", f"{objects} in {len(dataset)} views: " + ", ".join(f"{n} {split}" for split, n in by_split.items())),
+        ("touches", f"{touches}, {touches - touched} met nothing"),
+        ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
+        ("normal force", f"{_span(force_all)} N, converged frames"),
+        ("iterations", f"mean {iterations_all.mean():.1f}, most {iterations_all.max()} a frame" if iterations_all.size else "none"),
+        ("force balance", f"worst {balance_all.max(initial=0.0):.1e} of the force"),
+        ("true E", f"{_span(modulus_all)} Pa over all elements"),
+    ]
+    rows += [(f"  {name}", f"{_span(np.concatenate(parts))} Pa") for name, parts in regions.items()]
+    rows.append(("on disk", f"{sum(e.bytes for e in dataset.entries) / 1e6:.1f} MB"))
+    return "\n".join(f"{key:<16}{value}" for key, value in rows)
+
+
+def _span(values: np.ndarray) -> str:
+    return f"{values.min():.3g} to {values.max():.3g}" if values.size else "none"

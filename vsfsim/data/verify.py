@@ -1,0 +1,196 @@
+"""Is a dataset whole, and fit to be used? Every byte, every field, every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.dataset import MANIFEST, Dataset, Entry
+from vsfsim.data.disk import file_sha256
+from vsfsim.data.hdf5 import check_attributes, read_array, read_view
+from vsfsim.data.records import ObjectView, Touch
+from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
+
+BALANCE_LIMIT = 1e-3
+"""Largest |force + reaction| over the larger norm in a converged frame with contact; the solver's own residual is far
+below it, so a frame above has lost or invented force."""
+
+CONTACT_FORCE = 1e-3
+"""Force [N] from which a frame counts as in contact; under 1 % of the 0.15 N noise of a real sensor. Below it, a
+relative balance compares rounding with rounding."""
+
+_MEND = "Delete this file and run the same `vsfsim generate` again; it makes only what is missing."
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong. file: where. what: is wrong. todo: what to do about it."""
+
+    file: str
+    what: str
+    todo: str
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.what} {self.todo}"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `verify` found.
+
+    path: the folder. problems: empty if all is well. files, touches, frames: counted. unconverged: frames marked so.
+    untouched: touches that met nothing. worst_balance: largest force imbalance of a converged frame with contact [-].
+    """
+
+    path: Path
+    problems: tuple[Problem, ...] = ()
+    files: int = 0
+    touches: int = 0
+    frames: int = 0
+    unconverged: int = 0
+    untouched: int = 0
+    worst_balance: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """Nothing is wrong."""
+        return not self.problems
+
+    def text(self) -> str:
+        """For the terminal."""
+        share = 100.0 * self.unconverged / max(self.frames, 1)
+        lines = [f"{self.path}: {self.files} files, {self.touches} touches ({self.untouched} met nothing), {self.frames} frames "
+                 f"({self.unconverged} = {share:.1f} % unconverged), worst force balance {self.worst_balance:.1e}"]
+        lines += [f"  {problem}" for problem in self.problems]
+        lines.append("ok" if self.ok else f"{len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
+        return "\n".join(lines)
+
+
+def verify(path: str | Path) -> Report:
+    """Check the dataset in folder ``path``: hashes, schema, finiteness, force balance.
+
+    Unconverged frames and touches that met nothing are counted, not complained about: they are marked as such.
+
+    Returns:
+        The report; `Report.problems` names every file that is wrong and what to do.
+
+    Raises:
+        DatasetError: there is no finished dataset there at all.
+    """
+    path = Path(path)
+    try:
+        dataset = Dataset.open(path)
+    except DatasetError as error:
+        if not (path / MANIFEST).is_file():
+            raise
+        return Report(path, (Problem(MANIFEST, str(error), ""),))
+    problems: list[Problem] = []
+    counts = {"files": 0, "touches": 0, "frames": 0, "unconverged": 0, "untouched": 0}
+    worst = 0.0
+    listed = {entry.file for entry in dataset.entries} | {MANIFEST}
+    for stranger in sorted(p.name for p in path.iterdir() if p.name not in listed):
+        problems.append(Problem(stranger, f"is not listed in {MANIFEST}.", "Remove it; it is no part of the dataset."))
+    for entry in dataset.entries:
+        file = path / entry.file
+        if not file.is_file():
+            problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.", "Run the same `vsfsim generate` again; it makes only what is missing."))
+            continue
+        counts["files"] += 1
+        if file_sha256(file) != entry.sha256:
+            problems.append(Problem(entry.file, "was changed after it was written (its sha256 does not fit).", _MEND))
+            continue
+        found = _check_schema(file)
+        problems += found
+        if found:
+            continue
+        view = read_view(file)
+        problems += _check_entry(view, entry)
+        for index, touch in enumerate(view.touches):
+            balance = np.asarray(touch.audit["force_balance"])
+            contact = contact_frames(touch)
+            top = float(balance[contact].max(initial=0.0))
+            worst = max(worst, top)
+            if top > BALANCE_LIMIT:
+                frame = int(np.flatnonzero(contact & (balance == top))[0])
+                problems.append(Problem(entry.file, f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of the larger one, over {BALANCE_LIMIT:g}.",
+                                        "The solver lost force; report it with the scene and the seed, and do not use this touch."))
+            counts["touches"] += 1
+            counts["frames"] += len(touch.time)
+            counts["unconverged"] += int((~touch.converged).sum())
+            counts["untouched"] += int(not touch.touched)
+    return Report(path, tuple(problems), **counts, worst_balance=worst)
+
+
+def contact_frames(touch: Touch) -> np.ndarray:
+    """Converged frames whose force is over `CONTACT_FORCE` (T,) bool."""
+    return touch.converged & (np.linalg.norm(np.nan_to_num(touch.force), axis=1) > CONTACT_FORCE)
+
+
+def _check_entry(view: ObjectView, entry: Entry) -> list[Problem]:
+    given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index, "touches": len(view.touches)}
+    return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", _MEND)
+            for key, value in given.items() if value != getattr(entry, key)]
+
+
+def _check_schema(path: Path) -> list[Problem]:
+    """Missing, extra, misshapen, mislabelled and non-finite datasets of one object file."""
+    problems: list[Problem] = []
+
+    def wrong(what: str) -> None:
+        problems.append(Problem(path.name, what, _MEND))
+
+    try:
+        with h5py.File(path, "r") as file:
+            check_attributes(file, path)
+            for name in file:
+                if name not in ("view", "touches", "truth"):
+                    wrong(f"holds '{name}', which is not in the schema.")
+            groups = [(name, name) for name in ("view", "truth")]
+            groups += [(f"touches/{name}", "touches/*") for name in file["touches"]]
+            for name, kind in groups:
+                if name not in file:
+                    wrong(f"has no group '{name}'.")
+                else:
+                    _check_group(file[name], kind, wrong)
+    except (OSError, KeyError, RuntimeError, DatasetError) as error:
+        wrong(f"cannot be read: {error}")
+    return problems
+
+
+def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None]) -> None:
+    names = {f.name: f for f in fields_of(kind)}
+    inside: list[str] = []
+    group.visititems(lambda name, item: inside.append(name) if isinstance(item, h5py.Dataset) else None)
+    for name in inside:
+        if name not in names:
+            wrong(f"{group.name}/{name} is not in the schema.")
+    converged = np.asarray(group["converged"]) if kind == "touches/*" and "converged" in group else None
+    lengths: dict[str, int] = {}
+    for name, f in names.items():
+        if name not in group:
+            if f.required:
+                wrong(f"{group.name}/{name} is missing.")
+            continue
+        _check_dataset(group[name], f, converged, lengths, wrong)
+
+
+def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int], wrong: Callable[[str], None]) -> None:
+    for key, want in (("units", f.unit), ("dims", f.dims_text)):
+        if dataset.attrs.get(key) != want:
+            wrong(f"{dataset.name} has @{key} {dataset.attrs.get(key)!r}; the schema says {want!r}.")
+    if f.dtype != TEXT and dataset.dtype != np.dtype(f.dtype):
+        wrong(f"{dataset.name} has dtype {dataset.dtype}; the schema says {f.dtype}.")
+        return
+    try:
+        array = check_array(f, read_array(dataset, f), dataset.name, lengths)
+    except DatasetError as error:
+        wrong(str(error))
+        return
+    bad = first_bad(f, array, converged)
+    if bad is not None:
+        wrong(f"{dataset.name}{list(bad)} is not finite{' in a frame marked converged' if f.masked else ''}.")
