@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +25,7 @@ class RestFactor:
     """Linear elasticity of the object at rest, with its supports held, factorised.
 
     size: degrees of freedom, 3 n. seconds: what the factorisation took [s].
+    stiffness: the rest stiffness, supports not held (3 n, 3 n) [N/m].
 
     Args:
         mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
@@ -34,12 +35,11 @@ class RestFactor:
 
     def __init__(self, mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray, free: np.ndarray, *,
                  device: str = "cpu", real: type = np.float64):
-        import time
-
-        import cholespy
+        import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
         k = assemble(mesh, rest_stiffness_blocks(mesh, mu, lam))
+        self.stiffness = k
         mask = sp.diags(free)
         k = (mask @ k @ mask + sp.diags(1.0 - free)).tocoo()
         self.size = k.shape[0]
@@ -51,7 +51,6 @@ class RestFactor:
         self._row_of = np.full(len(mesh.points), -1)
         self._row_of[self._surface] = np.arange(len(self._surface))
         self._columns: dict[int, np.ndarray] = {}
-        self._on_gpu: Any = None
         self.seconds = time.perf_counter() - began
 
     def solve(self, right: np.ndarray) -> np.ndarray:

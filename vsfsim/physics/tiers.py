@@ -1,0 +1,134 @@
+"""Fidelity tiers: how finely a body is modelled, and the cheapest one that holds what a scene needs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import ObjectSpec, Scene
+from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, ProbeShape, Rod, Sphere
+from vsfsim.physics import sdf
+from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.mesh import quadratic_mesh
+from vsfsim.physics.model import Model, build_model
+from vsfsim.physics.solver import SolverOptions
+
+
+@dataclass(frozen=True)
+class Tier:
+    """One rung.
+
+    nonlinear: large deformation and a nonlinear law, or the rest state's linear response.
+    body: element size over the body's size (cube root of its bounding box). probe: element size over the probe's radius.
+    family: element size of a procedural family [m]. tolerance: of the equilibrium, see `SolverOptions`.
+    """
+
+    nonlinear: bool
+    body: float
+    probe: float
+    family: float
+    tolerance: float
+
+
+TIERS: dict[str, Tier] = {
+    "linear": Tier(False, 1 / 8, 1 / 2, 0.018, 1e-6),
+    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.018, 1e-3),
+    "fem": Tier(True, 1 / 11, 1 / 3, 0.014, 5e-4),
+    "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4),
+}
+_NOT_BUILT = ("vsf", "spring")
+# the cheapest tier that shows each need
+_SHOWS = {"normal-force": "linear", "appearance": "linear", "bulging": "fem-coarse", "large-deformation": "fem"}
+
+
+def choose(scene: Scene, asked: str | None = None) -> str:
+    """The tier of a scene: what was asked for if it is enough, else (``auto``) the cheapest that is.
+
+    Args:
+        scene: its ``needs`` and ``[object] tier``. asked: a tier that overrides the scene's.
+
+    Raises:
+        SceneError: the tier asked for cannot show what the scene needs, or is not built yet.
+    """
+    order = list(TIERS)
+    enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default="linear")
+    tier = asked or scene.object.tier
+    if tier == "auto":
+        return enough
+    if tier in _NOT_BUILT or tier not in TIERS:
+        raise SceneError(f"{scene.source} [object]: tier '{tier}' is not built yet; take one of {', '.join(TIERS)}, or auto.")
+    if order.index(tier) < order.index(enough):
+        needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
+        raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use '{enough}' or above.")
+    return tier
+
+
+def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
+    """Edge length aimed at [m]: the scene's own resolution, else the tier's."""
+    if spec.resolution is not None:
+        return spec.resolution
+    rung = TIERS[tier]
+    if isinstance(spec.shape, Family):
+        return rung.family
+    match spec.shape:
+        case Box(size):
+            extent = size
+        case Sphere(radius):
+            extent = (2 * radius,) * 3
+        case Cylinder(radius, height):
+            extent = (2 * radius, 2 * radius, height)
+        case Rod(length, radius):
+            extent = (length, 2 * radius, 2 * radius)
+        case _:
+            extent = None
+    tip = min(sdf.reach(probe), 1e3) if np.isfinite(sdf.reach(probe)) else 1e3
+    if extent is None:
+        return min(0.02, tip) * 2 * rung.probe
+    return min(rung.body * float(np.prod(extent)) ** (1 / 3), rung.probe * tip * 1.5, 0.5 * min(extent))
+
+
+def options(tier: str) -> SolverOptions:
+    """Solver limits of a tier."""
+    return SolverOptions(tolerance=TIERS[tier].tolerance)
+
+
+def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and translation (3,) [m] of the object's frame in the world."""
+    c, s = np.cos(spec.yaw), np.sin(spec.yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(spec.pose)
+
+
+def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
+          cache: Path | None = None, device: str = "cpu") -> Model:
+    """The body of a scene at a tier, in the world frame.
+
+    Args:
+        scene: concrete. tier: from `choose`. seed: of what a family draws (materials, look).
+        focus: points (k, 3) [m], world, near which a box is meshed finely. cache: folder of filled meshes. device: Warp device.
+
+    Raises:
+        SceneError, MeshError: the object cannot be built.
+    """
+    spec = scene.object
+    where = f"{scene.source} [object]"
+    if spec.friction > 0.0:
+        raise SceneError(f"{where}: friction is {spec.friction:g}, but the solid tiers model frictionless contact only so far; set friction = 0.")
+    turn, shift = placement(spec)
+    size = element_size(spec, tier, scene.probe)
+    local = None if focus is None else (np.asarray(focus) - shift) @ turn
+    solid = build_solid(spec, resolution=size, rng=np.random.default_rng(seed), cache=cache, focus=local)
+    mesh = quadratic_mesh(solid)
+    field = spec.young_modulus
+    modulus = None
+    if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
+        modulus = field.by_region(solid.region_names, solid.young_modulus, where)
+    region = np.broadcast_to(np.asarray(solid.region)[:, None], (len(solid.tets), 4))
+    values = field.evaluate(mesh.gauss_points(), region, modulus)
+    height = float(np.ptp(solid.vertices[:, 2]))
+    # a scan has no flat base: its lowest 2 % stand for it
+    tolerance = 0.02 * height if isinstance(spec.shape, MeshFile) else 1e-6 * height
+    return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
+                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift, device=device)

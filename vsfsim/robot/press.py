@@ -1,0 +1,74 @@
+"""How a probe moves: a press is pose(t), with or without an arm behind it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vsfsim.core.scene import PressSpec, TouchSpec
+
+FRAME_SECONDS = 1.0 / 30.0  # the Punyo's frame rate
+
+
+def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
+    """``steps`` positions (steps, 3) [m] on the straight line, the first one step away from ``start``, the last at ``stop``."""
+    t = np.arange(1, steps + 1)[:, None] / steps
+    return start + t * (np.asarray(stop, float) - start)
+
+
+def turn_to(axis: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3) that takes the probe's -z to the unit direction of travel ``axis`` (3,).
+
+    The probe's x stays as horizontal as it can, so the same axis always gives the same rotation.
+    """
+    z = -np.asarray(axis, float) / np.linalg.norm(axis)
+    side = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    x = np.cross(side, z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _poses(positions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    out = np.tile(np.eye(4), (len(positions), 1, 1))
+    out[:, :3, :3] = rotation
+    out[:, :3, 3] = positions
+    return out
+
+
+def press_path(spec: PressSpec) -> np.ndarray:
+    """Poses (T, 4, 4) of a one-off press: in, hold, and back along the same line."""
+    start, stop = np.array(spec.start), np.array(spec.stop)
+    inward = straight(start, stop, spec.frames)
+    parts = [inward, np.repeat(inward[-1:], spec.hold, axis=0)]
+    if spec.retract:
+        # frames of the way in where their number agrees, so that both ways meet the same equilibria
+        back = np.concatenate([inward[::-1][1:], start[None]])
+        at = np.linspace(0, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract < len(back) else None
+        parts.append(back[at] if at is not None else straight(stop, start, spec.retract))
+    return _poses(np.concatenate(parts), turn_to(stop - start))
+
+
+def touch_path(spec: TouchSpec, contact: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Poses (T, 4, 4) of one scripted touch: wait free of contact, straight in, hold, straight out.
+
+    Args:
+        spec: depth, approach and frames of each phase.
+        contact: where the probe's centre is when its surface reaches the target (3,) [m].
+        axis: unit direction of the press (3,).
+    """
+    free, inward, hold, out = spec.frames
+    start = contact - spec.approach * axis
+    # the waiting frames stand still at the start: they are the sensor's tare
+    waiting = np.repeat(start[None], free, axis=0)
+    # the frames in are spread over the depth alone; the way from the start to the surface has nothing to tell
+    way_in = straight(contact, contact + spec.depth * axis, inward)
+    parts = [waiting, way_in, np.repeat(way_in[-1:], hold, axis=0)]
+    if out:
+        back = np.concatenate([way_in[::-1][1:], contact[None]])
+        at = np.linspace(-1, len(back) - 1, out + 1).round().astype(int)[1:]
+        parts.append(back[at])
+    return _poses(np.concatenate(parts), turn_to(axis))
+
+
+def times(frames: int) -> np.ndarray:
+    """Time of each frame (frames,) [s] at the sensor's rate."""
+    return FRAME_SECONDS * np.arange(frames)
