@@ -30,14 +30,18 @@ SHAPE = np.stack([*(_BARY[:, k] * (2 * _BARY[:, k] - 1) for k in range(3)),
 
 
 @functools.cache
-def kernels(real: type) -> Any:
-    """The contact kernel for one scalar type."""
+def kernels(given: type) -> Any:
+    """The contact kernel, in double, for displacements of scalar type ``given``.
+
+    A contact force is a stiff spring on a small difference of positions: single precision there would drown it.
+    """
+    real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat66 = wp.types.matrix(shape=(6, 6), dtype=real)
     mat63 = wp.types.matrix(shape=(6, 3), dtype=real)
-    module = f"vsfsim_contact_{real.__name__}"
+    module = f"vsfsim_contact_{given.__name__}"
     probe = sdf.functions(real, module)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -53,7 +57,7 @@ def kernels(real: type) -> Any:
         origin: wp.array(dtype=vec3),
         turn: wp.array(dtype=mat33),
         # state in
-        u_in: wp.array2d(dtype=real),
+        u_in: wp.array2d(dtype=given),
         # state out
         gap_out: wp.array3d(dtype=real),
         normal_out: wp.array3d(dtype=vec3),
@@ -70,7 +74,7 @@ def kernels(real: type) -> Any:
             for a in range(6):
                 i = face_nodes[b, f, a]
                 for c in range(3):
-                    x[a, c] = rest[i][c] + u_in[3 * i + c, b]
+                    x[a, c] = rest[i][c] + real(u_in[3 * i + c, b])
             rotation = turn[b]
             for q in range(6):
                 point = vec3()

@@ -46,7 +46,7 @@ class Elasticity:
         self._tet_energy = wp.zeros((self._tets, batch), dtype=self.real, **new)
         self._tet_det = wp.zeros((self._tets, batch), dtype=self.real, **new)
         self._internal = wp.zeros((3 * self._points, batch), dtype=self.real, **new)
-        self._energy = wp.zeros(batch, dtype=self.real, **new)
+        self._energy = wp.zeros(batch, dtype=wp.float64, **new)
         self._det = wp.zeros(batch, dtype=self.real, **new)
 
     def _index(self, columns: np.ndarray) -> wp.array:
@@ -72,7 +72,7 @@ class Elasticity:
 
     def totals(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Elastic energy (k,) [J] and least det F (k,) [-] of ``columns``, as last computed."""
-        return (self._energy.numpy()[columns].astype(np.float64), self._det.numpy()[columns].astype(np.float64))
+        return (self._energy.numpy()[columns], self._det.numpy()[columns].astype(np.float64))
 
     def tangent(self, columns: np.ndarray, u: wp.array) -> None:
         """Make the projected tangent of ``columns`` at u."""

@@ -229,30 +229,28 @@ class Solver:
         newton, cg = np.zeros(batch, int), np.zeros(batch, int)
         state = self._evaluate(columns, pose)
         for _ in range(4):  # a patch may have to grow
-            open_ = np.flatnonzero(state["measure"] > opt.tolerance)
-            fresh = np.full(len(columns), np.inf)  # measure at which each column's tangent was made
+            stuck = np.zeros(len(columns), bool)
+            renew = np.ones(len(columns), bool)  # whose tangent must be made anew
             for _ in range(opt.newton):
+                open_ = np.flatnonzero((state["measure"] > opt.tolerance) & ~stuck)
                 if not len(open_) or time.perf_counter() > deadline:
                     break
                 active = columns[open_]
                 # near the solution the tangent of the step before is as good: renew it only while much is unbalanced
-                stale = (state["measure"][open_] > 0.05) | np.isinf(fresh[open_])
-                if stale.any():
-                    self.elasticity.tangent(active[stale], self.u)
-                    fresh[open_[stale]] = state["measure"][open_[stale]]
+                fresh = renew[open_] | (state["measure"][open_] > 0.05)
+                if fresh.any():
+                    self.elasticity.tangent(active[fresh], self.u)
                 direction, steps = self._direction(active, state["residual"][:, open_])
-                held = state["measure"][open_].copy()
-                taken = self._line_search(active, pose, direction, {k: v[..., open_] for k, v in state.items()})
+                before = state["measure"][open_].copy()
+                taken, moved = self._line_search(active, pose, direction, {k: v[..., open_] for k, v in state.items()})
                 newton[active] += 1
                 cg[active] += steps
                 for key, value in taken.items():
                     state[key][..., open_] = value
-                # a stale tangent that no longer helps is renewed
-                slow = state["measure"][open_] > 0.5 * held
-                fresh[open_[slow]] = np.inf
-                if len(open_) < len(columns):
-                    self.touching.evaluate(columns, pose, self.u)
-                open_ = np.flatnonzero(state["measure"] > opt.tolerance)
+                renew[open_] = state["measure"][open_] > 0.5 * before
+                # no step helps, not even along a fresh tangent's direction: rounding's floor, or nothing to be found
+                stuck[open_] = ~moved & fresh
+                self.touching.evaluate(columns, pose, self.u)
             if not self.touching.grow(columns, pose, self._u()):
                 break
             self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
@@ -304,8 +302,12 @@ class Solver:
                                         tolerance=np.full(count, self.options.cg_tolerance))
         return direction, steps
 
-    def _line_search(self, columns: np.ndarray, pose: np.ndarray, direction: wp.array, state: State) -> State:
-        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall)."""
+    def _line_search(self, columns: np.ndarray, pose: np.ndarray, direction: wp.array,
+                     state: State) -> tuple[State, np.ndarray]:
+        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
+
+        Returns the state after it, and which columns moved at all.
+        """
         d = direction.numpy().astype(np.float64)
         base = self._u()[:, columns]
         slope = (state["residual"] * d).sum(axis=0)
@@ -328,7 +330,7 @@ class Solver:
                 break
             step[pending] *= 0.5
         self._set(chosen, columns)
-        return result
+        return result, ~np.isin(np.arange(len(columns)), pending)
 
     # ------------------------------------------------------------------------------------------ the linear tier
 

@@ -64,12 +64,12 @@ class Touching:
             listed[b, : len(p.nodes)] = p.nodes
         k, new = self.kernels, {"device": self.device}
         self._faces = wp.array(table, dtype=wp.int32, **new)
-        self._stiffness = wp.array(stiffness, dtype=self.real, **new)
+        self._stiffness = wp.array(stiffness, dtype=wp.float64, **new)
         self.nodes = wp.array(listed, dtype=wp.int32, **new)
-        self._gap = wp.zeros((batch, faces, 6), dtype=self.real, **new)
+        self._gap = wp.zeros((batch, faces, 6), dtype=wp.float64, **new)
         self._normal = wp.zeros((batch, faces, 6), dtype=k.vec3, **new)
         self._curvature = wp.zeros((batch, faces, 6), dtype=k.mat33, **new)
-        self._energy = wp.zeros((batch, faces), dtype=self.real, **new)
+        self._energy = wp.zeros((batch, faces), dtype=wp.float64, **new)
         self._force = wp.zeros((batch, faces, 6), dtype=k.vec3, **new)
         self._compliance: list[np.ndarray | None] = [None] * batch
 
@@ -85,7 +85,7 @@ class Touching:
         # one look at the results serves the host: they are small (the patches only)
         self.gap, self.normal = self._gap.numpy(), self._normal.numpy()
         self.curvature, self.force = self._curvature.numpy(), self._force.numpy()
-        self.energy = self._energy.numpy().astype(np.float64).sum(axis=1)
+        self.energy = self._energy.numpy().sum(axis=1)
 
     def dof(self, b: int) -> np.ndarray:
         """Degrees of freedom of touch ``b``'s patch (3 s,)."""
@@ -95,7 +95,7 @@ class Touching:
         """Contact forces of touch ``b`` on its patch's degrees of freedom (3 s,) [N]."""
         p = self.patches[b]
         out = np.zeros((len(p.nodes), 3))
-        np.add.at(out, p.local, self.force[b, : len(p.faces)].astype(np.float64))
+        np.add.at(out, p.local, self.force[b, : len(p.faces)])
         return out.ravel()
 
     def rows(self, b: int, *, geometric: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -103,7 +103,7 @@ class Touching:
         p = self.patches[b]
         f = len(p.faces)
         rows, stiffness, bend = contact.contact_matrices(
-            p, self.gap[b, :f], self.normal[b, :f].astype(np.float64), self.curvature[b, :f], bend=geometric)
+            p, self.gap[b, :f], self.normal[b, :f], self.curvature[b, :f], bend=geometric)
         return rows * self.model.free[self.dof(b)], stiffness, bend
 
     def compliance(self, b: int) -> np.ndarray:

@@ -274,14 +274,14 @@ def kernels(real: type) -> Any:
         energy_in: wp.array2d(dtype=real),
         det_in: wp.array2d(dtype=real),
         # state out
-        energy_out: wp.array(dtype=real),
+        energy_out: wp.array(dtype=wp.float64),
         det_out: wp.array(dtype=real),
     ):
         b = columns[wp.tid()]
-        total = real(0.0)
+        total = wp.float64(0.0)
         least = real(1e30)
         for t in range(energy_in.shape[0]):
-            total += energy_in[t, b]
+            total += wp.float64(energy_in[t, b])
             least = wp.min(least, det_in[t, b])
         energy_out[b] = total
         det_out[b] = least
