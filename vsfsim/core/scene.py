@@ -77,12 +77,14 @@ class TouchSpec:
 
     count: touches a view. depth: how far the probe goes past first contact [m].
     approach: clearance between the probe and the target point at the start [m].
+    force_limit: the press stops short where the rest state's linear response passes this force [N].
     frames: (free, in, hold, out) readings in each phase.
     """
 
     count: int
     depth: float
     approach: float
+    force_limit: float
     frames: tuple[int, int, int, int]
 
 
@@ -362,12 +364,13 @@ def _press(node: Any, path: Path) -> PressSpec:
 
 
 def _touches(node: Any, path: Path) -> TouchSpec:
-    t = _Table(node, f"{path} [touches]", ("count", "depth", "approach", "frames"))
+    t = _Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames"))
     where = f"{path} [touches] frames"
     f = _Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000), f.count("out", 3, 0, 1000))
     return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
-                     t.number("approach", 0.01, 1e-4, 0.5, "m"), frames)
+                     t.number("approach", 0.01, 1e-4, 0.5, "m"),
+                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames)
 
 
 def _camera(node: Any, path: Path) -> CameraSpec:

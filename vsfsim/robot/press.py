@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vsfsim.core.scene import PressSpec, TouchSpec
+from vsfsim.core.shape import Plane, ProbeShape
 
 FRAME_SECONDS = 1.0 / 30.0  # the Punyo's frame rate
 
@@ -15,12 +16,16 @@ def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
     return start + t * (np.asarray(stop, float) - start)
 
 
-def turn_to(axis: np.ndarray) -> np.ndarray:
-    """A rotation (3, 3) that takes the probe's -z to the unit direction of travel ``axis`` (3,).
+def turn_to(axis: np.ndarray, probe: ProbeShape) -> np.ndarray:
+    """A rotation (3, 3) that points the probe along the unit direction of travel ``axis`` (3,).
+
+    The probe's -z leads, except for a plane, whose surface looks along its own +z.
 
     The probe's x stays as horizontal as it can, so the same axis always gives the same rotation.
     """
-    z = -np.asarray(axis, float) / np.linalg.norm(axis)
+    z = np.asarray(axis, float) / np.linalg.norm(axis)
+    if not isinstance(probe, Plane):
+        z = -z
     side = np.array([0.0, 1.0, 0.0]) if abs(z[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
     x = np.cross(side, z)
     x /= np.linalg.norm(x)
@@ -34,7 +39,7 @@ def _poses(positions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     return out
 
 
-def press_path(spec: PressSpec) -> np.ndarray:
+def press_path(spec: PressSpec, probe: ProbeShape) -> np.ndarray:
     """Poses (T, 4, 4) of a one-off press: in, hold, and back along the same line."""
     start, stop = np.array(spec.start), np.array(spec.stop)
     inward = straight(start, stop, spec.frames)
@@ -44,29 +49,30 @@ def press_path(spec: PressSpec) -> np.ndarray:
         back = np.concatenate([inward[::-1][1:], start[None]])
         at = np.linspace(0, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract < len(back) else None
         parts.append(back[at] if at is not None else straight(stop, start, spec.retract))
-    return _poses(np.concatenate(parts), turn_to(stop - start))
+    return _poses(np.concatenate(parts), turn_to(stop - start, probe))
 
 
-def touch_path(spec: TouchSpec, contact: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np.ndarray, *,
+               depth: float | None = None) -> np.ndarray:
     """Poses (T, 4, 4) of one scripted touch: wait free of contact, straight in, hold, straight out.
 
     Args:
-        spec: depth, approach and frames of each phase.
+        spec: depth, approach and frames of each phase. probe: its shape.
         contact: where the probe's centre is when its surface reaches the target (3,) [m].
-        axis: unit direction of the press (3,).
+        axis: unit direction of the press (3,). depth: past first contact [m], or None for the scene's.
     """
     free, inward, hold, out = spec.frames
     start = contact - spec.approach * axis
     # the waiting frames stand still at the start: they are the sensor's tare
     waiting = np.repeat(start[None], free, axis=0)
     # the frames in are spread over the depth alone; the way from the start to the surface has nothing to tell
-    way_in = straight(contact, contact + spec.depth * axis, inward)
+    way_in = straight(contact, contact + (spec.depth if depth is None else depth) * axis, inward)
     parts = [waiting, way_in, np.repeat(way_in[-1:], hold, axis=0)]
     if out:
         back = np.concatenate([way_in[::-1][1:], contact[None]])
         at = np.linspace(-1, len(back) - 1, out + 1).round().astype(int)[1:]
         parts.append(back[at])
-    return _poses(np.concatenate(parts), turn_to(axis))
+    return _poses(np.concatenate(parts), turn_to(axis, probe))
 
 
 def times(frames: int) -> np.ndarray:

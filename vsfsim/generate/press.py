@@ -1,0 +1,121 @@
+"""A one-off press: scene in, force against depth out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene
+from vsfsim.physics import tiers
+from vsfsim.physics.model import Model
+from vsfsim.physics.solver import Frames, Solver
+from vsfsim.robot.press import press_path
+
+
+@dataclass(frozen=True)
+class PressResult:
+    """What `vsfsim press` prints.
+
+    depth: way of the probe from the start of contact along the press (T,) [m]; 0 before contact.
+    force: on the probe (T, 3) [N]. reaction: of the supports on the body (T, 3) [N]. pressure: (T,) [Pa] or None without gas.
+    converged: (T,) bool. residual: (T,) [-]. iterations: Newton (T,). seconds: of each frame (T,) [s].
+    audit: force_balance [-], min_det_f [-], energy [J], penetration [m], each (T,).
+    build_seconds: meshing and factorisation [s]. tets, nodes, tier, device, precision: of the model.
+    element_size: edge length aimed at [m]. notes: what was repaired or decided.
+    """
+
+    depth: np.ndarray
+    force: np.ndarray
+    reaction: np.ndarray
+    pressure: np.ndarray | None
+    converged: np.ndarray
+    residual: np.ndarray
+    iterations: np.ndarray
+    seconds: np.ndarray
+    audit: dict[str, np.ndarray]
+    build_seconds: float
+    tets: int
+    nodes: int
+    tier: str
+    device: str
+    precision: str
+    element_size: float
+    notes: tuple[str, ...]
+
+    def table(self) -> dict[str, Any]:
+        """The result as plain lists and numbers, for JSON."""
+        out: dict[str, Any] = {}
+        for key, value in vars(self).items():
+            if isinstance(value, np.ndarray):
+                out[key] = value.tolist()
+            elif isinstance(value, dict):
+                out[key] = {k: v.tolist() for k, v in value.items()}
+            else:
+                out[key] = list(value) if isinstance(value, tuple) else value
+        return out
+
+
+def first_contact(model: Model, poses: np.ndarray, probe: Any) -> float:
+    """How far along the straight path (T, 4, 4) the probe's surface first meets the body at rest [m], from its first pose."""
+    from vsfsim.generate.touch import clearance
+
+    axis = poses[-1, :3, 3] - poses[0, :3, 3]
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        return 0.0
+    return clearance(model, probe, poses[0], axis / length)
+
+
+def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precision: str = "float64",
+          seed: int = 0, cache: Path | None = None, progress: Callable[[int, int], None] | None = None) -> PressResult:
+    """Run the ``[press]`` of a scene.
+
+    Args:
+        scene: concrete. tier: overrides the scene's. device: Warp device. precision: "float32" or "float64".
+        seed: of what a family draws. cache: folder of filled meshes. progress: called with (frames done, frames).
+
+    Raises:
+        SceneError: the scene has no ``[press]``, or cannot be built.
+    """
+    if scene.press is None:
+        raise SceneError(f"{scene.source}: there is no [press]; add e.g. from = [0, 0, 0.07], to = [0, 0, 0.065], frames = 10.")
+    chosen = tiers.choose(scene, tier)
+    began = time.perf_counter()
+    poses = press_path(scene.press, scene.probe)
+    start = np.array(scene.press.start)
+    stop = np.array(scene.press.stop)
+    axis = (stop - start) / np.linalg.norm(stop - start)
+    model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=tip(scene, stop, axis)[None], device=device)
+    built = time.perf_counter() - began
+    first = poses[0].copy()
+    first[:3, 3] = start
+    gap = first_contact(model, np.stack([first, poses[scene.press.frames - 1]]), scene.probe)
+    solver = Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(chosen),
+                    linear=not tiers.TIERS[chosen].nonlinear)
+    frames = solver.run(poses[:, None], progress=None if progress is None else lambda done: progress(done, len(poses)))
+    depth = np.maximum((poses[:, :3, 3] - start) @ axis - gap, 0.0)
+    return PressResult(
+        depth=depth, force=frames.force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
+        converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0],
+        seconds=frames.seconds, audit=audit(frames, 0), build_seconds=built, tets=len(model.mesh.tets),
+        nodes=len(model.mesh.points), tier=chosen, device=device, precision=precision,
+        element_size=tiers.element_size(scene.object, chosen, scene.probe), notes=model.solid.notes)
+
+
+def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """The leading point of the probe (3,) [m] when its centre is at ``centre``, moving along ``axis``."""
+    from vsfsim.physics.sdf import support
+    from vsfsim.robot.press import turn_to
+
+    return centre + support(scene.probe, turn_to(axis, scene.probe).T @ axis) * axis
+
+
+def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:
+    """The audit columns of one touch."""
+    return {name: getattr(frames, name)[:, column] for name in ("force_balance", "min_det_f", "energy", "penetration")}
