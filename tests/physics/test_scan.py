@@ -1,0 +1,166 @@
+"""Broken scans: what is repaired and said, and what is refused and why."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from vsfsim.core.errors import MeshError
+from vsfsim.core.shape import MeshFile
+from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
+from vsfsim.physics.manifold import body_of_each_tet, drop_pinches, pinched_vertices
+from vsfsim.physics.scan import fill_mesh_file
+
+SIZE = 0.03
+VOLUME = float(trimesh.creation.icosphere(subdivisions=2, radius=SIZE).volume)
+
+
+def ball(*, shift: tuple[float, float, float] = (0.1, -0.2, 0.3), radius: float = SIZE) -> trimesh.Trimesh:
+    mesh = trimesh.creation.icosphere(subdivisions=2, radius=radius)
+    mesh.apply_translation(shift)
+    return mesh
+
+
+def filled(mesh: trimesh.Trimesh, folder: Path, *, name: str = "scan.ply", scale: float | None = None) -> Solid:
+    mesh.export(folder / name)
+    return fill_mesh_file(MeshFile(str(folder / name), scale), resolution=0.02, cache=folder / "cache")
+
+
+def check_filled(solid: Solid, volume: float, *, within: float) -> None:
+    assert tet_volumes(solid.vertices, solid.tets).min() > 0.0
+    assert solid.volume() == pytest.approx(volume, rel=within)
+    faces, _ = solid.surface()
+    surface = trimesh.Trimesh(solid.vertices, faces, process=False)
+    assert surface.is_watertight and surface.is_winding_consistent and surface.volume > 0.0
+    assert not len(pinched_vertices(solid.tets))
+    low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    assert [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]] == pytest.approx([0, 0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl"])
+def test_sound_mesh_needs_no_repair(suffix: str, tmp_path: Path) -> None:
+    solid = filled(ball(), tmp_path, name=f"scan.{suffix}")
+    # The envelope allows the surface to move by 0.1 % of the diagonal, here 0.3 % of the radius.
+    check_filled(solid, VOLUME, within=0.02)
+    assert len(solid.notes) == 1 and "base centre" in solid.notes[0]
+
+
+def test_hole(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.update_faces(np.arange(len(mesh.faces)) >= 6)
+    solid = filled(mesh, tmp_path)
+    check_filled(solid, VOLUME, within=0.05)
+    assert any("Not watertight" in note for note in solid.notes)
+
+
+def test_flipped_faces(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.faces[::5] = mesh.faces[::5, ::-1]
+    solid = filled(mesh, tmp_path)
+    check_filled(solid, VOLUME, within=0.02)
+    assert any("inconsistently" in note for note in solid.notes)
+
+
+def test_inside_out(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.invert()
+    solid = filled(mesh, tmp_path)
+    check_filled(solid, VOLUME, within=0.02)
+    assert any("inside out" in note for note in solid.notes)
+
+
+def test_hollow_body_keeps_its_cavity(tmp_path: Path) -> None:
+    inner = ball(radius=0.6 * SIZE)
+    inner.invert()
+    solid = filled(trimesh.util.concatenate([ball(), inner]), tmp_path)
+    check_filled(solid, VOLUME * (1 - 0.6**3), within=0.03)
+    assert not any("inside out" in note for note in solid.notes)
+
+
+def test_millimetres(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.apply_scale(1000.0)
+    solid = filled(mesh, tmp_path)
+    check_filled(solid, VOLUME, within=0.02)
+    assert any("millimetres" in note for note in solid.notes)
+
+
+def test_given_scale(tmp_path: Path) -> None:
+    mesh = ball()
+    mesh.apply_scale(100.0)
+    check_filled(filled(mesh, tmp_path, scale=0.01), VOLUME, within=0.02)
+
+
+def test_duplicate_and_degenerate_faces(tmp_path: Path) -> None:
+    mesh = ball()
+    faces = np.concatenate([mesh.faces, mesh.faces[:3], [[0, 0, 1]]])
+    solid = filled(trimesh.Trimesh(mesh.vertices, faces, process=False), tmp_path)
+    check_filled(solid, VOLUME, within=0.02)
+    assert any("3 duplicate" in note for note in solid.notes) and any("1 degenerate" in note for note in solid.notes)
+
+
+def test_debris_is_dropped_and_two_objects_refused(tmp_path: Path) -> None:
+    crumb = ball(shift=(0.2, -0.2, 0.3), radius=0.2 * SIZE)
+    solid = filled(trimesh.util.concatenate([ball(), crumb]), tmp_path)
+    check_filled(solid, VOLUME, within=0.02)
+    assert any("loose piece" in note for note in solid.notes)
+    with pytest.raises(MeshError, match="2 separate bodies"):
+        filled(trimesh.util.concatenate([ball(), ball(shift=(0.3, 0.0, 0.0))]), tmp_path, name="two.ply")
+
+
+def test_refusals_give_the_reason(tmp_path: Path) -> None:
+    def refused(content: bytes | trimesh.Trimesh, name: str, reason: str, scale: float | None = None) -> None:
+        path = tmp_path / name
+        if isinstance(content, bytes):
+            path.write_bytes(content)
+        else:
+            content.export(path)
+        with pytest.raises(MeshError, match=reason) as caught:
+            fill_mesh_file(MeshFile(str(path), scale), resolution=0.02, cache=tmp_path / "cache")
+        assert name in str(caught.value) and "\n" not in str(caught.value)
+
+    sheet = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0.1], [0.1, 0.1, 0.1], [0, 0.1, 0]], [[0, 1, 2], [0, 2, 3]])
+    refused(sheet, "sheet.ply", "flat sheet")
+    refused(b"", "empty.obj", "no faces|cannot be understood")
+    refused(b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", "points.obj", "no faces")
+    refused(b"v nan 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n", "nan.obj", "not finite")
+    refused(b"\x00\x01nonsense", "noise.ply", "cannot be understood")
+    refused(b"solid x", "scan.fbx", "ends in '.fbx'")
+    refused(ball(radius=1e-4, shift=(0, 0, 0)), "tiny.ply", "0.0002 m long")
+    refused(ball(radius=1.0), "huge.ply", "allowed is", scale=10.0)
+    with pytest.raises(MeshError, match="cannot be read"):
+        fill_mesh_file(MeshFile(str(tmp_path / "missing.stl")), resolution=0.02, cache=tmp_path)
+    with pytest.raises(MeshError, match="coarser resolution"):
+        ball().export(tmp_path / "fine.ply")
+        fill_mesh_file(MeshFile(str(tmp_path / "fine.ply")), resolution=1e-5, cache=tmp_path)
+
+
+def test_cache_makes_it_repeatable_and_skips_the_filler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = filled(ball(), tmp_path)
+    monkeypatch.setitem(sys.modules, "pytetwild", None)  # importing it now fails
+    again = filled(ball(), tmp_path)
+    assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.tets, again.tets)
+    assert first.notes == again.notes
+    monkeypatch.undo()
+    stored, = (tmp_path / "cache").iterdir()
+    stored.write_bytes(stored.read_bytes()[:100])
+    check_filled(filled(ball(), tmp_path), VOLUME, within=0.02)
+
+
+def test_pinches_are_found_and_dropped() -> None:
+    # Two tetrahedra that share a vertex, then two that share an edge; the smaller one goes.
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [-2, 0, 0], [0, -2, 0], [0, 0, -2]], float)
+    at_vertex = np.array([[0, 1, 2, 3], [0, 5, 4, 6]])
+    at_edge = np.array([[0, 1, 2, 3], [0, 3, 4, 5]])
+    assert pinched_vertices(at_vertex).tolist() == [0]
+    assert set(pinched_vertices(at_edge)) == {0, 3}
+    assert len(np.unique(body_of_each_tet(at_vertex))) == 2
+    for tets in (at_vertex, at_edge):
+        assert tet_volumes(vertices, tets).min() > 0.0
+        kept = drop_pinches(vertices, tets)
+        assert kept is not None and kept.tolist() == tets[1:].tolist()
+        assert len(boundary_faces(kept)[0]) == 4

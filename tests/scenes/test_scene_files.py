@@ -1,0 +1,37 @@
+"""The shipped scenes load, sample and can be built; those with a press start just out of contact."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from vsfsim.core import shelf
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shape import Box, Sphere
+from vsfsim.physics.discretise import build_solid
+
+
+def test_the_shelf_is_complete() -> None:
+    assert {"shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball"} <= set(shelf.scenes())
+    assert "shoe" in shelf.families()
+
+
+@pytest.mark.parametrize("name", shelf.scenes())
+def test_scene_builds(name: str) -> None:
+    scene = load_scene(shelf.scenes()[name]).sample(0)
+    assert scene.name == name
+    solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
+    spec = scene.object
+    material = spec.young_modulus.by_region(solid.region_names, solid.young_modulus, name)
+    assert (material > 0).all()
+    if not isinstance(spec.fixed, str):
+        low, high = np.array(spec.fixed[:3]), np.array(spec.fixed[3:])
+        held = ((solid.vertices >= low) & (solid.vertices <= high)).all(axis=1)
+        assert 3 <= held.sum() < len(solid.vertices)
+    if scene.press is not None:
+        start, stop = np.array(scene.press.start), np.array(scene.press.stop)
+        half = scene.probe.radius if isinstance(scene.probe, Sphere) else 0.5 * scene.probe.size[2]
+        assert isinstance(scene.probe, (Sphere, Box))
+        # The probe just touches the highest point under it, then goes in along -z.
+        assert start[2] - half == pytest.approx(solid.vertices[:, 2].max(), abs=1e-9)
+        assert stop[2] < start[2] and (stop[:2] == start[:2]).all()
