@@ -9,9 +9,7 @@ import functools
 
 import warp as wp
 
-# A machine without a GPU is no reason for a warning, and compiling is told by whoever shows progress.
-with wp.ScopedLogLevel(wp.LOG_ERROR):
-    wp.init()
+# Compiling is told by whoever shows progress, not by Warp's own chatter.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
