@@ -100,7 +100,7 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Fi
         ("is deterministic", lambda: _deterministic(fitted, mock)),
         ("adapt forgets the object before", lambda: _forgets(fitted, mock)),
         ("predict can be called twice", lambda: _twice(fitted(), mock)),
-        ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), mock)),
+        ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), _mock())),
         ("copes with frames that have no reading", lambda: _run(fitted(), mock, _with_gap(mock.support))),
         ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
         ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
