@@ -1,0 +1,230 @@
+"""The camera against analytic depth, and the two renderers against each other."""
+
+import math
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from vsfsim.core.scene import CameraSpec
+from vsfsim.core.solid import TEXTURES, Appearance
+from vsfsim.sensing import render_pyrender
+from vsfsim.sensing.camera import RenderError, Surface, corner_normals, look_at, render
+
+SPEC = CameraSpec(160, 120, 0.8, 0.6, 0.9, 0.7)
+
+
+def surface_of(mesh: trimesh.Trimesh, appearance: Appearance | None = None, region: int = 0) -> Surface:
+    vertices = np.asarray(mesh.vertices)
+    return Surface(vertices, np.asarray(mesh.faces), np.full(len(mesh.faces), region), appearance, vertices)
+
+
+def look(texture: str, contrast: float = 0.5) -> Appearance:
+    return Appearance(np.array([[0.4, 0.3, 0.2]]), (texture,), np.array([0.01]), np.array([contrast]))
+
+
+def rays(intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int) -> np.ndarray:
+    """World direction of each pixel with unit z in the camera (H, W, 3)."""
+    column, row = np.meshgrid(np.arange(width), np.arange(height))
+    camera = np.stack([(column - intrinsics[0, 2]) / intrinsics[0, 0], (row - intrinsics[1, 2]) / intrinsics[1, 1],
+                       np.ones_like(row, float)], axis=-1)
+    return camera @ pose[:3, :3].T
+
+
+def test_look_at_puts_the_target_in_the_middle_and_up_up():
+    target = np.array([0.1, -0.2, 0.05])
+    intrinsics, pose = look_at(SPEC, target)
+    assert np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3)) and np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
+    world_to_camera = np.linalg.inv(pose)
+    in_camera = world_to_camera[:3, :3] @ target + world_to_camera[:3, 3]
+    np.testing.assert_allclose(in_camera, [0, 0, SPEC.distance], atol=1e-12)
+    # A point above the target appears higher in the picture (smaller row), one to the camera's right further right.
+    above = world_to_camera[:3, :3] @ (target + [0, 0, 0.01]) + world_to_camera[:3, 3]
+    assert above[1] < 0 and above[0] == pytest.approx(0.0, abs=1e-12)
+    assert pose[2, 3] - target[2] == pytest.approx(0.6 * math.sin(0.7))
+    assert 2 * math.atan(0.5 * SPEC.height / intrinsics[1, 1]) == pytest.approx(SPEC.fov)
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), (40.0, -25.0, 3.0)])
+def test_depth_of_a_tilted_plane_is_exact(offset):
+    # Off the origin, too: 40 m is 3 um in float32, and the depth is still that of the plane.
+    offset = np.array(offset, float)
+    corners = np.array([[-1, -1, -0.1], [1, -1, 0.1], [1, 1, 0.15], [-1, 1, -0.05]]) * [0.2, 0.2, 1] + offset
+    surface = Surface(corners, np.array([[0, 1, 2], [0, 2, 3]]), np.zeros(2, int), None, corners)
+    intrinsics, pose = look_at(SPEC, offset)
+    view = render(surface, intrinsics, pose, 160, 120)
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    exact = normal @ (corners[0] - pose[:3, 3]) / (rays(intrinsics, pose, 160, 120) @ normal)
+    assert np.abs(normal @ (corners[3] - corners[0])) < 1e-9
+    assert view.mask.sum() > 3000
+    # Depth is stored as float32: 6e-8 of 0.6 m.
+    assert np.abs(view.depth - exact)[view.mask].max() < 1e-7
+
+
+def test_depth_error_on_a_sphere_is_that_of_its_tessellation():
+    radius = 0.1
+    surface = surface_of(trimesh.creation.icosphere(subdivisions=5, radius=radius))
+    intrinsics, pose = look_at(SPEC, np.zeros(3))
+    view = render(surface, intrinsics, pose, 160, 120)
+    direction = rays(intrinsics, pose, 160, 120)
+    a, b, c = (direction**2).sum(-1), direction @ pose[:3, 3], pose[:3, 3] @ pose[:3, 3] - radius**2
+    disc = b**2 - a * c
+    exact = (-b - np.sqrt(np.maximum(disc, 0))) / a
+    # Away from the silhouette a chord of edge h lies at most h^2 / 8R / cos(60 deg) behind the sphere.
+    edge = 0.005
+    inner = disc / (b**2) > 1e-2
+    facing = np.abs(np.einsum("ijk,ijk->ij", pose[:3, 3] + exact[..., None] * direction, direction) / radius / np.sqrt(a)) > 0.5
+    inner &= facing & (disc > 0)
+    assert inner.sum() > 500 and view.mask[inner].all()
+    error = view.depth[inner] - exact[inner]
+    assert error.min() > -1e-7 and error.max() < edge**2 / 8 / radius / 0.5
+    assert not view.mask[disc < 0].any()
+
+
+def test_visible_cloud_lies_on_the_surface():
+    surface = surface_of(trimesh.creation.box((0.1, 0.12, 0.06)))
+    intrinsics, pose = look_at(SPEC, np.zeros(3))
+    cloud = render(surface, intrinsics, pose, 160, 120).points()
+    distance = np.abs(np.abs(cloud) - [0.05, 0.06, 0.03]).min(axis=1)
+    assert len(cloud) > 500 and distance.max() < 1e-6
+    assert np.all(np.abs(cloud) < [0.0501, 0.0601, 0.0301])
+
+
+def test_full_picture_is_fast_and_bit_identical():
+    surface = surface_of(trimesh.creation.icosphere(subdivisions=5, radius=0.1), look("noise"))
+    spec = replace(SPEC, width=640, height=480)
+    intrinsics, pose = look_at(spec, np.zeros(3))
+    one = render(surface, intrinsics, pose, 640, 480)
+    start = time.perf_counter()
+    two = render(surface, intrinsics, pose, 640, 480)
+    assert time.perf_counter() - start < 1.0
+    assert np.array_equal(one.rgb, two.rgb) and np.array_equal(one.depth, two.depth)
+
+
+@pytest.mark.parametrize("texture", TEXTURES)
+def test_textures_vary_in_rest_coordinates_and_move_with_the_material(texture):
+    mesh = trimesh.creation.box((0.2, 0.2, 0.02))
+    mesh.apply_translation([0, 0, -0.01])
+    surface = surface_of(mesh, look(texture))
+    intrinsics, pose = look_at(replace(SPEC, elevation=1.5), np.zeros(3))
+    rgb = render(surface, intrinsics, pose, 160, 120).rgb.astype(int)
+    plain = render(replace(surface, appearance=look("plain")), intrinsics, pose, 160, 120).rgb.astype(int)
+    spread = (rgb - plain)[40:80, 60:100].reshape(-1, 3).std(axis=0)
+    assert np.all(spread > 5) if texture != "plain" else np.all(spread == 0)
+    # The body and the camera both shifted: the same picture, as the texture went along.
+    shift = np.array([0.033, -0.021, 0.0])
+    moved = replace(surface, vertices=surface.vertices + shift)
+    pose2 = pose.copy()
+    pose2[:3, 3] += shift
+    again = render(moved, intrinsics, pose2, 160, 120).rgb.astype(int)
+    assert np.mean(np.abs(rgb - again)) < 0.05
+
+
+def test_regions_have_their_own_colour():
+    one, two = trimesh.creation.box((0.05, 0.05, 0.05)), trimesh.creation.box((0.05, 0.05, 0.05))
+    two.apply_translation([0, 0.1, 0])
+    both = trimesh.util.concatenate([one, two])
+    region = np.repeat([0, 1], 12)
+    paint = Appearance(np.array([[0.6, 0.05, 0.05], [0.05, 0.05, 0.6]]), ("plain", "plain"), np.ones(2), np.zeros(2))
+    surface = Surface(np.asarray(both.vertices), np.asarray(both.faces), region, paint, np.asarray(both.vertices))
+    intrinsics, pose = look_at(SPEC, np.array([0, 0.05, 0]))
+    view = render(surface, intrinsics, pose, 160, 120)
+    cloud, rgb = view.points(), view.rgb[view.mask].astype(int)
+    assert np.all(rgb[cloud[:, 1] < 0.03, 0] > rgb[cloud[:, 1] < 0.03, 2])
+    assert np.all(rgb[cloud[:, 1] > 0.07, 2] > rgb[cloud[:, 1] > 0.07, 0])
+
+
+def test_shading_normals_are_round_on_a_ball_and_sharp_on_a_box():
+    ball = surface_of(trimesh.creation.icosphere(subdivisions=3, radius=1.0))
+    normals = corner_normals(ball)
+    assert np.einsum("fci,fci->fc", normals, ball.vertices[ball.triangles]).min() > 0.999
+    box = surface_of(trimesh.creation.box((1, 1, 1)))
+    assert np.abs(corner_normals(box)).max(axis=2).min() == pytest.approx(1.0)
+
+
+def test_nothing_in_sight_is_an_empty_picture():
+    surface = surface_of(trimesh.creation.icosphere(subdivisions=2, radius=0.05))
+    intrinsics, pose = look_at(SPEC, np.array([0, 0, 50.0]))
+    view = render(surface, intrinsics, pose, 160, 120)
+    assert not view.mask.any() and not view.depth.any() and view.points().shape == (0, 3)
+    # Behind the camera is not in sight either.
+    pose[:3, 3] = [0, 0, 1.0]
+    pose[:3, :3] = np.eye(3)
+    assert not render(surface, intrinsics, pose, 160, 120).mask.any()
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"vertices": np.full((3, 3), np.nan)}, "finite"),
+    ({"triangles": np.array([[0, 1, 7]])}, "vertex 7"),
+    ({"region": np.array([3])}, "region 3"),
+    ({"region": np.array([0, 1])}, "region (2,)"),
+    ({"appearance": look("wool")}, "wool"),
+    ({"rest_vertices": np.zeros((4, 3))}, "(4, 3)"),
+])
+def test_bad_surfaces_are_refused(change, words):
+    triangle = Surface(np.eye(3), np.array([[0, 1, 2]]), np.array([0]), look("plain"), np.eye(3))
+    intrinsics, pose = look_at(SPEC, np.zeros(3))
+    with pytest.raises(RenderError) as error:
+        render(replace(triangle, **change), intrinsics, pose, 8, 8)
+    assert words in str(error.value)
+
+
+def test_unknown_renderer_is_told():
+    triangle = Surface(np.eye(3), np.array([[0, 1, 2]]), np.array([0]), None, np.eye(3))
+    with pytest.raises(RenderError, match="Did you mean 'pyrender'"):
+        render(triangle, *look_at(SPEC, np.zeros(3)), 8, 8, renderer="pyrenderer")
+
+
+def _pyrender_view(*arguments):
+    try:
+        return render(*arguments, renderer="pyrender")
+    except RenderError as error:
+        pytest.skip(f"no GL here: {error}")
+
+
+def test_pyrender_agrees_on_depth_away_from_silhouettes():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.07)
+    box = trimesh.creation.box((0.12, 0.1, 0.05))
+    box.apply_translation([0, 0.15, 0])
+    surface = surface_of(trimesh.util.concatenate([ball, box]), look("weave"))
+    intrinsics, pose = look_at(replace(SPEC, width=320, height=240), np.array([0, 0.07, 0]))
+    gl = _pyrender_view(surface, intrinsics, pose, 320, 240)
+    cast = render(surface, intrinsics, pose, 320, 240)
+    assert (gl.mask != cast.mask).sum() < 40
+    # Silhouette: a pixel with a neighbour off the object, or one more than 5 mm away.
+    depth = np.where(cast.mask, cast.depth, 10.0)
+    rim = np.zeros_like(cast.mask)
+    for axis in (0, 1):
+        jump = np.abs(np.diff(depth, axis=axis)) > 0.005
+        rim |= np.pad(jump, [(0, 1), (0, 0)] if axis == 0 else [(0, 0), (0, 1)])
+        rim |= np.pad(jump, [(1, 0), (0, 0)] if axis == 0 else [(0, 0), (1, 0)])
+    inner = cast.mask & gl.mask & ~rim
+    assert inner.sum() > 4000
+    assert np.abs(gl.depth - cast.depth)[inner].max() < 1e-4
+    assert gl.rgb[inner].std() > 5
+
+
+def test_missing_gl_is_one_paragraph_that_says_what_to_install(monkeypatch):
+    for name in [n for n in list(sys.modules) if n.split(".")[0] in ("OpenGL", "pyrender")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.delenv("PYOPENGL_PLATFORM", raising=False)
+
+    def broken(name):
+        raise ImportError("no such library")
+
+    monkeypatch.setattr(render_pyrender.importlib, "import_module", broken)
+    with pytest.raises(RenderError) as error:
+        render_pyrender.load_pyrender()
+    text = str(error.value)
+    assert "egl: no such library; osmesa: no such library" in text and "apt-get install" in text and "\n" not in text
+
+
+def test_importing_the_camera_brings_no_gl_and_no_warp():
+    # In a fresh process, as this one has both.
+    code = "import sys, vsfsim.sensing.camera; print([m for m in ('warp', 'pyrender', 'OpenGL', 'matplotlib') if m in sys.modules])"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert out.strip() == "[]"

@@ -1,0 +1,265 @@
+"""Stick-slip of independent particles against closed forms."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+from vsfsim.vsf.dynamics import VsfError, simulate
+from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
+
+R = 0.02
+DOWN = Rotation.from_euler("x", 180, degrees=True).as_matrix()
+
+
+def path(*corners: tuple, frames: int = 5, rotation: np.ndarray | None = None) -> np.ndarray:
+    """Straight legs between corners, ``frames`` steps each."""
+    poses = []
+    for a, b in itertools.pairwise(corners):
+        for s in np.linspace(0, 1, frames + 1)[0 if not poses else 1:]:
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = np.eye(3) if rotation is None else rotation, np.asarray(a) + s * (np.asarray(b) - np.asarray(a))
+            poses.append(pose)
+    return np.array(poses)
+
+
+def last(particles, probe, poses, friction, **options):
+    """Displacements (n, 3) in the last frame, zero for particles at rest."""
+    particles = np.atleast_2d(particles).astype(float)
+    moved = simulate(particles, probe, poses, friction=friction, **options)
+    out = np.zeros_like(particles)
+    index, u = moved.frame(moved.frames - 1)
+    out[index] = u
+    return out
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5, math.inf])
+def test_plane_carries_particles_by_its_normal_motion_since_contact(friction):
+    particles = np.array([[0, 0, 0.0], [0.01, 0, -0.004], [0, 0.02, -0.02]])
+    u = last(particles, Plane(), path((0, 0, 0.013), (0, 0, -0.007), rotation=DOWN), friction)
+    expected = np.array([[0, 0, -0.007], [0, 0, -0.003], [0, 0, 0]])
+    np.testing.assert_allclose(u, expected, atol=1e-15)
+
+
+def test_sticking_particle_follows_the_point_that_met_it():
+    # Contact where |x0 - c| = R; from then on u is the probe's own motion, sideways too.
+    x0 = np.array([0.006, 0.0, 0.0])
+    contact = math.sqrt(R**2 - 0.006**2)
+    u = last(x0, Sphere(R), path((0, 0, 0.03), (0, 0, 0.012), (0.002, 0.001, 0.012)), math.inf)
+    np.testing.assert_allclose(u, [[0.002, 0.001, 0.012 - contact]], atol=1e-14)
+
+
+def test_sticking_particle_turns_with_the_probe():
+    poses = path((0, 0, 0.03), (0, 0, 0.015))
+    turned = poses[-1].copy()
+    angle = 0.3
+    turned[:3, :3] = Rotation.from_euler("z", angle).as_matrix()
+    x0 = np.array([0.004, 0.0, 0.0])
+    u = last(x0, Sphere(R), np.concatenate([poses, turned[None]]), math.inf)
+    p = np.array([0.004 * math.cos(angle), 0.004 * math.sin(angle), 0.015 - math.sqrt(R**2 - 0.004**2)])
+    np.testing.assert_allclose(u, [p - x0], atol=1e-12)
+
+
+@pytest.mark.parametrize("precision, tolerance", [("float64", 1e-11), ("float32", 2e-7)])
+def test_frictionless_sphere_moves_particles_to_its_nearest_surface_point(precision, tolerance):
+    rng = np.random.default_rng(0)
+    x0 = rng.uniform([-0.02, -0.02, -0.015], [0.02, 0.02, 0.0], (300, 3))
+    centre = np.array([0.003, 0.0, 0.008])
+    u = last(x0, Sphere(R), path((0.003, 0, 0.03), centre), 0.0, precision=precision)
+    away = x0 - centre
+    r = np.linalg.norm(away, axis=1, keepdims=True)
+    np.testing.assert_allclose(u, np.where(r < R, away * (R / r - 1), 0.0), atol=tolerance)
+    assert (np.linalg.norm(u, axis=1) > 0).sum() > 50
+
+
+@pytest.mark.parametrize("mu", [0.1, 0.4])
+def test_sliding_stops_on_the_edge_of_the_friction_cone(mu):
+    # Sphere pressed onto an off-axis particle: the pull leaves the cone, and |u_t| = mu u.n from then on.
+    x0 = np.array([0.012, 0.0, 0.0])
+    centre = np.array([0, 0, 0.005])
+    u = last(x0, Sphere(R), path((0, 0, 0.03), centre), mu)[0]
+    n = (x0 + u - centre) / R
+    assert np.linalg.norm(n) == pytest.approx(1.0, abs=1e-12)
+    tangential = np.linalg.norm(u - (u @ n) * n)
+    assert tangential == pytest.approx(mu * (u @ n), rel=1e-9)
+    # Closed form: |u_t| = d sin(a), u.n = R - d cos(a) with d = |x0 - c| and a the angle between p and x0.
+    d = np.linalg.norm(x0 - centre)
+    a = math.asin(mu * R / (d * math.sqrt(1 + mu**2))) - math.atan(mu) if mu > 0 else 0.0
+    a = math.pi - math.asin(mu * R / (d * math.sqrt(1 + mu**2))) - math.atan(mu) if a < 0 else a
+    assert math.acos(n @ (x0 - centre) / d) == pytest.approx(a, rel=1e-6)
+
+
+def test_particle_is_let_go_when_its_pull_points_outwards():
+    # A sticking particle is dragged sideways by a sphere that then lifts off.
+    particle = np.array([[0.0, 0.0, 0.0]])
+    poses = path((0, 0, 0.03), (0, 0, 0.015), (0, 0, 0.03))
+    moved = simulate(particle, Sphere(R), poses, friction=0.8)
+    assert len(moved.frame(5)[0]) == 1
+    assert len(moved.frame(moved.frames - 1)[0]) == 0
+    for t in range(moved.frames):
+        for u in moved.frame(t)[1]:
+            np.testing.assert_allclose(u, [0, 0, poses[t, 2, 3] - R], atol=1e-14)
+
+
+@pytest.mark.parametrize("probe", [Sphere(R), Capsule(0.01, 0.03), Cylinder(0.015, 0.03), Box((0.03, 0.02, 0.03)), Plane()])
+@pytest.mark.parametrize("friction", [0.0, 0.5, 1e9])
+def test_every_probe_releases_what_it_moved(probe, friction):
+    rng = np.random.default_rng(1)
+    cloud = rng.uniform([-0.03, -0.03, -0.03], [0.03, 0.03, 0.0], (500, 3))
+    turn = DOWN if isinstance(probe, Plane) else Rotation.from_euler("xyz", [0.2, -0.3, 0.5]).as_matrix()
+    # With boundless friction a probe may hook what it met from the side, so there it goes straight in and out.
+    aside = (0.01 if friction < 1.0 else 0.0, 0, -0.005)
+    moved = simulate(cloud, probe, path((0, 0, 0.04), (0, 0, -0.005), aside, (0, 0, 0.04), rotation=turn), friction=friction)
+    count = np.diff(moved.pointer)
+    assert count[5] > 20 and count[10] > 20
+    assert count[-1] == 0
+    assert np.isfinite(moved.displacement).all()
+
+
+@pytest.mark.parametrize("probe, half", [(Box((0.03, 0.02, 0.03)), 0.015), (Cylinder(0.015, 0.03), 0.015)])
+def test_flat_face_presses_straight_down(probe, half):
+    rng = np.random.default_rng(2)
+    cloud = rng.uniform([-0.009, -0.009, -0.02], [0.009, 0.009, 0.0], (200, 3))
+    u = last(cloud, probe, path((0, 0, 0.03), (0, 0, half - 0.008)), 0.0)
+    expected = np.zeros_like(cloud)
+    expected[:, 2] = np.minimum(-0.008 - cloud[:, 2], 0.0)
+    np.testing.assert_allclose(u, expected, atol=1e-12)
+
+
+def test_frictionless_capsule_moves_particles_to_its_nearest_surface_point():
+    rng = np.random.default_rng(3)
+    cloud = rng.uniform([-0.03, -0.012, -0.01], [0.03, 0.012, 0.0], (300, 3))
+    lying = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+    u = last(cloud, Capsule(0.01, 0.04), path((0, 0, 0.02), (0, 0, 0.005), rotation=lying), 0.0)
+    axis_point = np.stack([np.clip(cloud[:, 0], -0.02, 0.02), np.zeros(300), np.full(300, 0.005)], axis=1)
+    away = cloud - axis_point
+    r = np.linalg.norm(away, axis=1, keepdims=True)
+    np.testing.assert_allclose(u, np.where(r < 0.01, away * (0.01 / r - 1), 0.0), atol=1e-9)
+
+
+def test_nothing_is_jumped_over_at_20_mm_a_frame():
+    # One frame above, the next below: a thin plate of 2 mm carries along everything on its way.
+    rng = np.random.default_rng(4)
+    cloud = rng.uniform([-0.01, -0.01, -0.016], [0.01, 0.01, -0.002], (400, 3))
+    u = last(cloud, Box((0.05, 0.05, 0.002)), path((0, 0, 0.001), (0, 0, -0.019), frames=1), 0.3)
+    np.testing.assert_allclose(u[:, 2], -0.02 - cloud[:, 2], atol=1e-12)
+
+
+def test_particle_at_the_very_centre_is_finite():
+    particles = np.array([[0, 0, 0.0], [0, 0, 1e-9]])
+    for probe in (Sphere(R), Capsule(0.01, 0.03), Cylinder(0.01, 0.03), Box((0.02, 0.02, 0.02))):
+        moved = simulate(particles, probe, path((0, 0, 0), (0.001, 0, 0)), friction=0.2)
+        assert np.isfinite(moved.displacement).all()
+    start = simulate(particles[:1], Sphere(R), path((0, 0, 0), (0, 0, 1e-6)), friction=0.0).frame(0)[1]
+    np.testing.assert_allclose(start, [[0, 0, R]], atol=1e-15)
+    # Through the centre: pressed until the rest position has passed it, the particle stays on the front.
+    u = last(particles[:1], Sphere(R), path((0, 0, 0.03), (0, 0, -0.005)), 0.0)
+    np.testing.assert_allclose(u, [[0, 0, -0.025]], atol=1e-12)
+
+
+def field(spacing: float, depth: float, half: float) -> np.ndarray:
+    """Cell centres of a uniform grid below z = 0."""
+    x = np.arange(-half + spacing / 2, half, spacing)
+    z = -np.arange(spacing / 2, depth, spacing)
+    return np.stack(np.meshgrid(x, x, z, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def test_plane_on_a_dense_field_converges_at_second_order():
+    kappa, depth, half = 1e8, 0.0086, 0.02
+    exact = kappa * (2 * half) ** 2 * depth**2 / 2
+    errors, spacings = [], []
+    for layers in (2, 4, 8):
+        # The same fraction of a cell is left over at every level, so that the error has one constant.
+        spacing = depth / (layers + 0.3)
+        grid = field(spacing, 0.02, half)
+        area = (round(len(np.unique(grid[:, 0])) * spacing, 12)) ** 2
+        moved = simulate(grid, Plane(), path((0, 0, 0.005), (0, 0, -depth), rotation=DOWN), friction=0.5)
+        force = (force_sum_rows(moved, len(grid)) @ np.full(len(grid), kappa * spacing**3))[-1]
+        errors.append(abs(force * (2 * half) ** 2 / area - exact) / exact)
+        spacings.append(spacing)
+    order = np.diff(np.log(errors)) / np.diff(np.log(spacings))
+    assert np.all(np.abs(order - 2.0) < 0.1)
+    assert errors[-1] < 0.01
+
+
+def test_sphere_on_a_dense_field_converges_to_the_integral():
+    kappa, depth = 1e8, 0.01
+    c = R - depth
+    # Frictionless, |u| = R - r and u.z = (R - r) cos; over the cap below z = 0, centre at height c.
+    total, vertical = (
+        kappa * quad(lambda w, k=k: 2 * np.pi * w**k * (_shell(R, 3) - _shell(c / w, 3)), c / R, 1)[0] for k in (0, 1)
+    )
+    errors = []
+    for spacing in (0.002, 0.001, 0.0005):
+        grid = field(spacing, depth, 0.02)
+        moved = simulate(grid, Sphere(R), path((0, 0, R + 0.001), (0, 0, c)), friction=0.0)
+        stiffness = np.full(len(grid), kappa * spacing**3)
+        summed = (force_sum_rows(moved, len(grid)) @ stiffness)[-1]
+        normal = (normal_force_rows(moved, len(grid), np.array([0, 0, -1.0])) @ stiffness)[-1]
+        errors.append([abs(summed / total - 1), abs(normal / vertical - 1)])
+    errors = np.array(errors)
+    # The integrand vanishes on the sphere, but not on the plane of the grid, so midpoint sums are second order
+    # up to the noise of which cells the sphere cuts.
+    assert np.all(errors[-1] < 1e-3)
+    assert np.all(np.log2(errors[0] / errors[-1]) / 2 > 1.5)
+
+
+def _shell(r: float, power: int) -> float:
+    """Antiderivative of (R - r) r^2 at ``r``."""
+    return R * r**power / power - r ** (power + 1) / (power + 1)
+
+
+def test_unloading_with_friction_and_slip_returns_to_rest_and_is_deterministic():
+    grid = field(0.002, 0.015, 0.02)
+    poses = path((0, 0, 0.025), (0.004, 0, 0.012), (0, 0, 0.025))
+    one, two = (simulate(grid, Sphere(R), poses, friction=0.3) for _ in range(2))
+    assert np.diff(one.pointer)[-1] == 0 and np.diff(one.pointer).max() > 50
+    assert np.array_equal(one.displacement, two.displacement) and np.array_equal(one.particle, two.particle)
+
+
+def test_far_particles_do_not_change_the_result():
+    # The cull is an optimisation only: a cloud with everything far off added gives the same displacements.
+    rng = np.random.default_rng(5)
+    cloud = rng.uniform([-0.02, -0.02, -0.02], [0.02, 0.02, 0.0], (300, 3))
+    far = rng.uniform([0.1, 0.1, 0.1], [1, 1, 1], (300, 3))
+    poses = path((0, 0, 0.03), (0, 0, 0.01))
+    one = simulate(cloud, Sphere(R), poses, friction=0.3)
+    two = simulate(np.concatenate([far, cloud]), Sphere(R), poses, friction=0.3)
+    assert np.array_equal(one.particle + 300, two.particle) and np.array_equal(one.displacement, two.displacement)
+
+
+def test_nothing_touched_is_empty():
+    moved = simulate(np.zeros((0, 3)), Sphere(R), path((0, 0, 1), (0, 0, 2)), friction=0.0)
+    assert moved.frames == 6 and len(moved.particle) == 0
+    rows = force_sum_rows(moved, 0)
+    assert rows.shape == (6, 0)
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"particles": np.full((1, 3), np.nan)}, "finite"),
+    ({"particles": np.zeros((3, 2))}, "(3, 2)"),
+    ({"poses": np.eye(4)}, "(T, 4, 4)"),
+    ({"poses": np.diag([2.0, 1, 1, 1])[None]}, "rigid"),
+    ({"friction": -0.1}, "-0.1"),
+    ({"friction": math.nan}, "nan"),
+    ({"precision": "float16"}, "float32"),
+    ({"max_step": 0.0}, "max_step"),
+    ({"probe": "ball"}, "Sphere"),
+])
+def test_bad_input_is_told(change, words):
+    given = {"particles": np.zeros((1, 3)), "probe": Sphere(R), "poses": path((0, 0, 1), (0, 0, 2)), "friction": 0.5, **change}
+    with pytest.raises(VsfError) as error:
+        simulate(given.pop("particles"), given.pop("probe"), given.pop("poses"), **given)
+    assert words in str(error.value)
+
+
+def test_rows_refuse_what_does_not_fit():
+    moved = simulate(np.zeros((4, 3)), Sphere(R), path((0, 0, 0.03), (0, 0, 0.01)), friction=0.5)
+    with pytest.raises(VsfError, match="particle 3"):
+        force_sum_rows(moved, 2)
+    with pytest.raises(VsfError, match="unit vector"):
+        normal_force_rows(moved, 4, np.array([0, 0, 2.0]))

@@ -1,0 +1,175 @@
+"""The MAP quadratic program against brute force, and at the size it is for."""
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import lsq_linear, nnls
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.estimate import map_estimate, posterior_std
+
+
+def brute(w, z, noise, mean, var):
+    """The stacked dense least-squares problem with bounds."""
+    m, n = w.shape
+    noise, mean, var = (np.broadcast_to(v, s).astype(float) for v, s in ((noise, m), (mean, n), (var, n)))
+    # In x = K / sqrt(v), so that the reference, too, is well scaled.
+    a = np.concatenate([w / noise[:, None] * np.sqrt(var), np.eye(n)])
+    b = np.concatenate([z / noise, mean / np.sqrt(var)])
+    one = lsq_linear(a, b, bounds=(0, np.inf), method="bvls", tol=1e-14, max_iter=1000).x
+    two = nnls(a, b)[0]
+    best = min((one, two), key=lambda x: np.sum((a @ x - b) ** 2))
+    return best * np.sqrt(var), a, b
+
+
+def cost(k, a, b, var):
+    return np.sum((a @ (k / np.sqrt(var)) - b) ** 2)
+
+
+@pytest.mark.parametrize("m, n", [(1, 1), (5, 30), (30, 5), (20, 20), (40, 60), (60, 40), (1, 20), (20, 1)])
+@pytest.mark.parametrize("seed", range(4))
+def test_equals_brute_force(m, n, seed):
+    rng = np.random.default_rng(1000 * seed + 10 * m + n)
+    w = rng.uniform(0, 0.01, (m, n)) * (rng.uniform(size=(m, n)) < 0.4)
+    z = w @ rng.lognormal(3, 1.5, n) + 0.1 * rng.standard_normal(m)
+    noise = rng.uniform(0.05, 0.3, m)
+    mean, var = rng.uniform(-20, 60, n), rng.uniform(10, 1e4, n)
+    result = map_estimate(sparse.csr_matrix(w), z, noise_std=noise, prior_mean=mean, prior_var=var)
+    expected, _, _ = brute(w, z, noise, mean, var)
+    assert result.kkt_residual <= 1e-9
+    np.testing.assert_allclose(result.mean, expected, rtol=1e-7, atol=1e-7 * max(1.0, expected.max()))
+    assert result.active == np.count_nonzero(result.mean[w.any(axis=0)])
+    assert (result.mean >= 0).all()
+
+
+@pytest.mark.parametrize("var", [1e-6, 1e-2, 1e4, 1e8, 1e12])
+@pytest.mark.parametrize("noise", [1e-4, 0.1, 10.0])
+@pytest.mark.parametrize("m, n", [(8, 25), (25, 8)])
+def test_every_balance_of_prior_and_noise(var, noise, m, n):
+    rng = np.random.default_rng(m)
+    w = rng.uniform(0, 0.01, (m, n))
+    truth = rng.lognormal(3, 1, n)
+    z = w @ truth + 0.1 * rng.standard_normal(m)
+    result = map_estimate(w, z, noise_std=noise, prior_mean=15.0, prior_var=var)
+    expected, a, b = brute(w, z, noise, 15.0, var)
+    assert result.kkt_residual <= 1e-9
+    # Both minimise the same convex function; where the prior is next to none K itself is badly determined, the cost is not.
+    ours, theirs = (cost(k, a, b, np.full(n, var)) for k in (result.mean, expected))
+    assert ours <= theirs * (1 + 1e-9)
+    condition = 1 + np.linalg.norm(a, 2) ** 2
+    np.testing.assert_allclose(result.mean, expected, atol=max(1e-14 * condition, 1e-9) * max(expected.max(), 15.0))
+
+
+def test_rank_deficient_rows_and_columns():
+    rng = np.random.default_rng(7)
+    w = np.repeat(rng.uniform(0, 0.01, (6, 12)), 3, axis=0)
+    w = np.concatenate([w, w, np.zeros((18, 4))], axis=1)
+    z = rng.uniform(0, 1, 18)
+    result = map_estimate(w, z, noise_std=0.01, prior_mean=10.0, prior_var=1e5)
+    expected, _, _ = brute(w, z, 0.01, 10.0, 1e5)
+    assert result.kkt_residual <= 1e-9
+    np.testing.assert_allclose(result.mean, expected, rtol=1e-6, atol=1e-6 * expected.max())
+    # Twins share evenly, and what nothing touches keeps its prior.
+    np.testing.assert_allclose(result.mean[:12], result.mean[12:24], rtol=1e-9, atol=1e-9 * expected.max())
+    np.testing.assert_array_equal(result.mean[24:], 10.0)
+
+
+def test_no_touch_gives_the_prior_cut_at_zero():
+    result = map_estimate(sparse.csr_matrix((5, 4)), np.ones(5), noise_std=1.0, prior_mean=np.array([1.0, -2, 3, 0]), prior_var=1.0)
+    np.testing.assert_array_equal(result.mean, [1, 0, 3, 0])
+    assert result.iterations == 0 and result.kkt_residual == 0.0 and result.active == 0
+    empty = map_estimate(sparse.csr_matrix((0, 3)), np.zeros(0), noise_std=1.0, prior_mean=2.0, prior_var=1.0)
+    np.testing.assert_array_equal(empty.mean, [2, 2, 2])
+
+
+def test_one_particle_in_closed_form():
+    # K = max(0, (mu/v + w z / s^2) / (1/v + w^2 / s^2))
+    for z, expected in ((0.5, (10 / 4 + 0.02 * 0.5 / 0.01) / (1 / 4 + 4e-4 / 0.01)), (-3.0, 0.0)):
+        result = map_estimate(np.array([[0.02]]), np.array([z]), noise_std=0.1, prior_mean=10.0, prior_var=4.0)
+        assert result.mean[0] == pytest.approx(expected, rel=1e-12)
+    std = posterior_std(np.array([[0.02]]), noise_std=0.1, prior_var=4.0)
+    assert std[0] == pytest.approx((1 / 4 + 4e-4 / 0.01) ** -0.5, rel=1e-12)
+
+
+def presses(particles: int, touches: int, frames: int, seed: int) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Rows like a sphere's: a patch of neighbours moved by more and more, patches overlapping."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([-0.15, -0.05, 0], [0.15, 0.05, 0.1], (particles, 3))
+    rows = []
+    for _ in range(touches):
+        centre = rng.uniform([-0.13, -0.04, 0.09], [0.13, 0.04, 0.1])
+        distance = np.linalg.norm(points - centre, axis=1)
+        for depth in np.linspace(0.001, 0.02, frames):
+            rows.append(sparse.csr_matrix(np.maximum(depth - 0.6 * distance, 0.0)))
+    w = sparse.vstack(rows).tocsr()
+    truth = np.where(points[:, 0] > 0, 200.0, 5.0) * rng.lognormal(0, 0.5, particles)
+    return w, w @ truth + 0.15 * rng.standard_normal(w.shape[0])
+
+
+def test_twenty_thousand_particles_and_nine_hundred_readings():
+    w, z = presses(20_000, 75, 12, 0)
+    tracemalloc.start()
+    start = time.perf_counter()
+    result = map_estimate(w, z, noise_std=0.15, prior_mean=50.0, prior_var=1e4)
+    seconds = time.perf_counter() - start
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    print(f"20k x 900: {seconds:.2f} s, {result.iterations} steps, KKT {result.kkt_residual:.1e}, peak {peak / 1e6:.0f} MB")
+    assert result.kkt_residual <= 1e-9 and result.iterations < 50
+    # n x n alone would be 3.2 GB.
+    assert peak < 200e6
+    assert seconds < 20.0
+    # The optimality conditions, written out once more in the units of the problem.
+    gradient = w.T @ (w @ result.mean - z) / 0.15**2 + (result.mean - 50.0) / 1e4
+    free = result.mean > 0
+    size = np.abs(w.T @ z).max() / 0.15**2
+    assert np.abs(gradient[free]).max() <= 1e-9 * size and gradient[~free].min() >= -1e-9 * size
+    assert 0 < (~free).sum() and result.active == np.count_nonzero(free & (np.diff(w.tocsc().indptr) > 0))
+
+
+def test_more_readings_than_touched_particles_at_size():
+    w, _ = presses(1_500, 150, 12, 1)
+    truth = np.random.default_rng(2).lognormal(3, 1, 1_500)
+    touched = np.diff(w.tocsc().indptr) > 0
+    assert w.shape[0] > touched.sum() > 100
+    result = map_estimate(w, w @ truth, noise_std=1e-3, prior_mean=20.0, prior_var=1e6)
+    assert result.kkt_residual <= 1e-9
+    np.testing.assert_allclose(w @ result.mean, w @ truth, atol=5e-3)
+
+
+def test_a_prior_next_to_none_at_size_still_converges():
+    w, z = presses(3_000, 20, 12, 3)
+    result = map_estimate(w, z, noise_std=1e-3, prior_mean=20.0, prior_var=1e12)
+    assert result.kkt_residual <= 1e-9
+
+
+@pytest.mark.parametrize("m, n", [(6, 20), (20, 6), (12, 12)])
+def test_posterior_std_is_the_dense_inverse(m, n):
+    rng = np.random.default_rng(m)
+    w = rng.uniform(0, 0.01, (m, n)) * (rng.uniform(size=(m, n)) < 0.6)
+    w[:, -1] = 0.0
+    noise, var = rng.uniform(0.05, 0.2, m), rng.uniform(1, 1e5, n)
+    dense = np.linalg.inv(np.diag(1 / var) + (w.T / noise**2) @ w)
+    std = posterior_std(sparse.csr_matrix(w), noise_std=noise, prior_var=var)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(dense)), rtol=1e-8)
+    assert std[-1] == np.sqrt(var[-1])
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"z": np.ones(4)}, "(4,)"),
+    ({"z": np.array([1, np.nan, 1])}, "z has 1 values that are not finite"),
+    ({"w": np.full((3, 5), np.inf)}, "W has 15"),
+    ({"noise_std": 0.0}, "noise_std goes down to 0"),
+    ({"noise_std": np.ones(5)}, "noise_std has shape (5,)"),
+    ({"prior_var": -1.0}, "prior_var goes down to -1"),
+    ({"prior_var": np.ones(3)}, "prior_var has shape (3,)"),
+    ({"prior_mean": np.full(5, np.nan)}, "prior_mean has 5"),
+])
+def test_bad_input_is_refused(change, words):
+    given = {"w": np.ones((3, 5)), "z": np.ones(3), "noise_std": 1.0, "prior_mean": 1.0, "prior_var": 1.0, **change}
+    with pytest.raises(VsfError) as error:
+        map_estimate(given.pop("w"), given.pop("z"), **given)
+    assert words in str(error.value)

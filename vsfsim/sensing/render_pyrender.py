@@ -1,0 +1,118 @@
+"""The second renderer: pyrender, OpenGL rasterisation. An independent check of depth, and a look people know.
+
+It needs a GL library that works without a display, EGL or OSMesa; nothing else in vsfsim does.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+
+import numpy as np
+
+from vsfsim.data.records import View
+from vsfsim.sensing.camera import RenderError, Surface
+
+_PLATFORMS = ("egl", "osmesa")
+_MISSING = (
+    "render: renderer 'pyrender' found no OpenGL that works without a display ({tried}). Install one, e.g. "
+    "`apt-get install libegl1 libgl1` (EGL, GPU or Mesa) or `apt-get install libosmesa6` (software), or use "
+    "renderer 'warp', which needs none."
+)
+
+
+def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
+              background: tuple[int, int, int]) -> View:
+    """See `vsfsim.sensing.camera.render`, which has checked the operands.
+
+    Raises:
+        RenderError: no GL library that works off screen.
+    """
+    pyrender = load_pyrender()
+    from pyrender.constants import RenderFlags
+
+    to_camera = np.linalg.inv(camera_pose)
+    z = surface.vertices @ to_camera[2, :3] + to_camera[2, 3]
+    if z.max() <= 0.0:
+        return _empty(intrinsics, camera_pose, width, height, background)
+    # The depth buffer has 24 bits between the planes, most of them near the first: keep them close to the object.
+    near, far = max(0.98 * float(z.min()), 1e-3 * float(z.max())), 1.02 * float(z.max())
+    scene = pyrender.Scene(ambient_light=[0.35] * 3, bg_color=[*(np.asarray(background) / 255.0), 1.0])
+    # One set of corners a triangle, so that each carries the colour of its own region. GL has float32
+    # positions: count them from the camera's frame, where the depth is.
+    corners = surface.vertices @ to_camera[:3, :3].T + to_camera[:3, 3]
+    flip = np.array([1.0, -1.0, -1.0])
+    positions = (corners * flip)[surface.triangles.reshape(-1)]
+    faces = positions.reshape(-1, 3, 3)
+    normals = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    colour = np.concatenate([surface.appearance.albedo[surface.region], np.ones((len(faces), 1))], axis=1)
+    material = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.7, doubleSided=True)
+    primitive = pyrender.Primitive(positions=positions.astype(np.float32), normals=np.repeat(normals, 3, axis=0).astype(np.float32),
+                                   color_0=np.repeat(colour, 3, axis=0).astype(np.float32), material=material, mode=4)
+    node = scene.add(pyrender.Mesh([primitive]))
+    # pyrender counts pixels from the corner of the picture, we from the centre of the first pixel.
+    camera = pyrender.IntrinsicsCamera(intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] + 0.5, intrinsics[1, 2] + 0.5,
+                                       znear=near, zfar=far)
+    scene.add(camera, pose=np.eye(4))
+    light = np.eye(4)
+    # The key light of the ray caster, turned from the world into the camera's GL axes; a light shines along its -z.
+    towards = (to_camera[:3, :3] @ _unit(np.array([0.45, -0.35, 0.82]))) * flip
+    side = _unit(np.cross([0.1, 1.0, 0.2], towards))
+    light[:3, 0], light[:3, 1], light[:3, 2] = side, np.cross(towards, side), towards
+    scene.add(pyrender.DirectionalLight(intensity=3.0), pose=light)
+    try:
+        offscreen = pyrender.OffscreenRenderer(width, height)
+    except Exception as error:  # GL reports a missing driver by whatever exception its binding happens to raise
+        raise RenderError(_MISSING.format(tried=f"{os.environ.get('PYOPENGL_PLATFORM')}: {error}")) from error
+    try:
+        colour, _ = offscreen.render(scene, flags=RenderFlags.SKIP_CULL_FACES)
+        # The colour pass is smoothed over four samples a pixel, and its depth is that of one of them, off centre.
+        # The segmentation pass samples pixel centres.
+        _, depth = offscreen.render(scene, flags=RenderFlags.SKIP_CULL_FACES | RenderFlags.SEG,
+                                    seg_node_map={node: (255, 255, 255)})
+    finally:
+        offscreen.delete()
+    mask = depth > 0.0
+    rgb = np.where(mask[..., None], colour, np.asarray(background, np.uint8)).astype(np.uint8)
+    return View(rgb, depth.astype(np.float32), mask, intrinsics.copy(), camera_pose.copy())
+
+
+def load_pyrender():
+    """Import pyrender on the first platform of EGL and OSMesa whose library loads.
+
+    PyOpenGL binds to one platform when first imported, so the variable must be set before; if somebody has set it
+    (or imported OpenGL) already, that choice stands.
+
+    Raises:
+        RenderError: neither loads.
+    """
+    if "pyrender" in sys.modules:
+        return sys.modules["pyrender"]
+    chosen = os.environ.get("PYOPENGL_PLATFORM")
+    tried = []
+    for platform in [chosen] if chosen else _PLATFORMS:
+        before = set(sys.modules)
+        os.environ["PYOPENGL_PLATFORM"] = platform
+        try:
+            return importlib.import_module("pyrender")
+        except (ImportError, OSError, AttributeError) as error:
+            tried.append(f"{platform}: {error}")
+            # A half-loaded OpenGL keeps its platform; forget it before the next one.
+            for name in set(sys.modules) - before:
+                if name.split(".")[0] in ("OpenGL", "pyrender"):
+                    del sys.modules[name]
+            os.environ.pop("PYOPENGL_PLATFORM", None)
+            if chosen:
+                os.environ["PYOPENGL_PLATFORM"] = chosen
+    raise RenderError(_MISSING.format(tried="; ".join(tried)))
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return v / np.linalg.norm(v)
+
+
+def _empty(intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, background: tuple[int, int, int]) -> View:
+    rgb = np.broadcast_to(np.asarray(background, np.uint8), (height, width, 3)).copy()
+    return View(rgb, np.zeros((height, width), np.float32), np.zeros((height, width), bool), intrinsics.copy(), camera_pose.copy())

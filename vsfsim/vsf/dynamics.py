@@ -1,0 +1,251 @@
+"""Dyn of the VSF model: stick-slip motion of independent particles against a moving rigid probe.
+
+SBML appendix A (eq. 5), Neural VSF section III-B. A particle resists its displacement u = p - p0 with
+f = -K u, so that its motion does not depend on K: it is geometry alone. Between frames the probe moves in short
+substeps, and in each of them a particle
+
+- is met when its rest position enters the probe; it then sticks to the very point of the surface that met it;
+- goes on sticking while its pull lies in the friction cone, |u_t| <= mu u.n, with n the outward normal of the probe;
+- else slides over the surface along its tangential pull until the cone holds again (mu = 0: to the point of the
+  surface nearest to p0, locally);
+- lets go and jumps back to p0 as soon as its pull points out of the probe.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+from vsfsim.vsf.stick_slip import stick_slip_kernel
+
+
+class VsfError(VsfsimError):
+    """The VSF model was given something it cannot work with."""
+
+
+PRECISIONS = ("float64", "float32")
+
+# Entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
+_CHUNK = 16_000_000
+# A cone this wide is pure sticking in either precision, and mu * |u| stays finite.
+_STICKING = 1e6
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """Where a touch moves the particles of a VSF: the displaced particles of each frame, in CSR form.
+
+    pointer: entries of frame t are pointer[t] : pointer[t + 1] (T + 1,) int64.
+    particle: index of the displaced particle, rising within a frame (k,) int64.
+    displacement: u = p - p0 of that particle, world (k, 3) float64 [m].
+    """
+
+    pointer: np.ndarray
+    particle: np.ndarray
+    displacement: np.ndarray
+
+    @property
+    def frames(self) -> int:
+        """Number of frames T."""
+        return len(self.pointer) - 1
+
+    def frame(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Particles (j,) and displacements (j, 3) [m] of frame ``t``."""
+        part = slice(self.pointer[t], self.pointer[t + 1])
+        return self.particle[part], self.displacement[part]
+
+
+def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, friction: float,
+             device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> Displacements:
+    """Drag a rigid probe through a cloud of particles.
+
+    Particles start at rest. One that lies inside the probe at the first pose starts at the nearest point of the
+    probe's surface (from a sphere's very centre: along the probe's +z).
+
+    Args:
+        particles: rest positions, world (n, 3) [m].
+        probe: the rigid shape, in its own frame.
+        poses: probe-to-world transforms, rigid (T, 4, 4) [m]; the probe moves straight between them.
+        friction: Coulomb coefficient mu >= 0 [-]; `math.inf` is pure sticking (Neural VSF).
+        device: Warp device, "cpu" or "cuda:0".
+        precision: of the kernel, "float64" or "float32"; the result is float64 either way.
+        max_step: longest way a point of the probe goes in one substep [m]; it is cut further to a quarter of the
+            probe's thinnest half-width, so that no particle is jumped over. The moment of contact is found
+            exactly within a substep, sliding with 0 < mu < inf is resolved to about this length.
+
+    Returns:
+        The displaced particles of every frame (|u| > 0).
+
+    Raises:
+        VsfError: shapes that do not fit, values that are not finite, a negative friction, poses that are not rigid.
+    """
+    particles, poses = _checked(particles, probe, poses, friction, precision, max_step)
+    frames = len(poses)
+    near = np.flatnonzero(_swept(particles, probe, poses))
+    if frames == 0 or len(near) == 0:
+        return Displacements(np.zeros(frames + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+    rotation, origin, frame_of = _substeps(probe, poses, particles[near], max_step)
+    # Float32 keeps its digits when positions are counted from the touch and not from the world's origin.
+    shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
+    real = wp.float64 if precision == "float64" else wp.float32
+    dtype = np.float64 if precision == "float64" else np.float32
+    kernel, vec3, mat33 = stick_slip_kernel(real)
+    kind, size = _kernel_shape(probe)
+    with wp.ScopedDevice(device):
+        turn_array = wp.array(rotation.astype(dtype), dtype=mat33)
+        origin_array = wp.array((origin - shift).astype(dtype), dtype=vec3)
+        frame_array = wp.array(frame_of, dtype=wp.int32)
+        parts = []
+        chunk = max(1, _CHUNK // frames)
+        for start in range(0, len(near), chunk):
+            index = near[start:start + chunk]
+            rest = wp.array((particles[index] - shift).astype(dtype), dtype=vec3)
+            moved = wp.zeros((frames, len(index)), dtype=vec3)
+            wp.launch(kernel, dim=len(index), inputs=[
+                kind, vec3(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
+            ], outputs=[moved])
+            parts.append(_sparse(moved.numpy().astype(np.float64), index))
+    return _joined(parts, frames)
+
+
+def _sparse(moved: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    frame, column = np.nonzero(np.any(moved != 0.0, axis=2))
+    return frame, index[column], moved[frame, column]
+
+
+def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], frames: int) -> Displacements:
+    frame, particle, moved = (np.concatenate(column) for column in zip(*parts))
+    order = np.lexsort((particle, frame))
+    pointer = np.concatenate([[0], np.cumsum(np.bincount(frame, minlength=frames))]).astype(np.int64)
+    return Displacements(pointer, particle[order].astype(np.int64), moved[order])
+
+
+def _kernel_shape(probe: ProbeShape) -> tuple[int, tuple[float, float, float]]:
+    """Code and sizes as `stick_slip` reads them."""
+    match probe:
+        case Sphere(radius):
+            return 0, (radius, 0.0, 0.0)
+        case Capsule(radius, length):
+            return 1, (radius, 0.5 * length, 0.0)
+        case Cylinder(radius, height):
+            return 2, (radius, 0.5 * height, 0.0)
+        case Box(size):
+            # As a probe, too, a box has its centre at the origin of its frame.
+            return 3, (0.5 * size[0], 0.5 * size[1], 0.5 * size[2])
+        case Plane():
+            return 4, (0.0, 0.0, 0.0)
+    raise AssertionError(probe)
+
+
+def _reach(probe: ProbeShape) -> tuple[float, float]:
+    """Radius of the sphere around the origin that holds the probe, and its thinnest half-width [m]."""
+    match probe:
+        case Sphere(radius):
+            return radius, radius
+        case Capsule(radius, length):
+            return radius + 0.5 * length, radius
+        case Cylinder(radius, height):
+            return math.hypot(radius, 0.5 * height), min(radius, 0.5 * height)
+        case Box(size):
+            return 0.5 * math.hypot(*size), 0.5 * min(size)
+    return math.inf, math.inf
+
+
+def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.ndarray:
+    """Which particles the probe may meet on its way (n,) bool: a cheap bound, never too small."""
+    near = np.zeros(len(particles), bool)
+    if isinstance(probe, Plane):
+        for pose in poses:
+            near |= (particles - pose[:3, 3]) @ pose[:3, 2] <= 0.0
+        if not np.allclose(poses[:, :3, 2], poses[:1, :3, 2], atol=1e-12):
+            # A plane that turns may dip deeper between two poses than at either of them.
+            near[:] = True
+        return near
+    radius = _reach(probe)[0] * (1.0 + 1e-6)
+    centre = poses[:, :3, 3]
+    if len(centre) == 0:
+        return near
+    low, high = centre.min(axis=0) - radius, centre.max(axis=0) + radius
+    box = np.flatnonzero(np.all((particles >= low) & (particles <= high), axis=1))
+    points = particles[box]
+    hit = np.zeros(len(box), bool)
+    for start, stop in zip(centre, np.concatenate([centre[1:], centre[-1:]])):
+        along = stop - start
+        s = np.clip((points - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
+        hit |= np.einsum("ij,ij->i", d := points - start - s[:, None] * along, d) <= radius**2
+    near[box] = hit
+    return near
+
+
+def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
+              max_step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses between the frames: rotations (S, 3, 3), origins (S, 3), and the frame that each one ends or -1 (S,)."""
+    reach, thin = _reach(probe)
+    step = min(max_step, 0.25 * thin)
+    if math.isinf(reach):
+        # A plane has no size: what counts is how far from its origin the particles lie.
+        reach = max(float(np.linalg.norm(points - pose[:3, 3], axis=1).max()) for pose in poses)
+    rotations, origins, ends = [poses[:1, :3, :3]], [poses[:1, :3, 3]], [np.zeros(1, np.int32)]
+    for t, (before, after) in enumerate(itertools.pairwise(poses)):
+        shift = after[:3, 3] - before[:3, 3]
+        axis, angle = _axis_angle(before[:3, :3].T @ after[:3, :3])
+        count = max(1, math.ceil((float(np.linalg.norm(shift)) + angle * reach) / step - 1e-9))
+        s = np.arange(1, count + 1) / count
+        turn = before[:3, :3] @ _rotations(axis, angle * s) if angle > 0.0 else np.repeat(before[None, :3, :3], count, axis=0)
+        turn[-1] = after[:3, :3]
+        rotations.append(turn)
+        way = before[:3, 3] + s[:, None] * shift
+        way[-1] = after[:3, 3]
+        origins.append(way)
+        end = np.full(count, -1, np.int32)
+        end[-1] = t + 1
+        ends.append(end)
+    return np.concatenate(rotations), np.concatenate(origins), np.concatenate(ends)
+
+
+def _axis_angle(turn: np.ndarray) -> tuple[np.ndarray, float]:
+    """Axis (3,) and angle in [0, pi] of a rotation (3, 3)."""
+    skew = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(turn)) - 1.0)
+    angle = math.atan2(sine, cosine)
+    if angle < 1e-12:
+        return np.array([0.0, 0.0, 1.0]), 0.0
+    if sine > 1e-6:
+        return skew / sine, angle
+    # Half a turn: the axis is the eigenvector of eigenvalue 1.
+    value, vector = np.linalg.eigh(0.5 * (turn + turn.T))
+    return vector[:, np.argmax(value)], angle
+
+
+def _rotations(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Rotations (S, 3, 3) about a unit ``axis`` (3,) by ``angles`` (S,) [rad] (Rodrigues)."""
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    s, c = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    return np.eye(3) + s * cross + (1.0 - c) * (cross @ cross)
+
+
+def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, precision: str,
+             max_step: float) -> tuple[np.ndarray, np.ndarray]:
+    particles, poses = np.asarray(particles, np.float64), np.asarray(poses, np.float64)
+    if particles.ndim != 2 or particles.shape[1] != 3 or not np.isfinite(particles).all():
+        raise VsfError(f"vsf.simulate: particles have shape {particles.shape}; give finite world positions (n, 3) in metres.")
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
+        raise VsfError(f"vsf.simulate: poses have shape {poses.shape}; give finite probe-to-world transforms (T, 4, 4).")
+    turn = poses[:, :3, :3]
+    if len(poses) and (np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turn).min() < 0.0):
+        raise VsfError("vsf.simulate: a pose is not rigid; its upper left 3x3 block must be a rotation (no scale, no mirror).")
+    if not isinstance(probe, (Sphere, Capsule, Cylinder, Box, Plane)):
+        raise VsfError(f"vsf.simulate: probe is {probe!r}; it must be a Sphere, Capsule, Cylinder, Box or Plane of vsfsim.core.shape.")
+    if not float(friction) >= 0.0:
+        raise VsfError(f"vsf.simulate: friction is {friction!r}; it must be 0 or greater (math.inf sticks always).")
+    if precision not in PRECISIONS:
+        raise VsfError(f"vsf.simulate: precision is {precision!r}; allowed: {', '.join(PRECISIONS)}.")
+    if not 0.0 < max_step < math.inf:
+        raise VsfError(f"vsf.simulate: max_step is {max_step!r}; it must be a length in metres greater than 0, e.g. 1e-3.")
+    return particles, poses

@@ -1,0 +1,224 @@
+"""The kernel of `vsf.dynamics`: one thread drags one particle through all substeps of a touch.
+
+Everything happens in the probe's frame, where the surface rests and the particle's rest position y moves. With the
+signed distance phi and its outward normal n, a particle at p on the surface feels the pull y - p of its spring. It
+minimises |p - y|^2 / 2 over the surface against friction: at rest while |u_t| <= mu u.n, u = p - y.
+"""
+
+import functools
+
+import warp as wp
+
+# Compiling is told by whoever shows progress, not by Warp's own chatter.
+if wp.config.log_level == wp.LOG_INFO:
+    wp.config.log_level = wp.LOG_WARNING
+
+
+@functools.cache
+def stick_slip_kernel(real: type) -> tuple:
+    """The kernel for one precision.
+
+    Args:
+        real: `wp.float64` or `wp.float32`.
+
+    Returns:
+        The kernel, and its vector and matrix types.
+    """
+    vec3 = wp.types.vector(length=3, dtype=real)
+    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
+    # Roots are bracketed by bisection down to the last digits of the type.
+    halvings = wp.constant(48 if real is wp.float64 else 22)
+    # Relative slack of the cone: what rounding leaves of a tangential pull that should be zero.
+    slack = wp.constant(real(1e-12 if real is wp.float64 else 1e-5))
+    # Length of the step that asks "does the pull lead out of the probe?", relative to the pull.
+    probe_ahead = wp.constant(real(1e-5 if real is wp.float64 else 1e-3))
+
+    @wp.func
+    def distance(kind: int, size: vec3, p: vec3) -> real:
+        """Signed distance to the probe, negative inside."""
+        zero = real(0.0)
+        if kind == 0:
+            return wp.length(p) - size[0]
+        if kind == 1:
+            z = p[2] - wp.clamp(p[2], -size[1], size[1])
+            return wp.sqrt(p[0] * p[0] + p[1] * p[1] + z * z) - size[0]
+        if kind == 2:
+            a = wp.sqrt(p[0] * p[0] + p[1] * p[1]) - size[0]
+            b = wp.abs(p[2]) - size[1]
+            ao = wp.max(a, zero)
+            bo = wp.max(b, zero)
+            return wp.sqrt(ao * ao + bo * bo) + wp.min(wp.max(a, b), zero)
+        if kind == 3:
+            q = vec3(wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2])
+            o = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
+            return wp.length(o) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), zero)
+        return p[2]
+
+    @wp.func
+    def sign(x: real) -> real:
+        return wp.where(x < real(0.0), real(-1.0), real(1.0))
+
+    @wp.func
+    def radial(x: real, y: real) -> vec3:
+        """Unit vector away from the z axis; +x on the axis itself."""
+        r = wp.sqrt(x * x + y * y)
+        if r > real(0.0):
+            return vec3(x / r, y / r, real(0.0))
+        return vec3(real(1.0), real(0.0), real(0.0))
+
+    @wp.func
+    def normal(kind: int, size: vec3, p: vec3) -> vec3:
+        """Outward unit normal: the gradient of `distance`, with a fixed choice where there is none."""
+        zero = real(0.0)
+        up = vec3(zero, zero, real(1.0))
+        if kind == 0:
+            r = wp.length(p)
+            if r > zero:
+                return p / r
+            return up
+        if kind == 1:
+            d = vec3(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1]))
+            r = wp.length(d)
+            if r > zero:
+                return d / r
+            return vec3(real(1.0), zero, zero)
+        if kind == 2:
+            out = radial(p[0], p[1])
+            a = wp.sqrt(p[0] * p[0] + p[1] * p[1]) - size[0]
+            b = wp.abs(p[2]) - size[1]
+            if a > zero and b > zero:
+                r = wp.sqrt(a * a + b * b)
+                return out * (a / r) + up * (sign(p[2]) * b / r)
+            if a > b:
+                return out
+            return up * sign(p[2])
+        if kind == 3:
+            q = vec3(wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2])
+            o = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
+            r = wp.length(o)
+            if r > zero:
+                return vec3(sign(p[0]) * o[0] / r, sign(p[1]) * o[1] / r, sign(p[2]) * o[2] / r)
+            if q[2] >= q[0] and q[2] >= q[1]:
+                return up * sign(p[2])
+            if q[0] >= q[1]:
+                return vec3(sign(p[0]), zero, zero)
+            return vec3(zero, sign(p[1]), zero)
+        return up
+
+    @wp.func
+    def on_surface(kind: int, size: vec3, p: vec3) -> vec3:
+        """The nearest point of the surface."""
+        return p - distance(kind, size, p) * normal(kind, size, p)
+
+    @wp.func
+    def excess(kind: int, size: vec3, mu: real, y: vec3, p: vec3, t: vec3) -> real:
+        """Tangential pull along ``t`` beyond what friction holds; positive: the particle goes on sliding."""
+        n = normal(kind, size, p)
+        u = p - y
+        along = t - wp.dot(t, n) * n
+        size_along = wp.length(along)
+        if size_along > real(0.0):
+            along = along / size_along
+        return -wp.dot(u, along) - mu * wp.max(wp.dot(u, n), real(0.0))
+
+    @wp.func
+    def lets_go(kind: int, size: vec3, y: vec3, p: vec3) -> bool:
+        """True when a short way along the pull leads out of the probe (on an edge, too)."""
+        pull = y - p
+        ahead = p + probe_ahead * pull
+        return distance(kind, size, ahead) >= distance(kind, size, p)
+
+    @wp.func
+    def slid(kind: int, size: vec3, mu: real, y: vec3, start: vec3) -> vec3:
+        """Where a particle at ``start`` on the surface comes to rest, its spring tied to ``y``."""
+        p = start
+        # A plane, a sphere and a flat face need one turn, as the pull keeps its tangent direction; an edge, or a
+        # cylinder's mantle met askew, needs a few.
+        for _turn in range(12):
+            n = normal(kind, size, p)
+            u = p - y
+            un = wp.dot(u, n)
+            ut = u - un * n
+            length = wp.length(ut)
+            if un <= real(0.0) or length <= mu * un + slack * wp.length(u):
+                return p
+            t = -ut / length
+            low = real(0.0)
+            high = length
+            # The pull points into the probe, so its tangential part vanishes further along; widen until it has.
+            for _widen in range(6):
+                if excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t) > real(0.0):
+                    low = high
+                    high = high * real(2.0)
+            for _halve in range(halvings):
+                middle = real(0.5) * (low + high)
+                if excess(kind, size, mu, y, on_surface(kind, size, p + middle * t), t) > real(0.0):
+                    low = middle
+                else:
+                    high = middle
+            q = on_surface(kind, size, p + high * t)
+            if wp.length_sq(q - y) >= wp.length_sq(u):
+                return p
+            p = q
+        return p
+
+    # Loops stay loops: unrolled, the kernel takes three times as long to compile and no less to run.
+    @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1, "enable_backward": False})
+    def stick_slip(
+        # model
+        kind: int,
+        size: vec3,
+        friction: real,
+        # state in
+        rotation_in: wp.array(dtype=mat33),
+        origin_in: wp.array(dtype=vec3),
+        frame_in: wp.array(dtype=wp.int32),
+        rest_in: wp.array(dtype=vec3),
+        # state out
+        displacement_out: wp.array2d(dtype=vec3),
+    ):
+        i = wp.tid()
+        rest = rest_in[i]
+        y = wp.transpose(rotation_in[0]) * (rest - origin_in[0])
+        phi = distance(kind, size, y)
+        held = phi < real(0.0)
+        p = y
+        if held:
+            p = on_surface(kind, size, y)
+            displacement_out[0, i] = rotation_in[0] * (p - y)
+        for s in range(1, rotation_in.shape[0]):
+            y_before = y
+            phi_before = phi
+            y = wp.transpose(rotation_in[s]) * (rest - origin_in[s])
+            phi = distance(kind, size, y)
+            if not held and phi < real(0.0):
+                # The rest position came in along y_before -> y: the point of entry is where it sticks.
+                low = real(0.0)
+                high = real(1.0)
+                if phi_before > real(0.0):
+                    for _halve in range(halvings):
+                        middle = real(0.5) * (low + high)
+                        if distance(kind, size, y_before + middle * (y - y_before)) > real(0.0):
+                            low = middle
+                        else:
+                            high = middle
+                else:
+                    high = real(0.0)
+                p = on_surface(kind, size, y_before + high * (y - y_before))
+                held = True
+            if held:
+                if lets_go(kind, size, y, p):
+                    held = False
+                else:
+                    p = slid(kind, size, friction, y, p)
+                    if lets_go(kind, size, y, p):
+                        held = False
+                # Let go, but the rest position is still within (an inner edge of rounding): stay on the surface.
+                if not held and phi < real(0.0):
+                    p = on_surface(kind, size, y)
+                    held = True
+            frame = frame_in[s]
+            if frame >= 0 and held:
+                displacement_out[frame, i] = rotation_in[s] * (p - y)
+
+    return stick_slip, vec3, mat33
