@@ -27,7 +27,7 @@ class Observation:
 
 OBSERVATIONS: Mapping[str, Observation] = {
     o.name: o for o in (
-        Observation("normal-force", "N", 1, lambda force, axis: -(force @ axis)[:, None],
+        Observation("normal-force", "N", 1, lambda force, axis: (0.0 - force @ axis)[:, None],
                     "Component of the contact force on the probe against the press direction; positive when the object pushes back."),
         Observation("force-magnitude", "N", 1, lambda force, axis: np.linalg.norm(force, axis=1)[:, None],
                     "Norm of the contact force on the probe; noise makes it positive without contact."),
