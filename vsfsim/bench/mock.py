@@ -35,7 +35,7 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     points = particles()
-    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 10.0, 2.0) * rng.uniform(0.8, 1.2, len(points))
+    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0, 60.0) * rng.uniform(0.8, 1.2, len(points))
     made = tuple(_touch(points, spring, rng, miss=k == touches - 1) for k in range(touches))
     return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, camera_view(), made, _truth(points, spring))
 

@@ -1,0 +1,89 @@
+"""`gaussian` and `gaussian-zero`: the vanilla VSF with a naive Gaussian prior (SBML section 4.2 and appendix C.1).
+
+Vision gives the particles but not the prior: all particles of all objects share one mean and one variance. Both come from the
+training objects: each is fitted with all of its touches and no informed prior (as `point-vsf` does), and the spring constants of
+the touched particles of all of them are pooled. Since the mean is pulled up by the stiff ones and tends to overestimate, the
+paper has a second variant that sets the mean to zero and keeps the variance.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
+
+from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.errors import MethodError
+from vsfsim.data.records import View
+
+
+class GaussianAverage:
+    """Prior mean: the average spring constant of the training objects' touched particles.
+
+    Args:
+        spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
+        friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
+        noise_std: of a reading [N], the task's sensor noise.
+        fit_std: prior standard deviation of a spring constant in the fits of the training objects [N/m]; large, so that
+            their touches decide.
+        margin: widening of the box around the visible cloud [m].
+        table_height: z of the table the object stands on [m].
+        device: Warp device.
+    """
+
+    _zero_mean = False
+
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 0.15, fit_std: float = 1000.0,
+                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+        self.fit_std = fit_std
+        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
+        self._shelf = ObjectShelf(self._settings)
+        self._prior: tuple[float, float] | None = None
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Estimate the prior's mean [N/m] and variance [(N/m)^2].
+
+        Raises:
+            MethodError: no training object, or none of their touches reached a particle.
+        """
+        pooled = [np.zeros(0)]
+        for specimen in specimens:
+            posterior = Posterior.of(VsfObject.behind(specimen.view, self._settings), specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
+            pooled.append(posterior.stiffness[posterior.touched()])
+        values = np.concatenate(pooled)
+        if values.size == 0 or values.var() == 0.0:
+            raise MethodError(f"the Gaussian prior cannot be estimated: {len(specimens)} training objects with {values.size} touched particles. Give a train split whose touches meet the objects.")
+        self._prior = (0.0 if self._zero_mean else float(values.mean()), float(values.var()))
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Start from the prior and fit the springs to the support touches."""
+        if self._prior is None:
+            raise MethodError("the Gaussian prior was not estimated yet; call meta_fit or load first.")
+        mean, variance = self._prior
+        self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=mean, prior_var=variance)
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, 1) of touches not made yet."""
+        return self._posterior.predict(touches)
+
+    def stiffness(self, points: np.ndarray) -> Estimate:
+        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
+        return self._posterior.density(points)
+
+    def save(self, folder: Path) -> None:
+        """Keep the prior."""
+        (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]} if self._prior else None))
+
+    def load(self, folder: Path) -> None:
+        """Take up a prior that `save` kept."""
+        table = json.loads((folder / "prior.json").read_text())
+        self._prior = None if table is None else (table["mean"], table["variance"])
+
+
+class GaussianZero(GaussianAverage):
+    """Prior mean: zero; the variance is that of `GaussianAverage`."""
+
+    _zero_mean = True

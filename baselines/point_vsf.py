@@ -1,0 +1,50 @@
+"""`point-vsf`: the volumetric stiffness field without an informed prior (SBML tables 1 and 2, row "VSF all-shot").
+
+Independent springs on particles (SBML appendix A), their constants by MAP with K >= 0 (eq. 16) under a zero mean and a variance
+so large that the data alone decide. The papers give it all touches; here it also runs at every shot, where it shows what
+the touches say by themselves: before the first one it predicts 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfSettings
+
+from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.data.records import View
+
+
+class PointVsf:
+    """Learns nothing from training objects.
+
+    Args:
+        spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
+        friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
+        noise_std: of a reading [N], the task's sensor noise.
+        prior_std: of a spring constant [N/m]; "large": some hundred times what a particle of a shoe's upper has.
+        margin: widening of the box around the visible cloud [m].
+        table_height: z of the table the object stands on [m].
+        device: Warp device.
+    """
+
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 0.15, prior_std: float = 1000.0,
+                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+        self.prior_std = prior_std
+        self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Nothing to learn."""
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Fit the springs to the support touches."""
+        self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, 1) of touches not made yet."""
+        return self._posterior.predict(touches)
+
+    def stiffness(self, points: np.ndarray) -> Estimate:
+        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
+        return self._posterior.density(points)

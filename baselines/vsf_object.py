@@ -1,0 +1,167 @@
+"""One object as the baselines see it: the papers' particles behind a view, and the observation rows of its touches.
+
+Both baselines are this model with different priors. The particles, and the rows of a touch, depend on no stiffness (SBML
+eq. 5), so they are made once and kept: 4 shots x 10 seeds on one object cost one simulation a touch.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from vsfsim.bench.method import Action, Estimate, Reading
+from vsfsim.core.errors import MethodError
+from vsfsim.data.records import View
+from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.estimate import map_estimate, posterior_std
+from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
+from vsfsim.vsf.particles import particles_from_view
+
+
+@dataclass(frozen=True)
+class VsfSettings:
+    """Hyper-parameters of the particle model.
+
+    spacing: distance of the particles [m]; the papers take 5 mm for shoes, 10 mm for plants.
+    friction: Coulomb coefficient of the stick-slip motion [-].
+    noise_std: of a reading, in its unit; the weight of the data against the prior.
+    margin: by how much the box around the visible cloud is widened sideways [m].
+    table_height: z of the table, down to which the hidden volume is filled [m].
+    device: Warp device, "cpu" or "cuda:0".
+    """
+
+    spacing: float
+    friction: float
+    noise_std: float
+    margin: float
+    table_height: float
+    device: str
+
+
+@dataclass
+class VsfObject:
+    """The particles of one object.
+
+    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action, filled on demand.
+    """
+
+    particles: np.ndarray
+    settings: VsfSettings
+    rows: dict[bytes, sparse.csr_matrix] = field(default_factory=dict)
+
+    @classmethod
+    def behind(cls, view: View, settings: VsfSettings) -> VsfObject:
+        """Particles in the visible surface and the volume it hides (SBML appendix B.2)."""
+        cloud = view.points()
+        if not len(cloud):
+            raise MethodError("the view shows no object: its mask is empty.")
+        bounds = np.stack([cloud.min(axis=0) - settings.margin, cloud.max(axis=0) + settings.margin])
+        bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
+        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, max_particles=None, seed=0, device=settings.device)
+        return cls(particles, settings)
+
+    def observe(self, action: Action) -> sparse.csr_matrix:
+        """W (T, n) of a touch: readings = W K."""
+        key = _digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
+        if key not in self.rows:
+            moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction, device=self.settings.device)
+            if action.observation == "normal-force":
+                self.rows[key] = normal_force_rows(moved, len(self.particles), action.axis)
+            elif action.observation == "force-magnitude":
+                self.rows[key] = force_sum_rows(moved, len(self.particles))
+            else:
+                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force and force-magnitude.")
+        return self.rows[key]
+
+    def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """All valid rows of some touches: W (m, n) and z (m,).
+
+        Raises:
+            MethodError: a reading marked valid is not finite.
+        """
+        blocks, values = [sparse.csr_matrix((0, len(self.particles)))], [np.zeros(0)]
+        for index, reading in enumerate(readings):
+            value = reading.value[reading.valid]
+            if value.shape[1:] != (1,):
+                raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; the particle model predicts one.")
+            if not np.isfinite(value).all():
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+            blocks.append(self.observe(reading.action)[np.flatnonzero(reading.valid)])
+            values.append(value[:, 0])
+        return sparse.csr_matrix(sparse.vstack(blocks)), np.concatenate(values)
+
+
+@dataclass
+class Posterior:
+    """What is known of one object after some touches.
+
+    model: the object. stiffness: MAP of each particle's spring constant (n,) [N/m]. rows: W of the support (m, n).
+    prior_var: (n,) or one number [(N/m)^2].
+    """
+
+    model: VsfObject
+    stiffness: np.ndarray
+    rows: sparse.csr_matrix
+    prior_var: float
+
+    @classmethod
+    def of(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Posterior:
+        """MAP by the quadratic program of SBML eq. 16, K >= 0."""
+        rows, z = model.stack(support)
+        if rows.shape[0] == 0:
+            return cls(model, np.full(len(model.particles), max(prior_mean, 0.0)), rows, prior_var)
+        result = map_estimate(rows, z, noise_std=model.settings.noise_std, prior_mean=prior_mean, prior_var=prior_var)
+        return cls(model, result.mean, rows, prior_var)
+
+    def touched(self) -> np.ndarray:
+        """Particles that the support displaced (n,) bool."""
+        return np.diff(self.rows.tocsc().indptr) > 0
+
+    def predict(self, actions: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, 1) of each action."""
+        return [(self.model.observe(action) @ self.stiffness)[:, None] for action in actions]
+
+    def density(self, points: np.ndarray) -> Estimate:
+        """Stiffness density around ``points`` (k, 3) [m]: mean and std (k,) [N/m^4].
+
+        Spring constant over the volume of a particle's cell, averaged over the particles within two spacings (the nearest one if
+        there is none). The std is the mean of theirs, as if they erred together.
+        """
+        spacing = self.model.settings.spacing
+        if self.rows.shape[0]:
+            std = posterior_std(self.rows, noise_std=self.model.settings.noise_std, prior_var=self.prior_var)
+        else:
+            std = np.full(len(self.stiffness), np.sqrt(self.prior_var))
+        tree = cKDTree(self.model.particles)
+        nearest = tree.query(points)[1]
+        near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
+        groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
+        volume = spacing**3
+        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
+
+
+@dataclass
+class ObjectShelf:
+    """Objects met before, so that a new shot or seed on the same view finds its particles and rows."""
+
+    settings: VsfSettings
+    objects: dict[bytes, VsfObject] = field(default_factory=dict)
+
+    def get(self, view: View) -> VsfObject:
+        """The object behind ``view``."""
+        key = _digest(view.depth, view.mask, view.intrinsics, view.camera_pose)
+        if key not in self.objects:
+            self.objects[key] = VsfObject.behind(view, self.settings)
+        return self.objects[key]
+
+
+def _digest(*arrays: np.ndarray) -> bytes:
+    out = hashlib.blake2b()
+    for array in arrays:
+        out.update(np.ascontiguousarray(array).tobytes())
+    return out.digest()

@@ -1,0 +1,117 @@
+"""The baselines on the mock object, whose forces obey their model: they conform, they learn, and their prior is what it claims."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
+from vsfsim.baselines.point_vsf import PointVsf
+
+from vsfsim.bench.check import MOCK_TASK, check, report
+from vsfsim.bench.metrics import spearman
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import MethodError
+from vsfsim.vsf import dynamics
+
+
+@pytest.fixture(scope="module")
+def task():
+    return parse_task(MOCK_TASK, "mock")
+
+
+@pytest.fixture(scope="module")
+def train(task):
+    return [specimen(mock_view(i, split="train", touches=10), task) for i in range(2)]
+
+
+@pytest.fixture(scope="module")
+def subject(task):
+    view = mock_view(5, touches=20)
+    return view, record(view, task)
+
+
+def error(method, view, recording, support, query=range(14, 20)):
+    method.adapt(view.view, [recording.readings[i] for i in support])
+    answer = method.predict([recording.readings[i].action for i in query])
+    return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, query)])))
+
+
+@pytest.mark.parametrize("name", ["gaussian", "gaussian-zero", "point-vsf"])
+def test_the_baselines_conform_through_the_outsiders_door(name):
+    findings = check(name)
+    assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
+
+
+@pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf])
+def test_touches_teach(method, train, subject):
+    view, recording = subject
+    fitted = method()
+    fitted.meta_fit(train)
+    errors = [error(fitted, view, recording, range(k)) for k in (0, 3, 13)]
+    # Thirteen touches cover the 4 cm square that is touched; the mock is exactly of the model's kind, on a shifted grid.
+    assert errors[2] < 0.25 * errors[0], errors
+    assert errors[2] < errors[1], errors
+
+
+def test_zero_shot_of_a_zero_mean_is_zero(train, subject):
+    view, recording = subject
+    for method in (GaussianZero(), PointVsf()):
+        method.meta_fit(train)
+        method.adapt(view.view, [])
+        assert all((answer == 0.0).all() for answer in method.predict([r.action for r in recording.readings]))
+
+
+def test_the_prior_is_the_spread_of_the_training_springs(train):
+    average, zero = GaussianAverage(), GaussianZero()
+    average.meta_fit(train)
+    zero.meta_fit(train)
+    # The mock's springs lie between 60 x 0.5 x 0.8 and 300 x 2 x 1.2 N/m; the fit smears them but keeps the level.
+    mean, variance = average._prior
+    assert 24.0 < mean < 720.0
+    assert zero._prior == (0.0, variance)
+    twice = GaussianAverage()
+    twice.meta_fit([dataclasses.replace(s, touches=tuple(dataclasses.replace(r, value=2.0 * r.value) for r in s.touches)) for s in train])
+    assert twice._prior[0] == pytest.approx(2.0 * mean, rel=0.05), "forces twice as large are springs twice as stiff"
+
+
+def test_stiffness_finds_the_stiff_half(train, subject):
+    view, recording = subject
+    method = PointVsf()
+    method.adapt(view.view, list(recording.readings))
+    points, truth = view.truth.probe_points, view.truth.probe_stiffness
+    inner = np.abs(points[:, :2]).max(axis=1) < 0.02
+    estimate = method.stiffness(points[inner])
+    assert spearman(estimate.mean, truth[inner]) > 0.6
+    # A density: the spring constant over the cell of a particle, here of the order of 100 N/m over (5 mm)^3.
+    assert 1e8 < estimate.mean.max() < 1e10
+    method.adapt(view.view, [])
+    assert method.stiffness(points[inner]).std == pytest.approx(1000.0 / 0.005**3)
+    assert (estimate.std < 1000.0 / 0.005**3).all()
+
+
+def test_a_touch_is_simulated_once_however_many_shots_and_seeds(train, subject, monkeypatch):
+    view, recording = subject
+    calls = []
+    real = dynamics.simulate
+    monkeypatch.setattr("vsfsim.baselines.vsf_object.simulate", lambda *a, **k: calls.append(1) or real(*a, **k))
+    method = PointVsf()
+    for k in (0, 1, 5, 5, 10):
+        error(method, view, recording, range(k))
+    assert len(calls) == 16  # 10 of the support and 6 of the query
+
+
+def test_refusals(train, subject):
+    view, recording = subject
+    with pytest.raises(MethodError, match="meta_fit or load first"):
+        GaussianAverage().adapt(view.view, [])
+    with pytest.raises(MethodError, match="prior cannot be estimated"):
+        GaussianAverage().meta_fit([])
+    with pytest.raises(MethodError, match="shows no object"):
+        PointVsf().adapt(dataclasses.replace(view.view, mask=np.zeros_like(view.view.mask)), [])
+    action = dataclasses.replace(recording.readings[0].action, observation="smell")
+    method = PointVsf()
+    method.adapt(view.view, [])
+    with pytest.raises(MethodError, match="no observation rows for 'smell'"):
+        method.predict([action])

@@ -1,0 +1,47 @@
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.task import parse_task
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+TASK = """
+name = "toy-v1"
+description = "A toy."
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
+protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 3, query = 4, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+[[paper]]
+method = "somebody"
+source = "a paper"
+unit = "hPa"
+comparable = false
+values = { 0 = [1.0, 0.1], all = 0.5 }
+"""
+
+
+@pytest.fixture(scope="session")
+def task_text():
+    return TASK
+
+
+@pytest.fixture(scope="session")
+def task():
+    return parse_task(TASK, "toy-v1.toml")
+
+
+@pytest.fixture(scope="session")
+def toy_views():
+    return [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+
+
+@pytest.fixture(scope="session")
+def toy_dataset(tmp_path_factory, toy_views):
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in toy_views]) as writer:
+        for view in toy_views:
+            writer.add(view)
+        return writer.finish()

@@ -1,0 +1,37 @@
+"""`vsfsim check` passes what conforms and names the clause that a method breaks."""
+
+import pytest
+
+from vsfsim.bench.check import check, report
+
+
+def failed(name):
+    return [f.clause for f in check(name) if f.outcome == "failed"]
+
+
+def test_a_conforming_method_passes():
+    findings = check("toy_methods:Constant")
+    assert [f for f in findings if f.outcome == "failed"] == [], report("c", findings)
+    assert "conforms" in report("c", findings)
+
+
+def test_optional_functions_are_optional():
+    findings = {f.clause: f.outcome for f in check("toy_methods:Oracle")}
+    assert findings["save and load keep what was learned"] == "not offered"
+    assert findings["stiffness is finite and not negative"] == "not offered"
+
+
+@pytest.mark.parametrize(("name", "clause"), [
+    ("Cumulative", "adapt forgets the object before"),
+    ("Random", "is deterministic"),
+    ("SwallowsNan", "refuses a reading that is not a number"),
+    ("Flat", "predicts before any touch (0-shot)"),
+    ("Mutates", "leaves its input alone"),
+    ("Negative", "stiffness is finite and not negative"),
+    ("AnswersNan", "adapts to touches and predicts (5-shot)"),
+    ("Crashes", "adapts to touches and predicts (5-shot)"),
+])
+def test_a_broken_clause_is_named(name, clause):
+    assert clause in failed(f"toy_methods:{name}")
+    if name in ("SwallowsNan", "Negative", "Mutates"):
+        assert failed(f"toy_methods:{name}") == [clause]

@@ -1,0 +1,83 @@
+"""Metrics against numbers worked out by hand, and noise against its definition."""
+
+import numpy as np
+import pytest
+from scipy.stats import spearmanr
+
+from vsfsim.bench.metrics import reading_scores, spearman, stiffness_scores, touch_errors
+from vsfsim.bench.noise import Noise, noisy_force
+from vsfsim.bench.observation import observation
+from vsfsim.bench.reached import distance, reached
+from vsfsim.core.errors import TaskError
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+
+
+def test_reading_metrics_by_hand():
+    a = touch_errors(np.array([[1.0], [2.0], [9.0]]), np.array([[0.0], [0.0], [np.nan]]), np.array([True, True, False]))
+    b = touch_errors(np.array([[3.0]]), np.array([[0.0]]), np.array([True]))
+    assert a == {"n": 2, "sse": 5.0, "sae": 3.0}
+    scores = reading_scores([a, b])
+    assert scores["rmse"] == pytest.approx((2.5**0.5 + 3.0) / 2)
+    assert scores["rmse_pooled"] == pytest.approx((14.0 / 3.0) ** 0.5)
+    assert scores["mae"] == pytest.approx((1.5 + 3.0) / 2)
+    assert scores["mae_pooled"] == pytest.approx(2.0)
+
+
+def test_spearman_agrees_with_scipy_with_ties():
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 6, 40).astype(float), rng.normal(size=40)
+    assert spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
+    assert spearman(np.ones(5), np.arange(5.0)) == 0.0
+
+
+def test_stiffness_scores_allow_one_scale_and_punish_zero():
+    truth = np.array([1.0, 10.0, 100.0, 1000.0, 1000.0])
+    assert stiffness_scores(3.7 * truth, truth) == pytest.approx({"stiffness_spearman": 1.0, "stiffness_log10": 0.0})
+    scores = stiffness_scores(np.array([0.0, 10.0, 100.0, 1000.0, 1000.0]), truth)
+    assert scores["stiffness_log10"] == pytest.approx(1.0 / 5)  # one point of five is a decade too soft
+    assert stiffness_scores(np.zeros(5), truth) is None
+    assert stiffness_scores(np.ones(2), np.ones(2)) is None
+
+
+def test_noise_is_reproducible_tared_and_per_touch():
+    force = np.zeros((10, 3))
+    force[5:] = 2.0
+    noise = Noise(0.0, 0.5, 0.0, 3, 0)
+    np.testing.assert_allclose(noisy_force(force, noise, object_index=0, view_index=0, touch_index=0), force, atol=1e-12)
+    noise = Noise(0.15, 0.0, 0.0, 0, 0)
+    a, b, c = (noisy_force(force, noise, object_index=0, view_index=0, touch_index=k) for k in (0, 0, 1))
+    assert np.array_equal(a, b) and not np.array_equal(a, c)
+    # A touch that is in contact from the first frame cannot be tared: the offset stays.
+    pressed = np.ones((10, 3))
+    out = noisy_force(pressed, Noise(0.0, 0.5, 0.0, 3, 0), object_index=0, view_index=0, touch_index=0)
+    assert np.ptp(out, axis=0) == pytest.approx(0.0) and abs(out[0] - 1.0).max() > 0.01
+    drift = noisy_force(force, Noise(0.0, 0.0, 1.0, 0, 0), object_index=0, view_index=0, touch_index=0) - force
+    assert drift[0] == pytest.approx(0.0) and np.diff(drift, axis=0) == pytest.approx(np.tile(drift[-1] / 9, (9, 1)))
+
+
+def test_observations():
+    force, axis = np.array([[0.0, 3.0, 4.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, -1.0])
+    assert observation("normal-force", "x").of(force, axis).tolist() == [[4.0], [-1.0]]
+    assert observation("force-magnitude", "x").of(force, axis).tolist() == [[5.0], [1.0]]
+    with pytest.raises(TaskError, match="Did you mean 'normal-force'"):
+        observation("normal_force", "x")
+
+
+@pytest.mark.parametrize(("probe", "point", "want"), [
+    (Sphere(0.01), [0, 0, 0.03], 0.02),
+    (Capsule(0.01, 0.04), [0.0, 0.03, 0.02], 0.02),
+    (Capsule(0.01, 0.04), [0.0, 0.0, 0.05], 0.02),
+    (Cylinder(0.01, 0.04), [0.0, 0.04, 0.06], 0.05),
+    (Cylinder(0.01, 0.04), [0.0, 0.0, 0.019], -0.001),
+    (Box((0.02, 0.02, 0.02)), [0.04, 0.05, 0.0], 0.05),
+    (Plane(), [5.0, 5.0, 0.1], 0.1),
+])
+def test_distance_to_probes(probe, point, want):
+    assert distance(np.array([point], float), probe)[0] == pytest.approx(want)
+
+
+def test_reached_follows_the_pose():
+    pose = np.tile(np.eye(4), (2, 1, 1))
+    pose[1, :3, 3] = [0.1, 0.0, 0.0]
+    points = np.array([[0.1, 0.012, 0.0], [0.1, 0.02, 0.0], [0.05, 0.0, 0.0]])
+    assert reached(points, Sphere(0.01), pose).tolist() == [True, False, False]

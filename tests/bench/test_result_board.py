@@ -1,0 +1,97 @@
+"""Result files and the table made of them."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.evaluate import evaluate, scores_of
+from vsfsim.bench.predictions import questions, score_predictions
+from vsfsim.bench.result import QUERY_COLUMNS, Result
+from vsfsim.core.errors import MethodError, TaskError
+
+
+@pytest.fixture(scope="module")
+def results(task, toy_dataset):
+    return [evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": v}) for v in (50.0, 1.0, 5.0)]
+
+
+def test_result_round_trip_and_raw_values(results, task, tmp_path):
+    results[0].save(tmp_path / "deep" / "r.json")
+    back = Result.load(tmp_path / "deep" / "r.json")
+    assert back == results[0]
+    rows = [dict(zip(QUERY_COLUMNS, row)) for row in zip(*(back.queries[c] for c in QUERY_COLUMNS))]
+    assert scores_of(rows, back.shots, back.seeds)["rmse"] == dict(back.scores["rmse"]), "the scores follow from the raw values"
+    assert back.task_sha256 == task.sha256 and back.made_by["vsfsim"] and back.versions["numpy"] == np.__version__
+    assert back.timing["adapts"] == 2 * (1 + 3 + 3 + 1)
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda t: t.pop("format"), "not a result"),
+    (lambda t: t.update(schema_version=99), "schema version 99"),
+    (lambda t: t.pop("timing"), "missing or unknown timing"),
+    (lambda t: t["queries"]["n"].pop(), "different lengths"),
+    (lambda t: t["scores"]["rmse"]["0"].update(mean=0.0), "does not fit its 3 seeds"),
+    (lambda t: t["scores"]["rmse"]["0"].pop("std"), "malformed"),
+])
+def test_malformed_results_are_refused(results, tmp_path, change, message):
+    results[0].save(tmp_path / "r.json")
+    table = json.loads((tmp_path / "r.json").read_text())
+    change(table)
+    (tmp_path / "r.json").write_text(json.dumps(table))
+    with pytest.raises(TaskError, match=message):
+        Result.load(tmp_path / "r.json")
+
+
+def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, tmp_path):
+    for name, result in zip("abc", results):
+        dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
+    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64).save(tmp_path / "d.json")
+    dataclasses.replace(results[1], method="older", task_sha256="e" * 64).save(tmp_path / "e.json")
+    board = leaderboard.collect(task, [tmp_path])
+    mean = {n: r.scores["rmse"]["5"].mean for n, r in zip("abc", results)}
+    ranked = [row.result.method for row in board.rows if row.rank]
+    assert ranked == sorted(mean, key=mean.get) and [row.rank for row in board.rows] == [1, 2, 3, None, None]
+    text = leaderboard.text(board)
+    assert "stranger: other dataset (ffffffffffff), not ranked" in text and "older: other text of the task" in text
+    assert "1.00 ± 0.10" in text and "hPa" in text and "not comparable" in text
+    page = leaderboard.markdown(board)
+    assert page.startswith("# toy-v1") and "| 1 | " + ranked[0] + " |" in page
+
+
+def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):
+    results[0].save(tmp_path / "a.json")
+    pinned = dataclasses.replace(task, dataset=dataclasses.replace(task.dataset, sha256="0" * 64))
+    assert [row.rank for row in leaderboard.collect(pinned, [tmp_path]).rows] == [None]
+
+
+def test_results_of_another_task_are_refused(results, task, tmp_path):
+    dataclasses.replace(results[0], task="other-v1").save(tmp_path / "a.json")
+    with pytest.raises(TaskError, match="is a result of task other-v1, not of toy-v1"):
+        leaderboard.collect(task, [tmp_path])
+    with pytest.raises(TaskError, match="does not exist"):
+        leaderboard.collect(task, [tmp_path / "nothing"])
+
+
+def test_an_empty_board_says_what_to_do(task):
+    assert "vsfsim evaluate --method NAME --task toy-v1" in leaderboard.text(leaderboard.collect(task))
+
+
+def test_predictions_from_a_file_score_like_the_method_itself(results, task, toy_dataset, tmp_path):
+    answers = {}
+    for question in questions(task, toy_dataset):
+        assert len(question.support) == (8 if question.shot == "all" else int(question.shot))
+        for key, action in zip(question.keys, question.actions):
+            answers[key] = np.full((len(action.time), 1), 5.0)
+    np.savez(tmp_path / "p.npz", **answers)
+    scored = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="elsewhere")
+    assert scored.scores["rmse"] == results[2].scores["rmse"]
+    for change, message in ((lambda a: a.pop(next(iter(a))), "have no '"), (lambda a: a.update(x=np.zeros(1)), "does not ask"),
+                            (lambda a: a.update({next(iter(a)): np.full((12, 1), np.nan)}), "not finite")):
+        wrong = dict(answers)
+        change(wrong)
+        np.savez(tmp_path / "w.npz", **wrong)
+        with pytest.raises(MethodError, match=message):
+            score_predictions(tmp_path / "w.npz", task, toy_dataset, name="elsewhere")

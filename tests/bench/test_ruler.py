@@ -1,0 +1,148 @@
+"""The ruler itself: an oracle scores exactly 0, a constant what a hand computes, and the draws are what they claim."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import toy_methods
+
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.protocol import divide, record, specimen, support
+from vsfsim.core.errors import MethodError, TaskError
+
+
+@pytest.fixture
+def answers(toy_views, task):
+    toy_methods.ANSWERS.clear()
+    toy_methods.LOG.clear()
+    for view in toy_views[1:]:
+        for touch in view.touches:
+            toy_methods.ANSWERS[touch.mount_pose.tobytes()] = -(touch.force @ touch.axis)[:, None]
+    return toy_methods.ANSWERS
+
+
+def test_an_oracle_scores_exactly_zero(task, toy_dataset, answers):
+    result = evaluate("toy_methods:Oracle", task, toy_dataset)
+    for metric in ("rmse", "rmse_pooled", "mae", "mae_pooled"):
+        for label in ("0", "1", "5", "all"):
+            assert result.scores[metric][label].mean == 0.0
+            assert result.scores[metric][label].std == 0.0
+
+
+def test_a_constant_scores_what_a_hand_computes(task, toy_dataset, toy_views):
+    result = evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": 2.0})
+    rmse, mae, squares, sizes, n = [], [], 0.0, 0.0, 0
+    for view in toy_views[1:]:
+        for index in divide(view, task.protocol).query:
+            touch = view.touches[index]
+            y = [-float(np.dot(f, touch.axis)) for f in touch.force]
+            rmse.append((sum((2.0 - v) ** 2 for v in y) / len(y)) ** 0.5)
+            mae.append(sum(abs(2.0 - v) for v in y) / len(y))
+            squares += sum((2.0 - v) ** 2 for v in y)
+            sizes += sum(abs(2.0 - v) for v in y)
+            n += len(y)
+    want = {"rmse": np.mean(rmse), "mae": np.mean(mae), "rmse_pooled": (squares / n) ** 0.5, "mae_pooled": sizes / n}
+    for metric, value in want.items():
+        for label in result.shots:
+            assert result.scores[metric][label].mean == pytest.approx(value, rel=1e-12), (metric, label)
+            assert result.scores[metric][label].std == pytest.approx(0.0, abs=1e-12)
+    assert result.parameters == {"value": 2.0}
+    assert len(result.queries["n"]) == 2 * 4 * 4 * 3  # objects x query touches x shots x seeds
+
+
+def test_support_and_query_never_meet_and_the_query_never_changes(task, toy_dataset, toy_views, answers):
+    evaluate("toy_methods:Oracle", task, toy_dataset)
+    adapted, asked = toy_methods.LOG[0::2], toy_methods.LOG[1::2]
+    assert len(asked) == 2 * (1 + 3 + 3 + 1)  # objects x (0-shot once, 1 and 5 for three seeds, all once)
+    by_object = {}
+    for seen, query in zip(adapted, asked):
+        assert not set(seen) & set(query)
+        assert len(set(seen)) == len(seen), "drawn with replacement"
+        owner = next(v.name for v in toy_views for t in v.touches if t.mount_pose.tobytes() == query[0])
+        by_object.setdefault(owner, set()).add(tuple(query))
+    assert [len(queries) for queries in by_object.values()] == [1, 1]
+    assert sorted({len(seen) for seen in adapted}) == [0, 1, 5, 8]
+
+
+def test_draws_are_set_by_the_seed_and_nested(task, toy_views):
+    view, protocol = toy_views[1], task.protocol
+    draw = divide(view, protocol)
+    assert draw == divide(view, protocol)
+    assert sorted((*draw.query, *draw.pool)) == list(range(12)) and len(draw.query) == 4
+    one, five = (support(view, draw, label, 0, protocol) for label in ("1", "5"))
+    assert five[:1] == one and set(five) <= set(draw.pool)
+    assert five == support(view, draw, "5", 0, protocol)
+    assert len({support(view, draw, "5", seed, protocol) for seed in range(20)}) > 10
+    assert divide(view, dataclasses.replace(protocol, seed=1)) != draw
+    other = dataclasses.replace(view, object_index=7)
+    assert divide(other, protocol) != draw
+
+
+def test_a_method_sees_noise_the_ruler_does_not(task, toy_views):
+    recording = record(toy_views[1], task)
+    noise = np.concatenate([(r.value - c).ravel() for r, c in zip(recording.readings, recording.clean)])
+    # White noise of 0.15 N, tared with the mean of two frames: variance 0.15^2 (1 + 1/2); the offset of 0.5 N is gone.
+    assert np.std(noise) == pytest.approx(0.15 * np.sqrt(1.5), rel=0.15)
+    again = record(toy_views[1], task)
+    assert all(np.array_equal(a.value, b.value) for a, b in zip(recording.readings, again.readings))
+
+
+def test_unconverged_frames_are_masked_and_unusable_touches_left_out(task, toy_views):
+    view = toy_views[1]
+    touches = list(view.touches)
+    for index, bad in ((0, slice(4, 6)), (1, slice(None))):
+        converged, force = touches[index].converged.copy(), touches[index].force.copy()
+        converged[bad], force[bad] = False, np.nan
+        touches[index] = dataclasses.replace(touches[index], converged=converged, force=force)
+    view = dataclasses.replace(view, touches=tuple(touches))
+    recording = record(view, task)
+    assert list(np.flatnonzero(~recording.readings[0].valid)) == [4, 5]
+    assert np.isnan(recording.readings[0].value[4:6]).all() and np.isfinite(recording.readings[0].value[recording.readings[0].valid]).all()
+    draw = divide(view, task.protocol)
+    assert 1 not in draw.query and 1 not in draw.pool
+    assert len(specimen(view, task).touches) == 11
+
+
+def test_too_few_touches_are_refused(task, toy_views):
+    view = dataclasses.replace(toy_views[1], touches=toy_views[1].touches[:8])
+    with pytest.raises(TaskError, match=r"has 8 touches .* need 9"):
+        divide(view, task.protocol)
+
+
+def test_a_seeded_method_is_fitted_anew_for_every_seed(task, toy_dataset):
+    result = evaluate("toy_methods:Seeded", task, toy_dataset)
+    per_seed = result.scores["mae"]["0"].per_seed
+    assert len(set(per_seed)) == 3 and result.scores["mae"]["0"].std > 0
+
+
+def test_stiffness_is_scored_where_touched(task, toy_dataset):
+    result = evaluate("toy_methods:Constant", task, toy_dataset)
+    # Constant.stiffness rises with x, and so does the mock's truth (soft half, stiff half).
+    assert 0.5 < result.scores["stiffness_spearman"]["0"].mean < 1.0
+
+
+@pytest.mark.parametrize(("name", "message"), [
+    ("toy_methods:AnswersNan", r"prediction for touch \d+ of mock-0001-v0, 0-shot, seed 0 is not finite in frame 2"),
+    ("toy_methods:Flat", r"has shape \(12,\); it must be \(T, d\) = \(12, 1\)"),
+    ("toy_methods:Crashes", "raised KeyError in adapt to mock-0001-v0, 0-shot, seed 0"),
+    ("toy_methods:NoPredict", r"has no function predict\(\)"),
+    ("toy_methods:Negative", "non-negative mean"),
+    ("toy_methods:Nothing", "cannot be loaded"),
+    ("no_such_module:X", "cannot be loaded"),
+    ("gausian", r"unknown method 'gausian'. Did you mean 'gaussian'\?"),
+])
+def test_what_cannot_be_scored_is_refused(task, toy_dataset, name, message):
+    with pytest.raises(MethodError, match=message):
+        evaluate(name, task, toy_dataset)
+
+
+def test_unknown_parameters_are_refused(task, toy_dataset):
+    with pytest.raises(MethodError, match=r"Constant has no parameter 'valeu'. Did you mean 'value'\?"):
+        evaluate("toy_methods:Constant", task, toy_dataset, parameters={"valeu": 1})
+
+
+def test_inputs_are_read_only(task, toy_views):
+    reading = record(toy_views[1], task).readings[0]
+    for array in (reading.value, reading.valid, reading.action.poses, reading.action.time, reading.action.axis):
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0

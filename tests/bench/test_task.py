@@ -1,0 +1,67 @@
+"""Task files: what ships loads, what is wrong is refused, and a missing dataset says how to make it."""
+
+import pytest
+
+from vsfsim.bench.task import load_task, open_dataset, parse_task
+from vsfsim.core import shelf
+from vsfsim.core.errors import TaskError
+
+
+def test_every_shipped_task_loads():
+    names = list(shelf.tasks())
+    assert "fewshot-shoes-mini-v1" in names
+    for name in names:
+        task = load_task(name)
+        assert task.name == name
+        if task.observation.unit != "hPa":
+            assert not any(row.comparable for row in task.paper if row.unit == "hPa")
+        assert task.dataset.touches >= task.protocol.query + max(task.protocol.shots)
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ('name = "toy-v1"', 'name = "toy"', "ends in its version"),
+    ("query = 4", "querry = 4", r"\[protocol\]: unknown key 'querry'. Did you mean 'query'\?"),
+    ("query = 4", "query = 0", "query is 0; it must be a whole number of at least 1"),
+    ("shots = [0, 1, 5]", "shots = [5, 1]", "increasing whole numbers"),
+    ('kind = "normal-force"', 'kind = "pressure"', "observation 'pressure' is unknown"),
+    ("force_std = 0.15", "force_std = -1.0", "force_std is -1.0"),
+    ('primary = "rmse"', 'primary = "rsme"', "Did you mean 'rmse'"),
+    ("ranking_shot = 5", "ranking_shot = 7", "one of the shots: 0, 1, 5, all"),
+    ("description", "descripton", "unknown key 'descripton'"),
+    ("comparable = false", 'comparable = "no"', "comparable must be true or false"),
+    ("all = 0.5", "ten = 0.5", "values names shot 'ten'"),
+    ("name =", "name", "not valid TOML"),
+    ('scene = "mock", ', "", "'scene' is missing"),
+])
+def test_bad_task_files_are_refused(task_text, old, new, message):
+    assert old in task_text
+    with pytest.raises(TaskError, match=message):
+        parse_task(task_text.replace(old, new, 1), "toy.toml")
+
+
+def test_a_missing_dataset_names_the_command_that_makes_it(task, tmp_path):
+    with pytest.raises(TaskError, match=r"vsfsim generate mock --objects 3 --views 1 --touches 12 --seed 0 --tier vsf --out .*nowhere"):
+        open_dataset(task, tmp_path / "nowhere")
+
+
+def test_the_default_place_can_be_moved(task, tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
+    assert task.dataset.path() == tmp_path / "toy"
+    monkeypatch.delenv("VSFSIM_DATASETS")
+    assert str(task.dataset.path()) == "datasets/toy"
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("folder = \"toy\", scene = \"mock\", seed = 0", "folder = \"toy\", scene = \"mock\", seed = 1", "seed is 0, not 1"),
+    ("tier = \"vsf\"", "tier = \"fem\"", "tier is 'vsf', not 'fem'"),
+    ("tier = \"vsf\"", "tier = \"vsf\", scene_sha256 = \"00\"", "sha256 of the scene text"),
+    ("tier = \"vsf\"", "tier = \"vsf\", sha256 = \"00\"", "sha256 of the content"),
+])
+def test_another_dataset_is_refused(task_text, toy_dataset, old, new, message):
+    assert old in task_text
+    with pytest.raises(TaskError, match=message):
+        open_dataset(parse_task(task_text.replace(old, new), "toy.toml"), toy_dataset.path)
+
+
+def test_the_right_dataset_is_opened(task, toy_dataset):
+    assert open_dataset(task, toy_dataset.path).sha256 == toy_dataset.sha256

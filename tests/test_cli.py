@@ -1,0 +1,115 @@
+"""The command line as a user meets it: fast help, exit codes, one-paragraph errors."""
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
+
+
+def run(*words, cwd=None):
+    return subprocess.run([sys.executable, "-c", "from vsfsim.cli import main; main()", *words],
+                          capture_output=True, text=True, cwd=cwd)
+
+
+def test_help_imports_nothing_heavy_and_is_fast():
+    code = f"""
+import sys
+sys.argv = ["vsfsim", "--help"]
+from vsfsim.cli import main
+try:
+    main()
+finally:
+    print("HEAVY", [name for name in {HEAVY!r} if name in sys.modules], file=sys.stderr)
+"""
+    seconds = []
+    for _ in range(3):
+        start = time.perf_counter()
+        out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+        seconds.append(time.perf_counter() - start)
+    assert out.returncode == 0 and "evaluate" in out.stdout
+    assert "HEAVY []" in out.stderr
+    print(f"vsfsim --help: best {min(seconds):.3f} s of {len(seconds)} (0.3 s promised)")
+    assert min(seconds) < 1.5, "three times the promise, for a loaded machine"
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
+    (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-mini-v1"), "unknown method 'gausian'. Did you mean 'gaussian'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-mini-v1"), "unknown task 'fewshot-shoe-mini-v1'. Did you mean 'fewshot-shoes-mini-v1'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1", "--set", "spcing=1"), "no parameter 'spcing'. Did you mean 'spacing'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1"), "vsfsim generate shoes-mini --objects"),
+    (("verify", "nowhere"), "nowhere holds no dataset"),
+    (("check", "gausian"), "Did you mean 'gaussian'?"),
+    (("leaderboard", "--task", "x.toml"), "task file 'x.toml' does not exist"),
+])
+def test_a_mistake_is_one_paragraph_and_exit_code_2(words, message, tmp_path):
+    out = run(*words, cwd=tmp_path)
+    assert out.returncode == 2, out.stderr
+    assert out.stderr.startswith("error: ") and message in out.stderr
+    assert "Traceback" not in out.stderr and out.stdout == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("words", [("--debug", "verify", "nowhere"), ("verify", "nowhere", "--debug")])
+def test_debug_shows_the_traceback_before_and_after_the_command(words, tmp_path):
+    out = run(*words, cwd=tmp_path)
+    assert out.returncode == 2 and "Traceback" in out.stderr and "error: nowhere holds no dataset" in out.stderr
+
+
+def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
+    code = "import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; from vsfsim.cli import main; main()"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert out.returncode == 1 and "ZeroDivisionError" in out.stderr and "this is a bug in vsfsim" in out.stderr
+
+
+def test_lists():
+    assert "gaussian" in run("methods").stdout
+    assert "fewshot-shoes-mini-v1" in run("tasks").stdout
+    assert run("--version").stdout.startswith("vsfsim 0")
+    assert run().returncode == 2
+
+
+def test_verify_and_evaluate_through_the_command_line(tmp_path):
+
+    code = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent / "bench")!r})
+sys.argv = ["vsfsim", "evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.toml", "--dataset", "toy", "--seeds", "2", "--set", "value=2.5"]
+from vsfsim.cli import main
+main()
+"""
+    build = f"""
+import sys
+sys.path.insert(0, {str(Path(__file__).parent / "bench")!r})
+import conftest
+from pathlib import Path
+from vsfsim.bench.mock import mock_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={{"train": 1, "test": 2}},
+                device="cpu", tier="vsf", precision="float64", renderer="warp")
+with DatasetWriter("toy", recipe, [v.name for v in views]) as writer:
+    for view in views:
+        writer.add(view)
+    writer.finish()
+Path("toy-v1.toml").write_text(conftest.TASK)
+"""
+    subprocess.run([sys.executable, "-c", build], check=True, cwd=tmp_path)
+    out = run("verify", "toy", cwd=tmp_path)
+    assert out.returncode == 0 and out.stdout.rstrip().endswith("ok")
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert out.returncode == 0, out.stderr
+    assert "rmse [N]" in out.stdout and "all-shot" in out.stdout and "2 seeds instead of the task's 3" in out.stdout
+    assert (tmp_path / "results" / "toy-v1" / "toy_methods.Constant.json").is_file()
+    board = run("leaderboard", "--task", "toy-v1.toml", cwd=tmp_path)
+    assert "toy_methods:Constant" in board.stdout, board.stderr
+    broken = bytearray((tmp_path / "toy" / "mock-0001-v0.h5").read_bytes())
+    broken[5000] ^= 1
+    (tmp_path / "toy" / "mock-0001-v0.h5").write_bytes(bytes(broken))
+    out = run("verify", "toy", cwd=tmp_path)
+    assert out.returncode == 2 and "mock-0001-v0.h5: was changed" in out.stdout

@@ -1,0 +1,271 @@
+"""`vsfsim check`: does a method keep the contract of `vsfsim.bench.method.Method`? Seconds, on mock objects, no dataset."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from vsfsim.bench.method import (
+    Action,
+    Method,
+    Reading,
+    Specimen,
+    build_method,
+    checked_prediction,
+    find_method,
+    frozen,
+    frozen_view,
+    parameters_of,
+)
+from vsfsim.bench.metrics import reading_scores, touch_errors
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import MethodError, VsfsimError
+from vsfsim.data.records import ObjectView, View
+
+MOCK_TASK = """
+name = "mock-v1"
+description = "A block of independent springs; every conforming method runs on it in seconds."
+dataset = { folder = "mock", scene = "mock", seed = 0, objects = 3, views = 1, touches = 8 }
+protocol = { shots = [0, 1, 5], seeds = 1, query = 3, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.01, offset_std = 0.05, drift_std = 0.0, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+"""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One clause of the contract. outcome: "ok", "failed" or "not offered". detail: what was seen."""
+
+    clause: str
+    outcome: str
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class _Mock:
+    specimens: tuple[Specimen, ...]
+    view: View
+    readings: tuple[Reading, ...]  # of the test object
+    clean: tuple[np.ndarray, ...]
+    other: tuple[Reading, ...]  # of another test object
+
+    @property
+    def support(self) -> list[Reading]:
+        return list(self.readings[:5])
+
+    @property
+    def actions(self) -> list[Action]:
+        return [reading.action for reading in self.readings[5:]]
+
+
+def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
+    """Try every clause of the contract on mock objects.
+
+    Args:
+        name: an installed method, or module:attribute. parameters: of its constructor.
+
+    Returns:
+        One finding a clause; the method conforms if none of them failed.
+
+    Raises:
+        MethodError: the method is unknown or cannot be built at all.
+    """
+    factory = find_method(name)
+    values = parameters_of(factory, parameters or {})
+    mock = _mock()
+
+    def fitted() -> Method:
+        method = build_method(factory, values)
+        method.meta_fit(mock.specimens)
+        return method
+
+    build_method(factory, values)
+    clauses: tuple[tuple[str, Callable[[], str | None]], ...] = (
+        ("parameters are plain values", lambda: _plain(values)),
+        ("meta_fit learns from training objects", lambda: _nothing(fitted())),
+        ("predicts before any touch (0-shot)", lambda: _run(fitted(), mock, [])),
+        ("adapts to touches and predicts (5-shot)", lambda: _run(fitted(), mock, mock.support)),
+        ("predicts an empty list of touches", lambda: _empty(fitted(), mock)),
+        ("is deterministic", lambda: _deterministic(fitted, mock)),
+        ("adapt forgets the object before", lambda: _forgets(fitted, mock)),
+        ("predict can be called twice", lambda: _twice(fitted(), mock)),
+        ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), _mock())),
+        ("copes with frames that have no reading", lambda: _run(fitted(), mock, _with_gap(mock.support))),
+        ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
+        ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
+        ("stiffness is finite and not negative", lambda: _stiffness(fitted(), mock)),
+    )
+    return tuple(_try(clause, test) for clause, test in clauses)
+
+
+def report(name: str, findings: Sequence[Finding]) -> str:
+    """The findings for a terminal."""
+    width = max(len(f.clause) for f in findings)
+    lines = [f"{f.outcome:<12}{f.clause:<{width}}  {f.detail}".rstrip() for f in findings]
+    failed = sum(f.outcome == "failed" for f in findings)
+    lines.append(f"{name} conforms" if not failed else f"{name} does not conform: {failed} of {len(findings)} clauses failed")
+    return "\n".join(lines)
+
+
+class _NotOffered(Exception):
+    pass
+
+
+def _try(clause: str, test: Callable[[], str | None]) -> Finding:
+    try:
+        return Finding(clause, "ok", test() or "")
+    except _NotOffered as reason:
+        return Finding(clause, "not offered", str(reason))
+    except VsfsimError as error:
+        return Finding(clause, "failed", str(error))
+    except Exception as error:  # whatever an outsider's method raises is a finding, not our crash
+        return Finding(clause, "failed", f"{type(error).__name__}: {error}")
+
+
+def _mock() -> _Mock:
+    task = parse_task(MOCK_TASK, "mock task")
+    test, other = mock_view(2), mock_view(3, stiffness=4.0)
+    recording = record(test, task)
+    train: list[ObjectView] = [mock_view(i, split="train") for i in range(2)]
+    return _Mock(tuple(specimen(view, task) for view in train), frozen_view(test.view), recording.readings, recording.clean, record(other, task).readings)
+
+
+def _answer(method: Method, mock: _Mock, support: Sequence[Reading]) -> list[np.ndarray]:
+    method.adapt(mock.view, list(support))
+    return _predict(method, mock)
+
+
+def _predict(method: Method, mock: _Mock) -> list[np.ndarray]:
+    names = [f"mock touch {i}" for i in range(5, 5 + len(mock.actions))]
+    return checked_prediction(method.predict(mock.actions), mock.actions, names)
+
+
+def _same(a: Sequence[np.ndarray], b: Sequence[np.ndarray]) -> bool:
+    return all(np.array_equal(x, y) for x, y in zip(a, b))
+
+
+def _nothing(_: object) -> None:
+    return None
+
+
+def _plain(values: Mapping[str, Any]) -> None:
+    try:
+        json.dumps(dict(values), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, text, lists.") from error
+
+
+def _run(method: Method, mock: _Mock, support: Sequence[Reading]) -> str:
+    answer = _answer(method, mock, support)
+    rows = [touch_errors(p, y, r.valid) for p, y, r in zip(answer, mock.clean[5:], mock.readings[5:])]
+    zero = [touch_errors(np.zeros_like(y), y, r.valid) for y, r in zip(mock.clean[5:], mock.readings[5:])]
+    return f"rmse {reading_scores(rows)['rmse']:.3f} N (always answering 0: {reading_scores(zero)['rmse']:.3f} N)"
+
+
+def _empty(method: Method, mock: _Mock) -> None:
+    method.adapt(mock.view, mock.support)
+    checked_prediction(method.predict([]), [], [])
+
+
+def _deterministic(fitted: Callable[[], Method], mock: _Mock) -> None:
+    if not _same(_answer(fitted(), mock, mock.support), _answer(fitted(), mock, mock.support)):
+        raise MethodError("two fresh instances answered the same question differently. Draw random numbers from a generator with a fixed seed, or take a constructor argument `seed`.")
+
+
+def _forgets(fitted: Callable[[], Method], mock: _Mock) -> None:
+    straight = _answer(fitted(), mock, mock.support)
+    method = fitted()
+    method.adapt(mock.view, list(mock.other))
+    if not _same(_answer(method, mock, mock.support), straight):
+        raise MethodError("after adapting to another object first, the answer is another one. adapt must start from what meta_fit learned.")
+
+
+def _twice(method: Method, mock: _Mock) -> None:
+    first = _answer(method, mock, mock.support)
+    if not _same(first, _predict(method, mock)):
+        raise MethodError("the second call of predict answers differently. predict must not change the method.")
+
+
+def _leaves_alone(method: Method, mock: _Mock) -> None:
+    before = _digest(mock)
+    method.meta_fit(mock.specimens)
+    support = mock.support
+    method.adapt(mock.view, support)
+    actions = mock.actions
+    method.predict(actions)
+    if _digest(mock) != before or len(support) != len(mock.support) or len(actions) != len(mock.actions):
+        raise MethodError("the arrays or lists it was given have changed. Work on copies.")
+
+
+def _with_gap(support: Sequence[Reading]) -> list[Reading]:
+    out = []
+    for reading in support:
+        value, valid = np.array(reading.value), np.array(reading.valid)
+        value[4], valid[4] = np.nan, False
+        out.append(dataclasses.replace(reading, value=frozen(value), valid=frozen(valid)))
+    return out
+
+
+def _refuses_nan(method: Method, mock: _Mock) -> None:
+    value = np.array(mock.readings[0].value)
+    value[3] = np.nan
+    support = [dataclasses.replace(mock.readings[0], value=frozen(value)), *mock.readings[1:5]]
+    try:
+        method.adapt(mock.view, support)
+    except (VsfsimError, ValueError):
+        return
+    raise MethodError("a NaN in a frame marked valid was accepted by adapt. Raise MethodError (or ValueError) that names the touch.")
+
+
+def _save_load(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: _Mock) -> None:
+    method = fitted()
+    if not (hasattr(method, "save") and hasattr(method, "load")):
+        raise _NotOffered("no save() and load()")
+    straight = _answer(method, mock, mock.support)
+    with tempfile.TemporaryDirectory() as folder:
+        method.save(Path(folder))
+        again = fresh()
+        again.load(Path(folder))  # type: ignore[attr-defined]
+    if not _same(_answer(again, mock, mock.support), straight):
+        raise MethodError("a loaded method answers differently from the one that was saved.")
+
+
+def _stiffness(method: Method, mock: _Mock) -> None:
+    if not hasattr(method, "stiffness"):
+        raise _NotOffered("no stiffness()")
+    points = np.array([[-0.02, 0.0, 0.03], [0.0, 0.0, 0.03], [0.02, 0.01, 0.03]])
+    for support in ([], mock.support):
+        method.adapt(mock.view, support)
+        estimate = method.stiffness(points)
+        for key in ("mean", "std"):
+            values = np.asarray(getattr(estimate, key), float)
+            if values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
+                raise MethodError(f"stiffness of 3 points has {key} {values!r}; it must be 3 finite numbers >= 0.")
+
+
+def _digest(mock: _Mock) -> str:
+    out = hashlib.sha256()
+
+    def add(item: Any) -> None:
+        if dataclasses.is_dataclass(item):
+            for f in dataclasses.fields(item):
+                add(getattr(item, f.name))
+        elif isinstance(item, np.ndarray):
+            out.update(item.tobytes())
+        elif isinstance(item, (tuple, list)):
+            for part in item:
+                add(part)
+
+    add(mock)
+    return out.hexdigest()

@@ -1,0 +1,164 @@
+"""A task's table of methods, from the result files."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from vsfsim.bench.metrics import STIFFNESS_METRICS
+from vsfsim.bench.result import Result, Score
+from vsfsim.bench.task import Task
+from vsfsim.core.errors import TaskError
+from vsfsim.core.shelf import folder
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came from."""
+
+    rank: int | None
+    mark: str
+    result: Result
+    path: Path
+
+
+@dataclass(frozen=True)
+class Board:
+    """A task's rows, best first, then those that are not ranked. dataset_sha256: what the ranked ones were scored on."""
+
+    task: Task
+    dataset_sha256: str
+    rows: tuple[Row, ...]
+
+
+def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
+    """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of them).
+
+    A result on another dataset (its content's sha256 differs from the task's own, or, if the task names none, from that of
+    most results) or of another text of the task is shown, marked and not ranked: its numbers do not compare.
+
+    Raises:
+        TaskError: a file that is not a result, or one of another task.
+    """
+    files = sorted((folder("leaderboard") / task.name).glob("*.json"))
+    for path in paths:
+        if not path.exists():
+            raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
+        files += sorted(path.glob("*.json")) if path.is_dir() else [path]
+    results = [(path, Result.load(path)) for path in dict.fromkeys(files)]
+    for path, result in results:
+        if result.task != task.name:
+            raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
+    same_task = [result.dataset_sha256 for _, result in results if result.task_sha256 == task.sha256]
+    counts = Counter(same_task)
+    reference = task.dataset.sha256 or max(sorted(counts), key=counts.__getitem__, default="")
+    good, odd = [], []
+    for path, result in results:
+        mark = _mark(result, task, reference)
+        (odd if mark else good).append((path, result, mark))
+    good.sort(key=lambda item: (item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
+    rows = [Row(i, "", result, path) for i, (path, result, _) in enumerate(good, start=1)]
+    rows += [Row(None, mark, result, path) for path, result, mark in odd]
+    return Board(task, reference, tuple(rows))
+
+
+def _mark(result: Result, task: Task, reference: str) -> str:
+    if result.task_sha256 != task.sha256:
+        return "other text of the task"
+    if result.dataset_sha256 != reference:
+        return f"other dataset ({result.dataset_sha256[:12]})"
+    if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:
+        return f"no {task.primary} at {task.ranking_shot}-shot"
+    return ""
+
+
+def text(board: Board) -> str:
+    """The board for a terminal."""
+    head, rows = _cells(board)
+    lines = [_title(board), "", *_aligned([head, *rows])]
+    lines += _footnotes(board)
+    paper = _paper(board)
+    if paper:
+        lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):", *_aligned(paper)]
+    return "\n".join(lines)
+
+
+def markdown(board: Board) -> str:
+    """The board as a page."""
+    head, rows = _cells(board)
+    lines = [f"# {board.task.name}", "", board.task.description, "", _title(board), "", *_piped([head, *rows])]
+    lines += ["", *_footnotes(board)]
+    paper = _paper(board)
+    if paper:
+        lines += ["", "From the literature, as context only (not comparable: other data or another quantity, see the unit):", "", *_piped(paper)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def score_table(result: Result, metric: str) -> str:
+    """One result for a terminal: every metric by shot."""
+    head = [f"{result.method}", *(f"{label}-shot" for label in result.shots)]
+    order = [metric, *(m for m in result.scores if m != metric)]
+    rows = []
+    for name in order:
+        unit = "" if name in STIFFNESS_METRICS else f" [{result.unit}]"
+        rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
+    return "\n".join(_aligned([head, *rows]))
+
+
+def _title(board: Board) -> str:
+    task = board.task
+    return f"{task.primary} of {task.observation.name} [{task.observation.unit}], mean ± std over seeds, lower is better; ranked at {task.ranking_shot}-shot"
+
+
+def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
+    task = board.task
+    labels = task.protocol.labels
+    head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "vsfsim"]
+    rows = []
+    for row in board.rows:
+        by_shot = row.result.scores.get(task.primary, {})
+        stiffness = row.result.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
+        adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
+        commit = str(row.result.made_by.get("commit") or "")[:7]
+        rows.append([str(row.rank or "-"), row.result.method + (" *" if row.mark else ""), *(_number(by_shot.get(label)) for label in labels),
+                     _number(stiffness), f"{adapt:.2f} s", f"{row.result.made_by.get('vsfsim')} {commit}".strip()])
+    return head, rows
+
+
+def _footnotes(board: Board) -> list[str]:
+    lines = [f"* {row.result.method}: {row.mark}, not ranked" for row in board.rows if row.mark]
+    if not board.rows:
+        lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name + " --out FILE` makes one")
+    elif any("stiffness_spearman" in row.result.scores for row in board.rows):
+        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the true probe stiffness where touched")
+    return lines
+
+
+def _paper(board: Board) -> list[list[str]]:
+    labels = board.task.protocol.labels
+    rows = [[row.method, *(_pair(row.values.get(label)) for label in labels), row.unit, row.source + ("" if row.comparable else " (not comparable)")]
+            for row in board.task.paper]
+    return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
+
+
+def _number(score: Score | None) -> str:
+    return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
+
+
+def _pair(value: tuple[float, float | None] | None) -> str:
+    if value is None:
+        return ""
+    return f"{value[0]:.2f}" + ("" if value[1] is None else f" ± {value[1]:.2f}")
+
+
+def _aligned(rows: list[list[str]]) -> list[str]:
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
+    return [lines[0], "-" * len(lines[0]), *lines[1:]]
+
+
+def _piped(rows: list[list[str]]) -> list[str]:
+    lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
+    return [lines[0], "|" + "---|" * len(rows[0]), *lines[1:]]

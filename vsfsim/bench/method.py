@@ -1,0 +1,193 @@
+"""What a method is: a Protocol, the records it is given, and how it is found by name.
+
+A method never sees a truth, nor a reading it is asked to predict: an `Action` holds no readings. All arrays it is given
+are read-only.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.core.shape import ProbeShape
+from vsfsim.core.shelf import METHOD_GROUP, methods
+from vsfsim.data.records import View
+
+
+@dataclass(frozen=True)
+class Action:
+    """What the robot does in a touch: all that is known before it is made.
+
+    time: (T,) [s]. poses: probe-to-world (T, 4, 4) [m]. axis: unit press direction, world (3,). probe: its shape.
+    observation: name of what will be read, see `vsfsim.bench.observation`. size: numbers in a reading, d.
+    """
+
+    time: np.ndarray
+    poses: np.ndarray
+    axis: np.ndarray
+    probe: ProbeShape
+    observation: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A touch that was made: the action and what was read.
+
+    action: what the robot did. value: readings (T, d) in the task's unit. valid: (T,) bool; where it is False there is no
+    reading (the simulator did not converge) and the value is NaN.
+    """
+
+    action: Action
+    value: np.ndarray
+    valid: np.ndarray
+
+
+@dataclass(frozen=True)
+class Specimen:
+    """A training object: its name, the view and all of its touches."""
+
+    name: str
+    view: View
+    touches: tuple[Reading, ...]
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Stiffness at points, in the method's own unit (ranks and ratios are scored, see metrics).
+
+    mean: (k,), >= 0. std: (k,), >= 0.
+    """
+
+    mean: np.ndarray
+    std: np.ndarray
+
+
+@runtime_checkable
+class Method(Protocol):
+    """An estimator of how an object answers touch.
+
+    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` after `adapt`; ``save(folder: Path)`` and
+    ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes keyword arguments only; if one is called
+    ``seed``, the method is built and meta-fitted anew for every seed of the task.
+    """
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Learn from the training objects; called once, before anything else."""
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Meet a new object: its view and 0 or more touches. Forgets the object before it."""
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, d) of touches that were not made yet, one array a touch, every frame finite."""
+
+
+REQUIRED = ("meta_fit", "adapt", "predict")
+
+
+def find_method(name: str) -> type:
+    """The class (or factory) of a method.
+
+    Args:
+        name: an installed entry point of the group ``vsfsim.methods``, or ``module:attribute``.
+
+    Raises:
+        MethodError: there is none, or it cannot be imported.
+    """
+    if ":" in name:
+        module, _, attribute = name.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except (ImportError, AttributeError) as error:
+            raise MethodError(f"method '{name}' cannot be loaded: {error}. Give module:attribute of something importable from here.") from error
+    shelf = methods()
+    if name not in shelf:
+        raise MethodError(f"unknown method '{name}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; module:attribute works too.")
+    try:
+        return shelf[name].load()
+    except (ImportError, AttributeError) as error:
+        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: {error}. Install what it needs, or its package again.") from error
+
+
+def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:
+    """All parameters a method will be built with: what was given over the constructor's defaults.
+
+    Raises:
+        MethodError: one that the constructor does not take, or one without a value.
+    """
+    signature = inspect.signature(factory)
+    known = {p.name: p for p in signature.parameters.values() if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)}
+    label = getattr(factory, "__name__", str(factory))
+    for key in given:
+        if key not in known:
+            raise MethodError(f"{label} has no parameter '{key}'. {did_you_mean(key, known)}")
+    values = {name: given.get(name, p.default) for name, p in known.items()}
+    for name, value in values.items():
+        if value is inspect.Parameter.empty:
+            raise MethodError(f"{label} needs a value for '{name}'; give --set {name}=VALUE.")
+    return values
+
+
+def build_method(factory: type, parameters: Mapping[str, Any]) -> Method:
+    """One instance, checked to have what `Method` asks for.
+
+    Raises:
+        MethodError: the constructor refuses, or a required function is missing.
+    """
+    label = getattr(factory, "__name__", str(factory))
+    try:
+        method = factory(**parameters)
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"{label} cannot be built with {dict(parameters)}: {error}") from error
+    for name in REQUIRED:
+        if not callable(getattr(method, name, None)):
+            raise MethodError(f"{label} has no function {name}(); a method needs {', '.join(REQUIRED)}.")
+    return method
+
+
+def checked_prediction(predictions: Any, actions: Sequence[Action], where: Sequence[str]) -> list[np.ndarray]:
+    """What `predict` returned, as float64 arrays (T, d).
+
+    Args:
+        predictions: the method's answer. actions: what it was asked. where: name of each touch, for the message.
+
+    Raises:
+        MethodError: wrong number, wrong shape, or a number that is not finite; it names the touch.
+    """
+    try:
+        predictions = list(predictions)
+    except TypeError:
+        raise MethodError(f"predict returned {type(predictions).__name__}; it must return a list with one array (T, d) a touch.") from None
+    if len(predictions) != len(actions):
+        raise MethodError(f"predict returned {len(predictions)} arrays for {len(actions)} touches; it must return one a touch.")
+    out = []
+    for prediction, action, name in zip(predictions, actions, where):
+        array = np.asarray(prediction, dtype=np.float64)
+        want = (len(action.time), action.size)
+        if array.shape != want:
+            raise MethodError(f"prediction for {name} has shape {array.shape}; it must be (T, d) = {want}.")
+        if not np.isfinite(array).all():
+            frame = int(np.argwhere(~np.isfinite(array))[0, 0])
+            raise MethodError(f"prediction for {name} is not finite in frame {frame}; a method must answer with a number everywhere.")
+        out.append(array)
+    return out
+
+
+def frozen(array: np.ndarray) -> np.ndarray:
+    """A read-only copy, so that a method cannot change what the next one sees."""
+    array = np.array(array)
+    array.flags.writeable = False
+    return array
+
+
+def frozen_view(view: View) -> View:
+    """A view whose arrays are read-only."""
+    return View(frozen(view.rgb), frozen(view.depth), frozen(view.mask), frozen(view.intrinsics), frozen(view.camera_pose))
+
+

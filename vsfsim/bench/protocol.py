@@ -1,0 +1,84 @@
+"""Which touches are seen and which are asked: the draws of a task, and the readings behind them.
+
+All draws come from `SeedSequence(protocol.seed, spawn_key=...)`: the query set of an object from (0, object, view), the
+support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5 touches
+of a seed contain its 1 touch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.bench.method import Action, Reading, Specimen, frozen, frozen_view
+from vsfsim.bench.noise import noisy_force
+from vsfsim.bench.task import ALL, Protocol, Task
+from vsfsim.core.errors import TaskError
+from vsfsim.data.records import ObjectView
+
+
+@dataclass(frozen=True)
+class Recording:
+    """All touches of one object view as the task shows them, and the noise-free readings as the ruler keeps them.
+
+    name: of the object view. readings: noisy, one a touch. clean: noise-free (T, d) each.
+    """
+
+    name: str
+    readings: tuple[Reading, ...]
+    clean: tuple[np.ndarray, ...]
+
+
+def record(view: ObjectView, task: Task) -> Recording:
+    """Reduce the touches of ``view`` to readings, with the task's noise on them."""
+    readings, clean = [], []
+    for index, touch in enumerate(view.touches):
+        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, task.observation.name, task.observation.size)
+        force = np.where(touch.converged[:, None], touch.force, np.nan)
+        noisy = noisy_force(force, task.noise, object_index=view.object_index, view_index=view.view_index, touch_index=index)
+        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged)))
+        clean.append(task.observation.of(force, touch.axis))
+    return Recording(view.name, tuple(readings), tuple(clean))
+
+
+def specimen(view: ObjectView, task: Task) -> Specimen:
+    """A training object as a method sees it: all touches that have a reading."""
+    recording = record(view, task)
+    return Specimen(view.name, frozen_view(view.view), tuple(r for r in recording.readings if r.valid.any()))
+
+
+@dataclass(frozen=True)
+class Draw:
+    """The fixed division of a test object's touches.
+
+    query: indices asked at every shot and seed, ascending. pool: the others that have a reading, ascending.
+    """
+
+    query: tuple[int, ...]
+    pool: tuple[int, ...]
+
+
+def divide(view: ObjectView, protocol: Protocol) -> Draw:
+    """Choose the query touches of a test object.
+
+    Raises:
+        TaskError: too few touches with a reading for the query set and the largest support set.
+    """
+    usable = np.array([i for i, touch in enumerate(view.touches) if touch.converged.any()], dtype=int)
+    need = protocol.query + max(protocol.shots)
+    if len(usable) < need:
+        raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} query touches and "
+                        f"{max(protocol.shots)} shots need {need}. Generate more touches, or lower query or shots in a task of your own.")
+    stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))
+    order = np.random.default_rng(stream).permutation(usable)
+    return Draw(tuple(sorted(int(i) for i in order[:protocol.query])), tuple(sorted(int(i) for i in order[protocol.query:])))
+
+
+def support(view: ObjectView, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
+    """Indices of the support touches for shot ``label`` ("0", "5", "all") and ``seed``, in the order they are given."""
+    if label == ALL:
+        return draw.pool
+    stream = np.random.SeedSequence(protocol.seed, spawn_key=(1, view.object_index, view.view_index, seed))
+    order = np.random.default_rng(stream).permutation(np.array(draw.pool, dtype=int))
+    return tuple(int(i) for i in order[:int(label)])

@@ -1,0 +1,42 @@
+"""Which surface points a touch reached: distance from points to a rigid probe on its way."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+
+REACH = 0.005
+"""A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
+
+
+def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, reach: float = REACH) -> np.ndarray:
+    """True where the probe comes within ``reach`` [m] of a point in any frame: (k,) bool.
+
+    Args:
+        points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m].
+    """
+    out = np.zeros(len(points), bool)
+    for pose in poses:
+        local = (points - pose[:3, 3]) @ pose[:3, :3]
+        out |= distance(local, probe) <= reach
+    return out
+
+
+def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
+    """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
+    match probe:
+        case Sphere(radius):
+            return np.linalg.norm(local, axis=1) - radius
+        case Capsule(radius, length):
+            along = np.clip(local[:, 2], -length / 2, length / 2)
+            return np.linalg.norm(local - along[:, None] * np.array([0.0, 0.0, 1.0]), axis=1) - radius
+        case Cylinder(radius, height):
+            out = np.stack([np.linalg.norm(local[:, :2], axis=1) - radius, np.abs(local[:, 2]) - height / 2], axis=1)
+            return np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0)
+        case Box(size):
+            out = np.abs(local) - 0.5 * np.asarray(size)
+            return np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0)
+        case Plane():
+            return local[:, 2]
+    raise AssertionError(probe)

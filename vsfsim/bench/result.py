@@ -1,0 +1,158 @@
+"""A result: one JSON file that says what was scored, how, on what, and every number behind the score."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import TaskError
+from vsfsim.data.disk import write_atomic
+
+FORMAT = "vsfsim-result"
+SCHEMA_VERSION = 1
+QUERY_COLUMNS = ("object", "shot", "seed", "touch", "n", "sse", "sae")
+
+
+@dataclass(frozen=True)
+class Score:
+    """A metric at one shot. mean, std: over seeds (std with n - 1; 0 for one seed). per_seed: in the order of `Result.seeds`."""
+
+    mean: float
+    std: float
+    per_seed: tuple[float, ...]
+
+    @classmethod
+    def of(cls, per_seed: list[float]) -> Score:
+        """From the values of the seeds."""
+        n = len(per_seed)
+        mean = math.fsum(per_seed) / n
+        std = math.sqrt(math.fsum((v - mean) ** 2 for v in per_seed) / (n - 1)) if n > 1 else 0.0
+        return cls(mean, std, tuple(per_seed))
+
+
+@dataclass(frozen=True)
+class Result:
+    """One method on one task.
+
+    task, task_sha256: name, and sha256 of its file. dataset_sha256: of the dataset's content; dataset_made_by: its version
+    and commit. method: name. entry: module:attribute. parameters: of the constructor, all of them. observation, unit: what a
+    reading is. shots: labels. seeds: of the support draws. scores: by metric and shot. queries: columns, one row a query touch,
+    shot and seed: object, shot, seed, touch, number of readings n, sum of squares sse [unit^2] and of absolute errors sae [unit].
+    timing: seconds of meta_fit_s, adapt_s, predict_s, and the calls adapts, predicts. peak_memory_mib: of the process.
+    machine: cpu, cores, system. made_by: vsfsim and commit. versions: of the packages. notes: for the reader.
+    """
+
+    task: str
+    task_sha256: str
+    dataset_sha256: str
+    dataset_made_by: Mapping[str, Any]
+    method: str
+    entry: str
+    parameters: Mapping[str, Any]
+    observation: str
+    unit: str
+    shots: tuple[str, ...]
+    seeds: tuple[int, ...]
+    scores: Mapping[str, Mapping[str, Score]]
+    queries: Mapping[str, list]
+    timing: Mapping[str, float]
+    peak_memory_mib: float
+    machine: Mapping[str, Any]
+    made_by: Mapping[str, Any]
+    versions: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+    def save(self, path: str | Path) -> None:
+        """Write the JSON; the file appears whole or not at all.
+
+        Raises:
+            TaskError: it cannot be written.
+        """
+        path = Path(path)
+        table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --out.") from error
+        write_atomic(path, (json.dumps(table, indent=1, default=str, allow_nan=False) + "\n").encode(), error=TaskError)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Result:
+        """Read and check a result file.
+
+        Raises:
+            TaskError: not a result, of another schema version, or a field is missing or malformed.
+        """
+        path = Path(path)
+        try:
+            table = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise TaskError(f"result {path} cannot be read: {error}.") from error
+        if not isinstance(table, dict) or table.get("format") != FORMAT:
+            raise TaskError(f"{path} is not a result of `vsfsim evaluate`.")
+        if table.get("schema_version") != SCHEMA_VERSION:
+            raise TaskError(f"result {path} has schema version {table.get('schema_version')}; this vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
+        names = [f.name for f in dataclasses.fields(cls)]
+        given = {key: value for key, value in table.items() if key not in ("format", "schema_version")}
+        if set(given) != set(names):
+            odd = ", ".join(sorted(set(given) ^ set(names)))
+            raise TaskError(f"result {path} is malformed: missing or unknown {odd}. Evaluate the method again.")
+        try:
+            scores = {metric: {shot: Score(float(s["mean"]), float(s["std"]), tuple(float(v) for v in s["per_seed"])) for shot, s in by_shot.items()}
+                      for metric, by_shot in given["scores"].items()}
+            result = cls(**{**given, "scores": scores, "shots": tuple(given["shots"]), "seeds": tuple(int(s) for s in given["seeds"]), "notes": tuple(given["notes"])})
+            result._check(path)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise TaskError(f"result {path} is malformed: {error!r}. Evaluate the method again.") from error
+        return result
+
+    def _check(self, path: Path) -> None:
+        columns = {name: self.queries[name] for name in QUERY_COLUMNS}
+        if len({len(column) for column in columns.values()}) != 1:
+            raise TaskError(f"result {path} is malformed: the columns of queries have different lengths.")
+        for metric, by_shot in self.scores.items():
+            for shot, score in by_shot.items():
+                if shot not in self.shots or len(score.per_seed) != len(self.seeds) or not math.isclose(score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12):
+                    raise TaskError(f"result {path} is malformed: {metric} at shot {shot} does not fit its {len(self.seeds)} seeds.")
+
+
+def machine() -> dict[str, Any]:
+    """What it ran on: cpu, cores, system."""
+    name = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                name = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    return {"cpu": name, "cores": os.cpu_count(), "system": f"{platform.system()} {platform.machine()}"}
+
+
+def versions() -> dict[str, str]:
+    """Of Python and the packages that can change a number."""
+    out = {"python": platform.python_version()}
+    for package in ("numpy", "scipy", "h5py", "warp-lang", "torch"):
+        try:
+            out[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return out
+
+
+def peak_memory_mib() -> float:
+    """Largest resident size of this process so far [MiB]; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1024.0 if platform.system() == "Linux" else peak / 1024.0**2

@@ -1,0 +1,246 @@
+"""A task: what is asked of a method, as a versioned TOML file that never changes once released."""
+
+from __future__ import annotations
+
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.bench.metrics import READING_METRICS
+from vsfsim.bench.noise import Noise
+from vsfsim.bench.observation import Observation, observation
+from vsfsim.core.errors import DatasetError, TaskError, did_you_mean, unknown_key
+from vsfsim.core.shelf import find_task
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.recipe import text_sha256
+
+ALL = "all"
+"""The shot that means every touch which is not a query."""
+
+
+@dataclass(frozen=True)
+class DatasetWanted:
+    """``[dataset]``: which dataset, and how to make it.
+
+    folder: its place under ``datasets/``. scene: name of the scene. scene_sha256: of the scene's text, or "" for any.
+    seed, objects, views, touches, tier: of the recipe. sha256: of the content, or "" for any.
+    """
+
+    folder: str
+    scene: str
+    scene_sha256: str
+    seed: int
+    objects: int
+    views: int
+    touches: int
+    tier: str
+    sha256: str
+
+    def path(self) -> Path:
+        """Where it is looked for: under $VSFSIM_DATASETS, else under ./datasets."""
+        return Path(os.environ.get("VSFSIM_DATASETS", "datasets")) / self.folder
+
+    def command(self, out: Path | None = None) -> str:
+        """The command that makes it."""
+        return (f"vsfsim generate {self.scene} --objects {self.objects} --views {self.views} --touches {self.touches} "
+                f"--seed {self.seed} --tier {self.tier} --out {out or self.path()}")
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """``[protocol]``: the few-shot protocol.
+
+    train, test: names of the splits. shots: sizes of the support set. seeds: how many draws of the support set.
+    query: query touches of each test object, the same for every shot and seed. seed: root of all draws, >= 0.
+    """
+
+    train: str
+    test: str
+    shots: tuple[int, ...]
+    seeds: int
+    query: int
+    seed: int
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the shots in results: "0", "1", ..., "all"."""
+        return (*(str(k) for k in self.shots), ALL)
+
+
+@dataclass(frozen=True)
+class PaperRow:
+    """``[[paper]]``: a row of somebody's table, shown beside ours.
+
+    method: as the paper calls it. source: paper and table. unit: of its numbers. comparable: False where the data or the
+    quantity differ, so that the numbers are context only. values: (mean, std or None) by shot label.
+    """
+
+    method: str
+    source: str
+    unit: str
+    comparable: bool
+    values: Mapping[str, tuple[float, float | None]]
+
+
+@dataclass(frozen=True)
+class Task:
+    """One task.
+
+    name: with its version. description: one sentence. superseded_by: name of the task that mends this one, or "".
+    observation: what a reading is. primary: the metric that ranks. ranking_shot: at which shot ("5").
+    paper: rows of the literature. sha256: of the task file's text. The rest: see their classes.
+    """
+
+    name: str
+    description: str
+    superseded_by: str
+    dataset: DatasetWanted
+    protocol: Protocol
+    observation: Observation
+    noise: Noise
+    primary: str
+    ranking_shot: str
+    paper: tuple[PaperRow, ...]
+    sha256: str
+
+
+def load_task(given: str | Path) -> Task:
+    """The task of this name, or in this TOML file.
+
+    Raises:
+        TaskError: no such task, not TOML, an unknown or missing key, or a value out of range.
+    """
+    path = find_task(str(given))
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise TaskError(f"task file '{path}' cannot be read: {error}.") from error
+    return parse_task(text, path)
+
+
+def parse_task(text: str, path: str | Path) -> Task:
+    """Like `load_task`, from text; ``path`` names it in messages."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise TaskError(f"task file '{path}' is not valid TOML: {error}.") from error
+    top = _Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation", "noise", "metrics", "paper"))
+    name = top.text("name")
+    if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
+        raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-mini-v1.")
+    d = top.table("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier", "sha256"))
+    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""), d.count("seed", 0), d.count("objects", 1),
+                           d.count("views", 1), d.count("touches", 1), d.text("tier", "auto"), d.text("sha256", ""))
+    protocol = _protocol(top.table("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
+    o = top.table("observation", ("kind",))
+    n = top.table("noise", ("force_std", "offset_std", "drift_std", "tare_frames", "seed"))
+    noise = Noise(n.number("force_std"), n.number("offset_std", 0.0), n.number("drift_std", 0.0), n.count("tare_frames", 0), n.count("seed", 0))
+    m = top.table("metrics", ("primary", "ranking_shot"))
+    primary, ranking = m.text("primary"), str(m.need("ranking_shot"))
+    if primary not in READING_METRICS:
+        raise TaskError(f"{m.where}: primary is '{primary}'. {did_you_mean(primary, READING_METRICS)}")
+    if ranking not in protocol.labels:
+        raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: {', '.join(protocol.labels)}.")
+    rows = tree.get("paper", [])
+    if not isinstance(rows, list):
+        raise TaskError(f"{path}: paper is {rows!r}; give [[paper]] tables.")
+    paper = tuple(_paper(_Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values")), protocol) for i, row in enumerate(rows))
+    return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, protocol,
+                observation(o.text("kind"), o.where), noise, primary, ranking, paper, text_sha256(text))
+
+
+def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
+    """The task's dataset, checked against what the task wants.
+
+    Args:
+        task: the task. path: folder, or None for `DatasetWanted.path`.
+
+    Raises:
+        TaskError: it is missing (with the command that makes it), or it is another dataset.
+        DatasetError: it is damaged.
+    """
+    folder = task.dataset.path() if path is None else Path(path)
+    try:
+        dataset = Dataset.open(folder)
+    except DatasetError as error:
+        if (folder / "dataset.json").exists():
+            raise
+        raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(folder)}\n") from error
+    recipe, want = dataset.recipe, task.dataset
+    pairs = [("scene", recipe.scene, want.scene), ("seed", recipe.seed, want.seed), ("objects", recipe.objects, want.objects),
+             ("views", recipe.views, want.views), ("touches", recipe.touches, want.touches), ("tier", recipe.tier, want.tier)]
+    if want.scene_sha256:
+        pairs.append(("sha256 of the scene text", recipe.scene_sha256, want.scene_sha256))
+    if want.sha256:
+        pairs.append(("sha256 of the content", dataset.sha256, want.sha256))
+    wrong = [f"{key} is {there!r}, not {asked!r}" for key, there, asked in pairs if there != asked]
+    if wrong:
+        raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes the right one:\n\n  {task.dataset.command()}\n")
+    for split in (task.protocol.train, task.protocol.test):
+        dataset.names(split)
+    return dataset
+
+
+def _protocol(t: _Table) -> Protocol:
+    shots = t.need("shots")
+    if not isinstance(shots, list) or not shots or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots) or sorted(set(shots)) != shots:
+        raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
+    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", 1), t.count("query", 1), t.count("seed", 0))
+
+
+def _paper(t: _Table, protocol: Protocol) -> PaperRow:
+    values = t.need("values")
+    out: dict[str, tuple[float, float | None]] = {}
+    for label, value in (values.items() if isinstance(values, Mapping) else ()):
+        if label not in protocol.labels:
+            raise TaskError(f"{t.where}: values names shot '{label}'. {did_you_mean(label, protocol.labels)}")
+        numbers = value if isinstance(value, list) else [value]
+        if len(numbers) not in (1, 2) or not all(isinstance(x, (int, float)) for x in numbers):
+            raise TaskError(f"{t.where}: values.{label} is {value!r}; give a mean, or [mean, std].")
+        out[label] = (float(numbers[0]), float(numbers[1]) if len(numbers) == 2 else None)
+    comparable = t.need("comparable")
+    if not isinstance(comparable, bool) or not out:
+        raise TaskError(f"{t.where}: comparable must be true or false and values a table, e.g. {{ 0 = [8.27, 0.00], all = 4.10 }}.")
+    return PaperRow(t.text("method"), t.text("source"), t.text("unit"), comparable, out)
+
+
+class _Table:
+    """A TOML table that knows where it stands and refuses keys nobody asked for."""
+
+    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
+        if not isinstance(table, Mapping):
+            raise TaskError(f"{where} is {table!r}; it must be a table.")
+        for key in table:
+            if key not in allowed:
+                raise TaskError(unknown_key(where, key, allowed))
+        self._table, self.where = table, where
+
+    def need(self, key: str) -> Any:
+        if key not in self._table:
+            raise TaskError(f"{self.where}: '{key}' is missing.")
+        return self._table[key]
+
+    def table(self, key: str, allowed: tuple[str, ...]) -> _Table:
+        return _Table(self.need(key), f"{self.where} [{key}]", allowed)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        value = self.need(key) if default is None else self._table.get(key, default)
+        if not isinstance(value, str):
+            raise TaskError(f"{self.where}: {key} is {value!r}; it must be text.")
+        return value
+
+    def count(self, key: str, low: int) -> int:
+        value = self.need(key)
+        if isinstance(value, bool) or not isinstance(value, int) or value < low:
+            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a whole number of at least {low}.")
+        return value
+
+    def number(self, key: str, default: float | None = None) -> float:
+        value = self.need(key) if default is None else self._table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
+            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a number of at least 0.")
+        return float(value)

@@ -1,0 +1,214 @@
+"""The command line: each command is a small function that calls one function of a layer, imported when it runs.
+
+Nothing heavy is imported here: `vsfsim --help` must answer in under 0.3 s. A `VsfsimError` becomes one paragraph on stderr
+and exit code 2; anything else is a bug of ours and keeps its traceback, exit code 1.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+import traceback
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
+
+app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
+                  help="Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness estimators.")
+
+TaskName = Annotated[str, typer.Option("--task", help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
+DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: datasets/ or $VSFSIM_DATASETS.")]
+SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method; may be given again.")]
+
+
+def main() -> None:
+    """Entry point of the `vsfsim` command."""
+    # Taken out by hand, so that it works before and after the command.
+    debug = "--debug" in sys.argv[1:]
+    sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
+    commands = [name for name in (c.name or c.callback.__name__ for c in app.registered_commands)]
+    word = next((w for w in sys.argv[1:] if not w.startswith("-")), None)
+    try:
+        if word is not None and word == sys.argv[1] and word not in commands:
+            raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, commands)}")
+        app()
+    except VsfsimError as error:
+        if debug:
+            traceback.print_exc()
+        print(f"error: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:
+        sys.stderr.close()  # the reader of a pipe left; nothing is wrong
+        sys.exit(0)
+    except Exception:
+        traceback.print_exc()
+        print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.", file=sys.stderr)
+        sys.exit(1)
+
+
+@app.callback(invoke_without_command=True)
+def _global(debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+            version: Annotated[bool, typer.Option("--version", help="Show the version.")] = False) -> None:
+    if version:
+        import vsfsim
+
+        print(f"vsfsim {vsfsim.__version__}")
+        raise typer.Exit
+
+
+# ------------------------------------------------------------------------------------------------- data
+
+
+@app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
+    """Check every byte, field and frame of a dataset.
+
+    Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
+    """
+    from vsfsim.data.verify import verify as run
+
+    report = run(folder)
+    print(report.text())
+    raise typer.Exit(0 if report.ok else 2)
+
+
+# ------------------------------------------------------------------------------------------------- bench
+
+
+@app.command()
+def methods() -> None:
+    """List the installed methods."""
+    from vsfsim.core import shelf
+
+    for name, entry in sorted(shelf.methods().items()):
+        print(f"{name:<20}{entry.value}")
+
+
+@app.command()
+def tasks() -> None:
+    """List the tasks."""
+    from vsfsim.bench.task import load_task
+    from vsfsim.core import shelf
+
+    for name in shelf.tasks():
+        task = load_task(name)
+        print(f"{name:<28}{task.description}" + (f" Superseded by {task.superseded_by}." if task.superseded_by else ""))
+
+
+@app.command()
+def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim methods`), or module:attribute.")], task: TaskName,
+             dataset: DatasetFolder = None,
+             out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/METHOD.json.")] = None,
+             seeds: Annotated[int | None, typer.Option(min=1, help="Draws of the support set, instead of the task's own number.")] = None,
+             parameters: SetOption = None) -> None:
+    """Score a method on a task.
+
+    Prints a table; every number goes into a JSON file.
+    """
+    from vsfsim.bench.evaluate import evaluate as run
+    from vsfsim.bench.leaderboard import score_table
+    from vsfsim.bench.method import find_method, parameters_of
+    from vsfsim.bench.task import load_task, open_dataset
+
+    given = _parameters(parameters)
+    parameters_of(find_method(method), given)  # a typing error should not wait for the dataset
+    wanted = load_task(task)
+    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
+    path = _result_path(out, wanted.name, method)
+    result.save(path)
+    t = result.timing
+    print(score_table(result, wanted.primary))
+    print(f"\nmeta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
+          f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
+    for note in result.notes:
+        print(f"note: {note}")
+    print(f"written to {path}")
+
+
+@app.command()
+def score(predictions: Annotated[Path, typer.Argument(help="An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.")],
+          task: TaskName, name: Annotated[str, typer.Option(help="What the method is called in the result.")],
+          dataset: DatasetFolder = None, out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None) -> None:
+    """Score a file of predictions made elsewhere."""
+    from vsfsim.bench.leaderboard import score_table
+    from vsfsim.bench.predictions import score_predictions
+    from vsfsim.bench.task import load_task, open_dataset
+
+    wanted = load_task(task)
+    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
+    path = _result_path(out, wanted.name, name)
+    result.save(path)
+    print(score_table(result, wanted.primary))
+    print(f"written to {path}")
+
+
+@app.command()
+def leaderboard(results: Annotated[list[Path] | None, typer.Argument(help="More result files, or folders of them; default: results/TASK if there is one.")] = None,
+                task: Annotated[str | None, typer.Option(help="Name of a task; default: all tasks.")] = None,
+                markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False) -> None:
+    """Rank the methods of a task, from result files."""
+    from vsfsim.bench import leaderboard as board
+    from vsfsim.bench.task import load_task
+    from vsfsim.core import shelf
+
+    for index, name in enumerate([task] if task else list(shelf.tasks())):
+        wanted = load_task(name)
+        paths = list(results or [])
+        if not paths and (Path("results") / wanted.name).is_dir():
+            paths = [Path("results") / wanted.name]
+        print("\n" * (index > 0) + (board.markdown if markdown else board.text)(board.collect(wanted, paths)))
+
+
+@app.command()
+def check(method: Annotated[str, typer.Argument(help="Name of a method (`vsfsim methods`), or module:attribute.")], parameters: SetOption = None) -> None:
+    """Try a method against the contract, in seconds.
+
+    Runs on mock objects; no dataset is needed. Exit code 2 if the method does not conform.
+    """
+    from vsfsim.bench.check import check as run
+    from vsfsim.bench.check import report
+
+    findings = run(method, parameters=_parameters(parameters))
+    print(report(method, findings))
+    raise typer.Exit(2 if any(f.outcome == "failed" for f in findings) else 0)
+
+
+# ------------------------------------------------------------------------------------------------- small helpers
+
+
+def _parameters(words: list[str] | None) -> dict[str, Any]:
+    """``--set key=value`` words as values: TOML where it is TOML, else text."""
+    import tomllib
+
+    out: dict[str, Any] = {}
+    for word in words or []:
+        key, equals, text = word.partition("=")
+        if not equals or not key:
+            raise MethodError(f"--set {word}: give KEY=VALUE, e.g. --set spacing=0.005.")
+        try:
+            out[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            out[key.strip()] = text
+    return out
+
+
+def _result_path(out: Path | None, task: str, method: str) -> Path:
+    return out or Path("results") / task / f"{method.replace(':', '.')}.json"
+
+
+class _Progress:
+    """A line on stderr with the time that is left; silent where stderr is not a terminal."""
+
+    def __init__(self, label: str):
+        self.label, self.start, self.alive = label, time.perf_counter(), sys.stderr.isatty()
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        if not self.alive:
+            return
+        spent = time.perf_counter() - self.start
+        left = f", {spent / done * (total - done):.0f} s left" if done else ""
+        end = "\n" if done >= total else ""
+        print(f"\r\x1b[K{self.label}: {done}/{total} {what}{left}", end=end, file=sys.stderr, flush=True)
