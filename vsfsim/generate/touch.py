@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import Touch, View
@@ -77,26 +78,36 @@ def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarra
     return gone
 
 
-def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, rng: np.random.Generator) -> list[Aim]:
+def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callable[[int], np.random.Generator]) -> list[Aim]:
     """Draw the touches of a view: uniform on the visible cloud, along its normal.
 
     Targets that would drive the probe into the table (z < 0) are drawn again. The depth is cut where the rest state's linear
     response passes ``force_limit``, as a careful robot would stop.
+
+    Args:
+        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones.
+
+    Raises:
+        SceneError: nothing is visible, or no reachable target was found in 200 draws.
     """
     cloud = view.points()
+    if not len(cloud):
+        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, elevation and fov.")
     eye = view.camera_pose[:3, 3]
     samples = _surface_samples(model)
     out: list[Aim] = []
-    for _ in range(200):
-        wanted = spec.count - len(out)
-        if wanted <= 0:
-            break
-        target = cloud[rng.integers(len(cloud), size=wanted)]
-        normal = cloud_normals(cloud, target, eye)
-        for point, n in zip(target, normal, strict=True):
-            found = _aim_at(scene, spec, model, samples, point, n)
+    for k in range(spec.count):
+        rng = stream(k)
+        for _ in range(200):
+            target = cloud[rng.integers(len(cloud))]
+            normal = cloud_normals(cloud, target[None], eye)[0]
+            found = _aim_at(scene, spec, model, samples, target, normal)
             if found is not None:
                 out.append(found)
+                break
+        else:
+            raise SceneError(f"{scene.source} [touches]: no target of 200 can be touched without driving the probe into the table; "
+                             "use a smaller probe, approach or depth.")
     return _limit(scene, spec, model, out)
 
 

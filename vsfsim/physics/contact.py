@@ -25,8 +25,15 @@ _A, _WA = 0.445948490915965, 0.223381589678011
 _B, _WB = 0.091576213509771, 0.109951743655322
 _BARY = np.array([[1 - 2 * a if i == k else a for i in range(3)] for a in (_A, _B) for k in range(3)])
 WEIGHTS = np.array([_WA] * 3 + [_WB] * 3)
-SHAPE = np.stack([*(_BARY[:, k] * (2 * _BARY[:, k] - 1) for k in range(3)),
-                  *(4 * _BARY[:, i] * _BARY[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)  # (6 points, 6 nodes)
+
+
+def shape_values(bary: np.ndarray) -> np.ndarray:
+    """Quadratic shape functions of a triangle's six nodes (k, 6) at barycentric coordinates (k, 3)."""
+    return np.stack([*(bary[:, k] * (2 * bary[:, k] - 1) for k in range(3)),
+                     *(4 * bary[:, i] * bary[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)
+
+
+SHAPE = shape_values(_BARY)  # (6 points, 6 nodes)
 
 
 @functools.cache

@@ -1,0 +1,94 @@
+"""The three faces of the truth of an object view: E(x), probe stiffness, and the oracle VSF."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vsfsim.data.records import Touch, Truth, View
+from vsfsim.generate.touch import cloud_normals
+from vsfsim.physics.contact import shape_values
+from vsfsim.physics.model import Model
+from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.estimate import map_estimate
+from vsfsim.vsf.observe import normal_force_rows
+from vsfsim.vsf.particles import bounds_from_view, particles_from_view
+
+PROBE_RADIUS = 0.004  # of the disc that stands for the tip of a small conical probe [m]
+PROBE_VOXEL = 0.01  # SBML appendix C.4: points by voxel down-sampling to 1 cm [m]
+VSF_SPACING = 0.005  # SBML appendix B.2, shoes [m]
+_GRID = 8  # barycentric points along the edge of a triangle, to spread the disc's pressure over nodes
+
+
+def voxel_sample(cloud: np.ndarray, size: float) -> np.ndarray:
+    """One point of the cloud (n, 3) per occupied voxel of edge ``size`` [m]: the one nearest to the voxel's mean (k, 3)."""
+    cell = np.floor(cloud / size).astype(np.int64)
+    _, group = np.unique(cell, axis=0, return_inverse=True)
+    count = np.bincount(group)
+    mean = np.stack([np.bincount(group, cloud[:, c]) / count for c in range(3)], axis=1)
+    off = np.linalg.norm(cloud - mean[group], axis=1)
+    order = np.lexsort((np.arange(len(cloud)), off, group))
+    return cloud[order[np.unique(group[order], return_index=True)[1]]]
+
+
+def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Small-strain stiffness at surface points (k,) [N/m]: force over displacement of a tip of radius `PROBE_RADIUS`.
+
+    A uniform pressure on the disc around each point, along minus the normal; the displacement is the pressure-weighted mean along it.
+    The limit of SBML appendix C.4's measured force over displacement for small depth, for a tip that a mesh can carry.
+
+    Args:
+        model: the body. points, normals: on its surface (k, 3) [m], (k, 3).
+    """
+    mesh = model.mesh
+    steps = np.array([(i + 1 / 3, j + 1 / 3, _GRID - i - j - 2 / 3) for i in range(_GRID) for j in range(_GRID - i)]) / _GRID
+    values = shape_values(steps)
+    samples = np.einsum("sa,fac->fsc", values, mesh.points[mesh.faces]).reshape(-1, 3)
+    weight = np.repeat(mesh.face_area() / len(steps), len(steps))
+    face = np.repeat(np.arange(len(mesh.faces)), len(steps))
+    local = np.tile(np.arange(len(steps)), len(mesh.faces))
+    tree = cKDTree(samples)
+    right = np.zeros((len(model.free), len(points)))
+    for k, (point, normal) in enumerate(zip(points, normals, strict=True)):
+        near = np.array(tree.query_ball_point(point, PROBE_RADIUS), dtype=int)
+        if not len(near):
+            near = np.atleast_1d(tree.query(point)[1])
+        share = weight[near] / weight[near].sum()
+        nodal = np.zeros(len(mesh.points))
+        np.add.at(nodal, mesh.faces[face[near]], share[:, None] * values[local[near]])
+        right[:, k] = (nodal[:, None] * -normal).ravel() * model.free
+    moved = model.factor.solve(right)
+    softness = (right * moved).sum(axis=0)
+    # a tip on held nodes alone meets no compliance at all
+    return np.where(softness > 0.0, 1.0 / np.where(softness > 0.0, softness, 1.0), np.inf)
+
+
+def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, friction: float, device: str) -> Truth:
+    """All that the simulator knows and no method may see.
+
+    The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean, std 1e4 N/m,
+    noise 1 mN): as exhaustive as the dataset's touches are.
+    """
+    mesh = model.mesh
+    eye = view.camera_pose[:3, 3]
+    cloud = view.points()
+    points = voxel_sample(cloud, PROBE_VOXEL)
+    normals = cloud_normals(cloud, points, eye)
+    stiffness = probe_stiffness(model, points, normals)
+    keep = np.isfinite(stiffness)
+    bounds = bounds_from_view(view, margin=0.01)
+    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
+    from scipy import sparse
+
+    rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
+    for touch in touches:
+        moved = simulate(particles, probe, touch.mount_pose, friction=friction, device=device)
+        rows.append(normal_force_rows(moved, len(particles), touch.axis)[np.flatnonzero(touch.converged)])
+        values.append(touch.normal_force()[touch.converged])
+    w = sparse.csr_matrix(sparse.vstack(rows))
+    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8).mean
+    return Truth(
+        points=mesh.points[mesh.tets[:, :4]].mean(axis=1), young_modulus=model.young_modulus.mean(axis=1),
+        region=np.asarray(model.solid.region), region_names=model.solid.region_names,
+        probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
+        vsf_points=particles, vsf_stiffness=fitted, vsf_touched=np.diff(w.tocsc().indptr) > 0)
