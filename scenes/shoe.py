@@ -18,6 +18,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.solid import Solid
+from vsfsim.scenes._diagonals import improve_rank
 from vsfsim.scenes._materials import draw_appearance, draw_modulus
 from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
@@ -46,13 +47,9 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
     form, options = read_parameters(parameters, rng, where)
     vertices, hexes, hex_region, rank = _mesh(form, resolution)
-    if options.side == "left":
-        # A mirrored grid would be inside out; mirroring the bend alone keeps the cells right-handed.
-        form_bend = -form.bend
-    else:
-        form_bend = form.bend
-    vertices[:, 1] += form_bend * _curve(vertices[:, 0] / form.length)
-    tets, owner = split_hexes(hexes, rank)
+    # Left and right differ in the bend only; mirroring the grid would turn its cells inside out.
+    vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
+    tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
     young_modulus, classes = _moduli(STYLES[options.style].materials, rng)
     look = draw_appearance(classes, young_modulus, options.appearance_informative, rng)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -100,7 +97,7 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     cavity = inside & (k >= ks) & ~top
     collar = inside & top & (i < opening)
     region = np.full((ni, nj, nk), UPPER)
-    region[heel_block(i, heel) & ~top] = HEEL_COUNTER
+    region[(i < heel) & ~top] = HEEL_COUNTER
     region[i >= toe] = TOE_CAP
     region[top & (i >= opening) & (i < tongue_end) & (j >= tongue[0]) & (j < tongue[1])] = TONGUE
     region[k < ks] = SOLE
@@ -113,11 +110,6 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     used, hexes = np.unique(hexes, return_inverse=True)
     rank = _rank(ni, nj, nk, ks).reshape(-1)[used]
     return points[used], hexes.reshape(-1, 8), region[keep], rank.argsort(kind="stable").argsort(kind="stable")
-
-
-def heel_block(i: np.ndarray, heel: int) -> np.ndarray:
-    """Cells behind station ``heel``."""
-    return i < heel
 
 
 def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
