@@ -9,23 +9,27 @@ blended), scaled by the width and height of the shoe along its length.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from vsfsim.scenes._diagonals import improve_rank
+from vsfsim.scenes._materials import draw_appearance, draw_modulus
+from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.solid import Solid
-from vsfsim.scenes._materials import draw_appearance, draw_modulus
-from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
 
 # How round an edge of the grid becomes (0 square, 1 a circle): seen from above; the heel's and the toe's
 # profile; the cross-section at the collar and over the forefoot.
 _PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
+# Where regions end along the shoe and across its top, as fractions of the length and of the inner width.
+_HEEL_COUNTER_END, _TOE_CAP_START, _TONGUE_LENGTH, _TONGUE_WIDTH = 0.17, 0.80, 0.22, 0.36
 # How far walls lean in towards the collar, as a fraction of the half width.
 _LEAN = 0.10
 
@@ -46,13 +50,9 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
     form, options = read_parameters(parameters, rng, where)
     vertices, hexes, hex_region, rank = _mesh(form, resolution)
-    if options.side == "left":
-        # A mirrored grid would be inside out; mirroring the bend alone keeps the cells right-handed.
-        form_bend = -form.bend
-    else:
-        form_bend = form.bend
-    vertices[:, 1] += form_bend * _curve(vertices[:, 0] / form.length)
-    tets, owner = split_hexes(hexes, rank)
+    # Left and right differ in the bend only; mirroring the grid would turn its cells inside out.
+    vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
+    tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
     young_modulus, classes = _moduli(STYLES[options.style].materials, rng)
     look = draw_appearance(classes, young_modulus, options.appearance_informative, rng)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -79,20 +79,21 @@ def _moduli(materials: Mapping[str, tuple[str, ...]], rng: np.random.Generator) 
 
 def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), rank of each vertex for cutting (n,)."""
-    ni = max(8, round((form.length - 2 * form.wall) / h)) + 2
     nj = 2 * max(2, round((form.width - 2 * form.wall) / h / 2)) + 2
     height = (2 * form.toe_height + form.collar_height + form.throat_height) / 4 - form.sole_fore
     ks = 2 if 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
     nk = max(2, round((height - form.wall) / h)) + 1 + ks
-    along = np.concatenate([[0.0], np.linspace(form.wall, form.length - form.wall, ni - 1), [form.length]])
-
-    def station(fraction: float) -> int:
-        return int(np.abs(along - fraction * form.length).argmin())
-
-    opening, toe, heel = station(form.opening), station(0.80), station(0.17)
-    strap = max(1, round(0.17 * (nj - 2)))  # half the tongue's width in cells
+    # Stations fall on the borders of the regions, so that a finer mesh is of the same shoe.
+    borders = form.length * np.array([_HEEL_COUNTER_END, form.opening, form.opening + _TONGUE_LENGTH, _TOE_CAP_START])
+    marks = [form.wall, *borders, form.length - form.wall]
+    counts = [max(1, round((stop - start) / h)) for start, stop in itertools.pairwise(marks)]
+    along = np.concatenate([[0.0, form.wall], *(np.linspace(start, stop, n + 1)[1:] for start, stop, n in
+                                                zip(marks[:-1], marks[1:], counts)), [form.length]])
+    ni = len(along) - 1
+    heel, opening, tongue_end, toe = (1 + n for n in np.cumsum(counts)[:4])
+    strap = max(1, round(_TONGUE_WIDTH * (nj - 2) / 2))  # half the tongue's width in cells
     tongue = (nj // 2 - strap, nj // 2 + strap)
-    tongue_end = min(max(station(form.opening + 0.22), opening + 2), toe - 1)
+    cross = np.interp(np.arange(nj + 1), (1, *tongue, nj - 1), (-1.0, -_TONGUE_WIDTH, _TONGUE_WIDTH, 1.0))
 
     i, j, k = np.indices((ni, nj, nk))
     inside = (i > 0) & (i < ni - 1) & (j > 0) & (j < nj - 1)
@@ -100,7 +101,7 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     cavity = inside & (k >= ks) & ~top
     collar = inside & top & (i < opening)
     region = np.full((ni, nj, nk), UPPER)
-    region[heel_block(i, heel) & ~top] = HEEL_COUNTER
+    region[(i < heel) & ~top] = HEEL_COUNTER
     region[i >= toe] = TOE_CAP
     region[top & (i >= opening) & (i < tongue_end) & (j >= tongue[0]) & (j < tongue[1])] = TONGUE
     region[k < ks] = SOLE
@@ -109,15 +110,10 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     index = np.arange((ni + 1) * (nj + 1) * (nk + 1)).reshape(ni + 1, nj + 1, nk + 1)
     steps = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
     hexes = np.stack([index[a:a + ni, b:b + nj, c:c + nk][keep] for a, b, c in steps], axis=1)
-    points = _bend(form, along, nj, nk, ks).reshape(-1, 3)
+    points = _bend(form, along, cross, nk, ks).reshape(-1, 3)
     used, hexes = np.unique(hexes, return_inverse=True)
     rank = _rank(ni, nj, nk, ks).reshape(-1)[used]
     return points[used], hexes.reshape(-1, 8), region[keep], rank.argsort(kind="stable").argsort(kind="stable")
-
-
-def heel_block(i: np.ndarray, heel: int) -> np.ndarray:
-    """Cells behind station ``heel``."""
-    return i < heel
 
 
 def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
@@ -133,14 +129,14 @@ def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
 # ---------------------------------------------------------------------------------------------- the form
 
 
-def _bend(form: ShoeForm, along: np.ndarray, nj: int, nk: int, ks: int) -> np.ndarray:
+def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int) -> np.ndarray:
     """Positions (ni+1, nj+1, nk+1, 3) [m] of the grid's vertices; x from the heel, before the sideways bend."""
-    ni = len(along) - 1
+    ni, nj = len(along) - 1, len(cross) - 1
     profile = _Profile(form)
     i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
     u = along[i]
     edge = 1.4 * form.wall  # on a rounded corner a step along the grid is that much longer than the wall is thick
-    side = np.clip((2.0 * (j - 1) / (nj - 2) - 1.0), -1.0, 1.0)
+    side = cross[j]
     half = 0.5 * form.width
     v_out = np.where((j == 0) | (j == nj), np.sign(j - nj / 2), side * (1.0 - edge / half))
     rise = np.clip((k - ks) / (nk - 1 - ks), 0.0, 1.0)

@@ -7,17 +7,17 @@ import math
 import numpy as np
 import pytest
 import trimesh
+from vsfsim.scenes import shoe
+from vsfsim.scenes._materials import CLASSES, draw_appearance
+from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
 from vsfsim.physics.manifold import body_of_each_tet, pinched_vertices
 from vsfsim.physics.quality import worst_angle
-from vsfsim.scenes import shoe
-from vsfsim.scenes._materials import CLASSES, draw_appearance
-from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
-
-WORST, USUAL = 2.0, 6.0
+# Degrees. 200 draws over the full range of every parameter gave 5.7 at least, the styles' own forms 10.6.
+WORST, USUAL = 5.0, 9.0
 
 
 def make(seed: int = 0, *, resolution: float = 0.016, **parameters: object) -> Solid:
@@ -87,6 +87,14 @@ def test_regions_lie_where_they_should() -> None:
     assert (solid.vertices[:, 2] < 1e-6).sum() >= 30
 
 
+def test_a_finer_mesh_is_of_the_same_shoe() -> None:
+    coarse, fine = (make(4, style="runner", resolution=h) for h in (0.016, 0.008))
+    for number, name in enumerate(REGIONS):
+        volumes = [tet_volumes(s.vertices, s.tets[s.region == number]).sum() for s in (coarse, fine)]
+        # Chords of curved walls; borders of regions do not move.
+        assert volumes[0] == pytest.approx(volumes[1], rel=0.12), name
+
+
 def test_same_seed_same_shoe_and_other_seed_another() -> None:
     one, two, other = make(5, style="boot"), make(5, style="boot"), make(6, style="boot")
     for a, b in ((one.vertices, two.vertices), (one.tets, two.tets), (one.young_modulus, two.young_modulus),
@@ -132,7 +140,7 @@ def test_refusals() -> None:
         make(length=26)
     with pytest.raises(SceneError, match=r"style is 'boots'. Did you mean 'boot'"):
         make(style="boots")
-    with pytest.raises(SceneError, match="cells of 0.004 to 0.03 m"):
+    with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
         make(resolution=0.1)
     with pytest.raises(SceneError, match="style"):
         make(style=["boot"])

@@ -125,7 +125,7 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
     if inside_out:
         notes.append(f"{inside_out} of {len(mesh.faces)} faces were inside out; turned them round.")
     if not mesh.is_watertight:
-        edges, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
+        _, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
         notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with more than two "
                      "faces; closed by the filler.")
     return mesh, notes
