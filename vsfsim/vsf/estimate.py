@@ -22,6 +22,10 @@ from vsfsim.vsf.dynamics import VsfError
 _DUAL_LIMIT = 1e11
 _MAX_STEPS = 200
 _MAX_PIVOTS = 2000
+# Newton steps in a row without progress: what is left is rounding.
+_PATIENCE = 12
+# A KKT residual that needs no second algorithm.
+_GOOD = 1e-9
 # Columns of A that are dense at one time in `posterior_std`.
 _BLOCK = 1024
 
@@ -72,11 +76,14 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
         # More readings than unknowns: |b - A x| = |Q^T b - R x| + const, with R only touched x touched.
         q, r = linalg.qr(a.toarray(), mode="economic")
         a, b = sparse.csr_matrix(r), q.T @ b
-    strength = _largest_eigenvalue(a)
-    solve = _dual if strength < _DUAL_LIMIT else _primal
-    x, steps = solve(a, b, x0, scale[touched], tolerance)
-    out[touched] = scale[touched] * x
+    # Where the readings outweigh the prior too far, the dual is given them at less weight, as a start for the primal.
+    weight = min(1.0, float(np.sqrt(_DUAL_LIMIT / max(_largest_eigenvalue(a), 1e-300))))
+    x, steps = _dual(a * weight, b * weight, x0, scale[touched], tolerance)
     residual = _kkt(a, b, x0, x, scale[touched])
+    if weight < 1.0 or residual > _GOOD:
+        x, more = _primal(a, b, x0, x, scale[touched], tolerance)
+        steps, residual = steps + more, _kkt(a, b, x0, x, scale[touched])
+    out[touched] = scale[touched] * x
     return MapResult(out, steps, residual, int(np.count_nonzero(x > 0.0)))
 
 
@@ -116,13 +123,15 @@ def _dual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray
     at = sparse.csr_matrix(a.T)
     y = np.zeros(len(b))
     x = np.maximum(x0, 0.0)
-    best, best_residual = x, np.inf
+    best, best_residual, patience = x, np.inf, _PATIENCE
     for step in range(_MAX_STEPS):
         residual = _kkt(a, b, x0, x, scale)
         if residual < best_residual:
-            best, best_residual = x, residual
-        if residual <= tolerance:
-            return x, step
+            best, best_residual, patience = x, residual, _PATIENCE
+        else:
+            patience -= 1
+        if residual <= tolerance or patience == 0:
+            return best, step
         inside = x0 + at @ y > 0.0
         gradient = y + a @ np.where(inside, x0 + at @ y, 0.0) - b
         part = a[:, inside]
@@ -162,22 +171,20 @@ def _line_search(p: np.ndarray, q: np.ndarray, y: np.ndarray, d: np.ndarray, b: 
     return float(np.clip(-constants[root] / max(linears[root], 1e-300), start, ends[root]))
 
 
-def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
+def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, scale: np.ndarray,
+            tolerance: float) -> tuple[np.ndarray, int]:
     """Active set on the primal (Lawson and Hanson 1974, with the prior's rows), each solve by orthogonal factorisation.
 
     Slower than the dual, one particle a step, but it never forms A A^T and every step lowers the cost: for a prior
-    next to none. It starts from the dual's solution with the readings' weight cut down to what that can hold.
+    next to none. It starts from the feasible ``x``.
     """
     columns = a.tocsc()
     own = 1.0 + np.asarray(a.multiply(a).sum(axis=0)).ravel()
-    weight = np.sqrt(0.1 * _DUAL_LIMIT / _largest_eigenvalue(a))
-    x, steps = _dual(a * weight, b * weight, x0, scale, 1e-6)
     free = x > 0.0
-    best, best_residual = x, np.inf
+    best, best_residual = x, _kkt(a, b, x0, x, scale)
     blocked: set[int] = set()
     entered = -1
-    for _pivot in range(_MAX_PIVOTS):
-        steps += 1
+    for step in range(1, _MAX_PIVOTS + 1):
         goal = np.zeros_like(x)
         goal[free] = _least_squares(columns[:, free].toarray(), b, x0[free])
         leaving = np.flatnonzero(free & (goal <= 0.0))
@@ -206,7 +213,7 @@ def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarr
         if pull[entered] <= 0.0:
             break
         free[entered] = True
-    return best, steps
+    return best, step
 
 
 def _least_squares(a: np.ndarray, b: np.ndarray, x0: np.ndarray) -> np.ndarray:
