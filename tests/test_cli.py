@@ -73,6 +73,17 @@ def test_lists():
     assert run().returncode == 2
 
 
+def test_a_method_in_the_current_folder_is_found(tmp_path):
+    (tmp_path / "mine.py").write_text("from toy_methods import Constant as Mine\n")
+    (tmp_path / "toy_methods.py").write_text((Path(__file__).parent / "bench" / "toy_methods.py").read_text())
+    # -P: like the console script, Python itself does not look into the current folder.
+    out = subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "check", "mine:Mine"], capture_output=True, text=True, cwd=tmp_path)
+    assert out.returncode == 0 and "mine:Mine conforms" in out.stdout, out.stderr
+    (tmp_path / "broken.py").write_text("1 / 0")
+    out = run("check", "broken:X", cwd=tmp_path)
+    assert out.returncode == 2 and "ZeroDivisionError" in out.stderr and "Traceback" not in out.stderr
+
+
 def test_verify_and_evaluate_through_the_command_line(tmp_path):
 
     code = f"""

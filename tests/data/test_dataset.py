@@ -153,6 +153,32 @@ def test_one_writer_at_a_time(tmp_path):
     DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
 
 
+def test_a_worker_that_outlives_its_killed_parent_does_not_keep_the_lock(tmp_path):
+    code = f"""
+import os, sys, time
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_dataset import NAMES, RECIPE, DatasetWriter
+writer = DatasetWriter({str(tmp_path / "d")!r}, RECIPE, NAMES)
+child = os.fork()
+if child == 0:
+    time.sleep(20)
+    os._exit(0)
+print(child, flush=True)
+time.sleep(20)
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    child = int(parent.stdout.readline())
+    try:
+        with pytest.raises(DatasetError, match=f"being written by process {parent.pid}"):
+            DatasetWriter(tmp_path / "d", RECIPE, NAMES)
+        parent.kill()
+        parent.wait()
+        DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
+        os.kill(child, 0)  # it is still there
+    finally:
+        os.kill(child, signal.SIGKILL)
+
+
 def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     writer = DatasetWriter(tmp_path / "d", RECIPE, NAMES)
     monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device")))
@@ -279,4 +305,4 @@ def test_summary_tells_the_main_figures(tmp_path):
     assert "3 in 3 views: 2 train, 1 test" in text
     assert "12, 3 met nothing" in text
     top = max(t.normal_force().max() for v in VIEWS for t in v.touches)
-    assert f"0 to {top:.3g} N" in text.replace("-0 to", "0 to")
+    assert f"0 to {top:.3g} N" in text

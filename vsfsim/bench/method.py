@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -102,17 +104,19 @@ def find_method(name: str) -> type:
     """
     if ":" in name:
         module, _, attribute = name.partition(":")
+        if os.getcwd() not in sys.path:
+            sys.path.insert(0, os.getcwd())  # a method under work lies here, and the console script does not look here
         try:
             return getattr(importlib.import_module(module), attribute)
-        except (ImportError, AttributeError) as error:
-            raise MethodError(f"method '{name}' cannot be loaded: {error}. Give module:attribute of something importable from here.") from error
+        except Exception as error:  # an outsider's module may raise anything while it is imported
+            raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give module:attribute of something importable from here.") from error
     shelf = methods()
     if name not in shelf:
         raise MethodError(f"unknown method '{name}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; module:attribute works too.")
     try:
         return shelf[name].load()
-    except (ImportError, AttributeError) as error:
-        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: {error}. Install what it needs, or its package again.") from error
+    except Exception as error:
+        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: {type(error).__name__}: {error}. Install what it needs, or its package again.") from error
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -153,7 +153,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if table.get("schema_version") != SCHEMA_VERSION:
         raise DatasetError(f"{path} has schema version {table.get('schema_version')}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it again.")
     if manifest_bytes(table) != content:
-        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or delete it and run the same `vsfsim generate` again.")
+        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or delete the folder and run the same `vsfsim generate` again.")
     for key in ("made_by", "recipe", "files"):
         if key not in table and not (path.name == PART_MANIFEST and key == "files"):
             raise DatasetError(f"{path} has no '{key}'; it is damaged.")

@@ -54,4 +54,4 @@ def summary(path: str | Path) -> str:
 
 
 def _span(values: np.ndarray) -> str:
-    return f"{values.min():.3g} to {values.max():.3g}" if values.size else "none"
+    return f"{values.min() + 0.0:.3g} to {values.max():.3g}" if values.size else "none"
