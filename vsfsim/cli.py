@@ -59,6 +59,103 @@ def _global(debug: Annotated[bool, typer.Option("--debug", help="Show the traceb
         raise typer.Exit
 
 
+# ------------------------------------------------------------------------------------------------- simulate
+
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
+Tier = Annotated[str | None, typer.Option("--tier", help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
+Device = Annotated[str, typer.Option("--device", help="cpu or cuda:0.")]
+Precision = Annotated[str, typer.Option("--precision", help="float64 or float32.")]
+
+
+@app.command()
+def scenes() -> None:
+    """List the shipped scenes."""
+    from vsfsim.core import shelf
+    from vsfsim.core.scene import load_scene
+
+    for name, path in shelf.scenes().items():
+        scene = load_scene(path)
+        kind = "dataset" if "touches" in scene.tree else "press"
+        print(f"{name:<22}{kind:<9}{scene.tree.get('description', '')}")
+    print(f"families: {', '.join(shelf.families())}")
+
+
+@app.command()
+def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
+          seed: Annotated[int, typer.Option(min=0, help="Fixes every distribution of the scene.")] = 0,
+          json: Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write one JSON object; - for standard output.")] = None,
+          plot: Annotated[Path | None, typer.Option(help="Write a plot of force against depth (PNG).")] = None) -> None:
+    """Press a probe into an object: force against depth.
+
+    Prints a table, or JSON. Exit code 3 if a frame did not converge.
+    """
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
+    from vsfsim.generate import press as presses
+
+    _check_device(device, precision)
+    loaded = load_scene(find_scene(scene))
+    result = presses.press(loaded.sample(seed), tier=tier, device=device, precision=precision, seed=seed,
+                           progress=_Progress("press"))
+    if plot is not None:
+        from vsfsim.generate.press_plot import plot as draw
+
+        draw(result, loaded.name, plot)
+    if json is not None:
+        import json as encoder
+
+        text = encoder.dumps(result.table())
+        if json == "-":
+            print(text)
+        else:
+            from vsfsim.data.disk import write_atomic
+
+            write_atomic(Path(json), (text + "\n").encode())
+    else:
+        print(presses.text(result))
+    if not result.converged.all():
+        raise typer.Exit(3)
+
+
+@app.command()
+def generate(scene: SceneName,
+             out: Annotated[Path | None, typer.Option(help="Folder of the dataset; default: datasets/SCENE.")] = None,
+             objects: Annotated[int | None, typer.Option(min=1, help="How many objects; default: the scene's.")] = None,
+             views: Annotated[int | None, typer.Option(min=1, help="Views of each object.")] = None,
+             touches: Annotated[int | None, typer.Option(min=1, help="Touches of each view.")] = None,
+             seed: Annotated[int, typer.Option(min=0, help="Root of all random streams.")] = 0,
+             tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
+             renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
+             workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None) -> None:
+    """Make a dataset from a scene; a re-run goes on where it stopped."""
+    from vsfsim.core.scene import load_scene
+    from vsfsim.core.shelf import find_scene
+    from vsfsim.generate.run import generate as run
+
+    _check_device(device, precision)
+    loaded = load_scene(find_scene(scene))
+    folder = out or Path("datasets") / loaded.name
+    began = time.perf_counter()
+    dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device, precision=precision,
+                  renderer=renderer, workers=workers, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
+    bad = sum(entry.unconverged for entry in dataset.entries)
+    print(f"{folder}: {len(dataset)} object views, {sum(e.touches for e in dataset.entries)} touches, {sum(e.frames for e in dataset.entries)} frames "
+          f"({bad} not converged, marked), {time.perf_counter() - began:.0f} s")
+
+
+@app.command()
+def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="Folder of a dataset, or a scene.")],
+            out: Annotated[Path | None, typer.Option(help="PNG to write; default: NAME.png here.")] = None,
+            seed: Annotated[int, typer.Option(min=0, help="Fixes every distribution of a scene.")] = 0,
+            device: Device = "cpu") -> None:
+    """Look at a dataset (summary and contact sheet) or at a scene's object (turntable)."""
+    from vsfsim.generate import inspect as look
+
+    for line in look.inspect(what, out, seed=seed, device=device):
+        print(line)
+
+
 # ------------------------------------------------------------------------------------------------- data
 
 
@@ -193,6 +290,17 @@ def _parameters(words: list[str] | None) -> dict[str, Any]:
         except tomllib.TOMLDecodeError:
             out[key.strip()] = text
     return out
+
+
+def _check_device(device: str, precision: str) -> None:
+    if precision not in ("float32", "float64"):
+        raise VsfsimError(f"--precision is '{precision}'. {did_you_mean(precision, ('float32', 'float64'))}")
+    if device != "cpu":
+        import warp
+
+        names = [str(d.alias) for d in warp.get_devices()]
+        if device not in names:
+            raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
 
 
 def _result_path(out: Path | None, task: str, method: str) -> Path:

@@ -13,6 +13,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
 from vsfsim.physics import tiers
+from vsfsim.physics.device import compile_kernels, solver_kernels
 from vsfsim.physics.model import Model
 from vsfsim.physics.solver import Frames, Solver
 from vsfsim.robot.press import press_path
@@ -73,12 +74,12 @@ def first_contact(model: Model, poses: np.ndarray, probe: Any) -> float:
 
 
 def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precision: str = "float64",
-          seed: int = 0, cache: Path | None = None, progress: Callable[[int, int], None] | None = None) -> PressResult:
+          seed: int = 0, cache: Path | None = None, progress: Callable[[int, int, str], None] | None = None) -> PressResult:
     """Run the ``[press]`` of a scene.
 
     Args:
         scene: concrete. tier: overrides the scene's. device: Warp device. precision: "float32" or "float64".
-        seed: of what a family draws. cache: folder of filled meshes. progress: called with (frames done, frames).
+        seed: of what a family draws. cache: folder of filled meshes. progress: called with (done, in all, what).
 
     Raises:
         SceneError: the scene has no ``[press]``, or cannot be built.
@@ -93,12 +94,13 @@ def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precisi
     axis = (stop - start) / np.linalg.norm(stop - start)
     model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=tip(scene, stop, axis)[None], device=device)
     built = time.perf_counter() - began
+    compile_kernels(solver_kernels(precision), device, progress=progress)
     first = poses[0].copy()
     first[:3, 3] = start
     gap = first_contact(model, np.stack([first, poses[scene.press.frames - 1]]), scene.probe)
     solver = Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(chosen),
                     linear=not tiers.TIERS[chosen].nonlinear)
-    frames = solver.run(poses[:, None], progress=None if progress is None else lambda done: progress(done, len(poses)))
+    frames = solver.run(poses[:, None], progress=None if progress is None else lambda done: progress(done, len(poses), "frames"))
     depth = np.maximum((poses[:, :3, 3] - start) @ axis - gap, 0.0)
     return PressResult(
         depth=depth, force=frames.force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
@@ -119,3 +121,18 @@ def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
 def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:
     """The audit columns of one touch."""
     return {name: getattr(frames, name)[:, column] for name in ("force_balance", "min_det_f", "energy", "penetration")}
+
+
+def text(result: PressResult) -> str:
+    """The result as a table for people."""
+    rows = ["  depth mm    force N      fx       fy       fz   balance  min det F  iterations     s"]
+    for t in range(len(result.depth)):
+        f = result.force[t]
+        mark = "" if result.converged[t] else f"  NOT CONVERGED (residual {result.residual[t]:.1e})"
+        rows.append(f"{1e3 * result.depth[t]:10.3f} {np.linalg.norm(f):10.4f} {f[0]:8.4f} {f[1]:8.4f} {f[2]:8.4f}  {result.audit['force_balance'][t]:8.1e}"
+                    f" {result.audit['min_det_f'][t]:10.3f} {result.iterations[t]:11d} {result.seconds[t]:5.2f}{mark}")
+    good = int(result.converged.sum())
+    rows.append(f"{good} of {len(result.depth)} frames converged; tier {result.tier}, {result.tets} quadratic tetrahedra, {result.nodes} nodes, element size "
+                f"{1e3 * result.element_size:.1f} mm, {result.precision} on {result.device}; built in {result.build_seconds:.1f} s")
+    rows.extend(f"note: {sentence}" for sentence in result.notes)
+    return "\n".join(rows)

@@ -16,11 +16,13 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile, parse_scene
+from vsfsim.core.solid import Solid
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.hdf5 import write_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.writer import DatasetWriter
+from vsfsim.physics.device import compile_kernels, solver_kernels
 
 BATCH = 9  # touches that advance together; part of what fixes the bits
 _SCENE, _BODY, _AIM = range(3)  # random streams: SeedSequence(seed, spawn_key=(stream, object, view, touch))
@@ -116,7 +118,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
-    view = render(surface_of(model, scene), intrinsics, pose, camera.width, camera.height, device=device, renderer=r.renderer)
+    view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device, renderer=r.renderer)
     aims = aim(scene, spec, model, view, lambda k: np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k)))
     batch = -(-len(aims) // -(-len(aims) // BATCH))  # as even as can be
     touches = touch_all(scene, spec, model, aims, options=tiers.options(r.tier), linear=not tiers.TIERS[r.tier].nonlinear,
@@ -125,13 +127,12 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     return ObjectView(job.name, job.object_index, job.view_index, job.split, scene.probe, view, tuple(touches), truth)
 
 
-def surface_of(model: Any, scene: Scene) -> Any:
+def surface_of(solid: Solid, scene: Scene) -> Any:
     """The body's boundary at rest as the cameras take it: a `sensing.camera.Surface`."""
     from vsfsim.physics.tiers import placement
     from vsfsim.sensing.camera import Surface
 
     turn, shift = placement(scene.object)
-    solid = model.solid
     triangles, owner = solid.surface()
     return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance, solid.vertices)
 
@@ -165,11 +166,22 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         done = 0
         count = workers if workers is not None else (1 if device != "cpu" else (os.cpu_count() or 1))
         if jobs:
+            compile_kernels(_kernels(recipe.precision), device, progress=progress)
             for frames, what in _work(jobs, min(count, len(jobs)), device):
                 done += frames
                 if progress is not None:
                     progress(done, total, what)
         return writer.finish()
+
+
+def _kernels(precision: str) -> list[Any]:
+    import warp as wp
+
+    from vsfsim.sensing import render_warp
+    from vsfsim.vsf import particles
+    from vsfsim.vsf.stick_slip import stick_slip_kernel
+
+    return [*solver_kernels(precision), render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
 
 
 def _touches(scene_file: SceneFile) -> Any:

@@ -169,8 +169,8 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], *, o
         part = aims[start:start + batch]
         poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth) for a in part], axis=1)
         solver = Solver(model, scene.probe, device=device, precision=precision, options=options, linear=linear)
-        tick = None if progress is None else (lambda done, k=len(part): progress(k))
-        frames = solver.run(poses, progress=tick)
+        width = len(part)
+        frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
         out.extend(_record(a, poses[:, k], frames, k) for k, a in enumerate(part))
     return out
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 

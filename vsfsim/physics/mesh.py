@@ -33,12 +33,6 @@ class QuadraticMesh:
     faces: np.ndarray
     owner: np.ndarray
 
-    def gauss_points(self) -> np.ndarray:
-        """Positions of the Gauss points (m, 4, 3) [m]."""
-        bary = np.full((4, 4), GAUSS_FAR)
-        np.fill_diagonal(bary, GAUSS_NEAR)
-        return np.einsum("qk,mkc->mqc", bary, self.points[self.tets[:, :4]])
-
     def surface_nodes(self) -> np.ndarray:
         """Indices of the nodes on the boundary (s,), increasing."""
         return np.unique(self.faces)
@@ -47,6 +41,13 @@ class QuadraticMesh:
         """Areas of the boundary triangles (f,) [m^2]."""
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def gauss_points(solid: Solid) -> np.ndarray:
+    """Positions of the four Gauss points of every tetrahedron (m, 4, 3) [m]."""
+    bary = np.full((4, 4), GAUSS_FAR)
+    np.fill_diagonal(bary, GAUSS_NEAR)
+    return np.einsum("qk,mkc->mqc", bary, solid.vertices[solid.tets])
 
 
 def quadratic_mesh(solid: Solid) -> QuadraticMesh:

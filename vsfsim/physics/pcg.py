@@ -15,6 +15,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+
 
 @functools.cache
 def kernels(real: type) -> Any:

@@ -10,9 +10,10 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, ProbeShape, Rod, Sphere
+from vsfsim.core.solid import Solid
 from vsfsim.physics import sdf
 from vsfsim.physics.discretise import build_solid
-from vsfsim.physics.mesh import quadratic_mesh
+from vsfsim.physics.mesh import gauss_points
 from vsfsim.physics.model import Model, build_model
 from vsfsim.physics.solver import SolverOptions
 
@@ -101,32 +102,39 @@ def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(spec.pose)
 
 
-def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-          cache: Path | None = None, device: str = "cpu") -> Model:
-    """The body of a scene at a tier, in the world frame.
+def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
+         cache: Path | None = None) -> tuple[Solid, np.ndarray]:
+    """The object of a scene at a tier, in its own frame, and Young's modulus at its Gauss points (m, 4) [Pa].
 
     Args:
         scene: concrete. tier: from `choose`. seed: of what a family draws (materials, look).
-        focus: points (k, 3) [m], world, near which a box is meshed finely. cache: folder of filled meshes. device: Warp device.
+        focus: points (k, 3) [m], world, near which a box is meshed finely. cache: folder of filled meshes.
 
     Raises:
         SceneError, MeshError: the object cannot be built.
     """
     spec = scene.object
     where = f"{scene.source} [object]"
-    if spec.friction > 0.0:
-        raise SceneError(f"{where}: friction is {spec.friction:g}, but the solid tiers model frictionless contact only so far; set friction = 0.")
     turn, shift = placement(spec)
-    size = element_size(spec, tier, scene.probe)
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
-    solid = build_solid(spec, resolution=size, rng=np.random.default_rng(seed), cache=cache, focus=local)
-    mesh = quadratic_mesh(solid)
+    solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed), cache=cache, focus=local)
     field = spec.young_modulus
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
         modulus = field.by_region(solid.region_names, solid.young_modulus, where)
     region = np.broadcast_to(np.asarray(solid.region)[:, None], (len(solid.tets), 4))
-    values = field.evaluate(mesh.gauss_points(), region, modulus)
+    return solid, field.evaluate(gauss_points(solid), region, modulus)
+
+
+def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
+          cache: Path | None = None, device: str = "cpu") -> Model:
+    """The model of a scene at a tier, in the world frame; arguments and errors as `body`, and the Warp device."""
+    spec = scene.object
+    where = f"{scene.source} [object]"
+    if spec.friction > 0.0:
+        raise SceneError(f"{where}: friction is {spec.friction:g}, but the solid tiers model frictionless contact only so far; set friction = 0.")
+    solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache)
+    turn, shift = placement(spec)
     height = float(np.ptp(solid.vertices[:, 2]))
     # a scan has no flat base: its lowest 2 % stand for it
     tolerance = 0.02 * height if isinstance(spec.shape, MeshFile) else 1e-6 * height

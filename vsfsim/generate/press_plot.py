@@ -1,0 +1,34 @@
+"""Force against depth as a picture."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.generate.press import PressResult
+
+
+def plot(result: PressResult, title: str, path: Path) -> None:
+    """Draw the normal force and the support reaction against depth into ``path`` (PNG); frames that failed are crossed out."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.0, 4.2), dpi=130)
+    depth = 1e3 * result.depth
+    force, reaction = np.linalg.norm(result.force, axis=1), np.linalg.norm(result.reaction, axis=1)
+    axes.plot(depth, reaction, "-", color="0.75", lw=4, label="reaction of the supports")
+    axes.plot(depth, force, "o-", ms=3.5, color="tab:blue", label="force on the probe")
+    bad = ~result.converged
+    if bad.any():
+        axes.plot(depth[bad], force[bad], "x", ms=9, color="tab:red", label="not converged")
+    axes.set_xlabel("depth past first contact [mm]")
+    axes.set_ylabel("force [N]")
+    axes.set_title(f"{title}: tier {result.tier}, {result.tets} tetrahedra", fontsize=10)
+    axes.grid(alpha=0.3)
+    axes.legend(frameon=False, fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path)
+    plt.close(figure)
