@@ -14,7 +14,7 @@ from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
 from vsfsim.physics.manifold import body_of_each_tet, pinched_vertices
-from vsfsim.physics.quality import worst_angle
+from vsfsim.core.quality import worst_angle
 
 # Degrees. 200 draws over the full range of every parameter gave 5.7 at least, the styles' own forms 10.6.
 WORST, USUAL = 5.0, 9.0
