@@ -100,6 +100,15 @@ def test_equal_volume(name: str) -> None:
     assert solid_of(shape, resolution, equal_volume=True).volume() == pytest.approx(volume, rel=1e-12)
 
 
+def test_equal_volume_rod_has_the_round_bars_second_moment() -> None:
+    solid = solid_of(Rod(0.05, 0.006), 0.01, equal_volume=True)
+    corner = solid.vertices[solid.tets] - [0.0, 0.0, 0.006]
+    # Exact integral of a quadratic over a tetrahedron: V / 20 (sum z_i^2 + (sum z_i)^2).
+    z = corner[:, :, 2]
+    moment = (tet_volumes(solid.vertices, solid.tets) / 20.0 * ((z**2).sum(axis=1) + z.sum(axis=1) ** 2)).sum() / 0.05
+    assert moment == pytest.approx(math.pi * 0.006**4 / 4.0, rel=5e-4)
+
+
 def test_box_is_symmetric() -> None:
     # A mirrored mesh is the same mesh: same edges under x -> -x, so no sideways force under a centred press.
     solid = solid_of(Box((0.1, 0.1, 0.05)), 0.03)
