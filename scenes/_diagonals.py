@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vsfsim.core.hexes import split_hexes
-from vsfsim.core.solid import tet_volumes
-
-_EDGES = ((0, 1, 2, 3), (0, 2, 3, 1), (0, 3, 1, 2), (1, 2, 0, 3), (1, 3, 2, 0), (2, 3, 0, 1))
+from vsfsim.core.quality import smallest_sine
 
 
 def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, good: float = 0.2,
@@ -26,7 +24,7 @@ def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, g
     around = [np.flatnonzero((hexes == v).any(axis=1)) for v in range(len(vertices))]
     tets, owner = split_hexes(hexes, rank)
     score = np.full(len(hexes), np.inf)
-    np.minimum.at(score, owner, _sines(vertices, tets))
+    np.minimum.at(score, owner, smallest_sine(vertices, tets))
     given_up = np.zeros(len(hexes), bool)
     for _ in range(rounds):
         cell = int(np.where(given_up, np.inf, score).argmin())
@@ -58,21 +56,5 @@ def _cell_scores(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray) -> n
     own = np.arange(hexes.size).reshape(hexes.shape)
     tets, owner = split_hexes(own, rank.reshape(-1))
     out = np.full(len(hexes), np.inf)
-    np.minimum.at(out, owner, _sines(vertices[hexes.reshape(-1)], tets))
+    np.minimum.at(out, owner, smallest_sine(vertices[hexes.reshape(-1)], tets))
     return out
-
-
-def _sines(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """Smallest sine of the dihedral angles of each tetrahedron (m,), negative if it is inverted.
-
-    The sine at an edge is 3/2 of volume times edge length over the areas of the two faces there.
-    """
-    volume = tet_volumes(vertices, tets)
-    corner = vertices[tets]
-
-    def area(a: int, b: int, c: int) -> np.ndarray:
-        return 0.5 * np.linalg.norm(np.cross(corner[:, b] - corner[:, a], corner[:, c] - corner[:, a]), axis=1)
-
-    sines = [1.5 * volume * np.linalg.norm(corner[:, i] - corner[:, j], axis=1) / (area(i, j, k) * area(i, j, m))
-             for i, j, k, m in _EDGES]
-    return np.min(sines, axis=0)

@@ -112,11 +112,11 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     hexes = np.stack([index[a:a + ni, b:b + nj, c:c + nk][keep] for a, b, c in steps], axis=1)
     points = _bend(form, along, cross, nk, ks).reshape(-1, 3)
     used, hexes = np.unique(hexes, return_inverse=True)
-    rank = _rank(ni, nj, nk, ks).reshape(-1)[used]
+    rank = _rank(ni, nj, nk).reshape(-1)[used]
     return points[used], hexes.reshape(-1, 8), region[keep], rank.argsort(kind="stable").argsort(kind="stable")
 
 
-def _rank(ni: int, nj: int, nk: int, ks: int) -> np.ndarray:
+def _rank(ni: int, nj: int, nk: int) -> np.ndarray:
     """Cut cells from the grid's edges first (where a corner is flattened), elsewhere in mirrored fives."""
     i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
     outer = ((i == 0) | (i == ni)).astype(int) + ((j == 0) | (j == nj)) + (k == nk)

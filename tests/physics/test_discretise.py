@@ -10,12 +10,12 @@ import pytest
 import trimesh
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.quality import dihedral_angles, worst_angle
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Cylinder, Family, Rod, Sphere
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics.blocks import GROWTH, grid_line
 from vsfsim.physics.discretise import build_solid
-from vsfsim.physics.quality import dihedral_angles, worst_angle
 
 SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
 
@@ -98,6 +98,15 @@ def test_boundary_lies_on_the_surface() -> None:
 def test_equal_volume(name: str) -> None:
     shape, resolution, volume = SHAPES[name]
     assert solid_of(shape, resolution, equal_volume=True).volume() == pytest.approx(volume, rel=1e-12)
+
+
+def test_equal_volume_rod_has_the_round_bars_second_moment() -> None:
+    solid = solid_of(Rod(0.05, 0.006), 0.01, equal_volume=True)
+    corner = solid.vertices[solid.tets] - [0.0, 0.0, 0.006]
+    # Exact integral of a quadratic over a tetrahedron: V / 20 (sum z_i^2 + (sum z_i)^2).
+    z = corner[:, :, 2]
+    moment = (tet_volumes(solid.vertices, solid.tets) / 20.0 * ((z**2).sum(axis=1) + z.sum(axis=1) ** 2)).sum() / 0.05
+    assert moment == pytest.approx(math.pi * 0.006**4 / 4.0, rel=5e-4)
 
 
 def test_box_is_symmetric() -> None:

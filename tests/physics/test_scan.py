@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import trimesh
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
+from vsfsim.physics import scan
 from vsfsim.physics.manifold import body_of_each_tet, drop_pinches, pinched_vertices
 from vsfsim.physics.scan import fill_mesh_file
 
@@ -141,14 +141,32 @@ def test_refusals_give_the_reason(tmp_path: Path) -> None:
 
 def test_cache_makes_it_repeatable_and_skips_the_filler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first = filled(ball(), tmp_path)
-    monkeypatch.setitem(sys.modules, "pytetwild", None)  # importing it now fails
+    monkeypatch.setattr(scan, "_run_filler", None)  # calling it now fails
     again = filled(ball(), tmp_path)
     assert np.array_equal(first.vertices, again.vertices) and np.array_equal(first.tets, again.tets)
     assert first.notes == again.notes
     monkeypatch.undo()
+    # The filler's own debris stays out of the working directory.
+    assert not Path("__tracked_surface.stl").exists()
     stored, = (tmp_path / "cache").iterdir()
     stored.write_bytes(stored.read_bytes()[:100])
     check_filled(filled(ball(), tmp_path), VOLUME, within=0.02)
+
+
+def test_the_first_writer_of_a_cache_file_wins(tmp_path: Path) -> None:
+    path = tmp_path / "cache" / "tets.npz"
+    for value in (1.0, 2.0):
+        scan._write(path, np.full((4, 3), value), np.arange(4)[None], ["a note"])
+    vertices, tets, notes = scan._read(path)
+    assert (vertices == 1.0).all() and tets.tolist() == [[0, 1, 2, 3]] and notes == ["a note"]
+    assert [p.name for p in path.parent.iterdir()] == ["tets.npz"]
+
+
+def test_a_filler_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scan, "_FILLER", "raise RuntimeError('out of luck')")
+    with pytest.raises(MeshError, match="out of luck"):
+        filled(ball(), tmp_path)
+    assert not (tmp_path / "cache").exists()
 
 
 def test_pinches_are_found_and_dropped() -> None:

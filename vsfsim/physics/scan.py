@@ -11,6 +11,8 @@ import hashlib
 import importlib.metadata
 import math
 import os
+import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -138,19 +140,12 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
         MeshError: too many cells, nothing inside, or more than one object.
     """
     notes = []
-    cells = 12.0 * float(np.prod(surface.extents)) / resolution**3
-    if cells > MAX_TETS * 4:
+    # About 8.5 regular tetrahedra of edge h in h^3; a body fills some third of its bounding box.
+    cells = 3.0 * float(np.prod(surface.extents)) / resolution**3
+    if cells > MAX_TETS:
         raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of {' x '.join(f'{e:.3g}' for e in surface.extents)} m "
                         f"into about {cells:.1e} tetrahedra; use a coarser resolution, and check the scale.")
-    import pytetwild  # brings pyvista, a second of import: only when there is something to fill
-
-    try:
-        vertices, tets = pytetwild.tetrahedralize(
-            np.ascontiguousarray(surface.vertices, np.float64), np.ascontiguousarray(surface.faces, np.int32),
-            edge_length_abs=resolution, num_threads=1, quiet=True)
-    except Exception as error:  # whatever the C++ side throws, the mesh is to blame
-        raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra: {error}. Repair it by hand (e.g. in MeshLab).") from error
-    vertices, tets = np.asarray(vertices, np.float64), np.asarray(tets, np.int64)
+    vertices, tets = _run_filler(surface, resolution, path)
     volumes = tet_volumes(vertices, tets) if len(tets) else np.zeros(0)
     tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
     volumes = np.abs(volumes)
@@ -183,6 +178,39 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
         notes.append(f"The filled volume is {100 * tet_volumes(vertices, tets).sum() / surface.volume:.3g} % of the surface's; "
                      "overlapping parts count once, and detail finer than the resolution is lost.")
     return vertices - shift, tets, notes
+
+
+# fTetWild leaves "__tracked_surface.stl" in the working directory, and a mesh it cannot digest may take the process
+# with it: it works in a process and a folder of its own.
+_FILLER = """
+import sys
+import numpy as np
+import pytetwild
+given = np.load(sys.argv[1])
+vertices, tets = pytetwild.tetrahedralize(given["vertices"], given["faces"], edge_length_abs=float(given["resolution"]),
+                                          num_threads=1, quiet=True)
+np.savez(sys.argv[2], vertices=vertices, tets=tets)
+"""
+# Minutes are normal for a fine mesh of a detailed scan; this is where it hangs [s].
+_PATIENCE = 1800.0
+
+
+def _run_filler(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+    with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
+        given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
+        np.savez(given, vertices=np.asarray(surface.vertices, np.float64), faces=np.asarray(surface.faces, np.int32),
+                 resolution=resolution)
+        try:
+            done = subprocess.run([sys.executable, "-c", _FILLER, str(given), str(made)], cwd=folder, check=False,
+                                  capture_output=True, text=True, timeout=_PATIENCE)
+            reason = (done.stderr.strip().splitlines() or [f"it ended with status {done.returncode}"])[-1]
+        except subprocess.TimeoutExpired:
+            reason = f"it took more than {_PATIENCE / 60:g} minutes"
+        if not made.exists():
+            raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {reason}. Use a coarser "
+                            "resolution, or repair the mesh by hand (e.g. in MeshLab).")
+        with np.load(made, allow_pickle=False) as data:
+            return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
 
 
 def _load(path: Path) -> trimesh.Trimesh:

@@ -1,0 +1,138 @@
+"""Mesh vertices drawn onto the surfaces of inclusions, so that few elements hold two materials."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from vsfsim.core.material import Inclusion, MaterialField
+from vsfsim.core.quality import smallest_sine
+from vsfsim.core.solid import Solid, boundary_faces
+
+# A tetrahedron may lose shape to a move, but not below this smallest sine of its angles (8.6 degrees).
+WORST_SINE = 0.15
+# The farthest a vertex goes, in parts of its shortest edge, pass by pass: near ones first, so that they are in
+# place when the rest is tried.
+REACH = (0.2, 0.35, 0.5, 0.7, 0.9)
+# On the surface, in parts of the shortest edge.
+_ON = 1e-3
+
+
+def snap_to_inclusions(solid: Solid, field: MaterialField, *, worst_sine: float = WORST_SINE) -> tuple[Solid, np.ndarray]:
+    """Move vertices near a spherical or capsular inclusion onto its surface.
+
+    No tetrahedron inverts or becomes worse than ``worst_sine`` (or than it was). A vertex of the outer boundary slides in
+    its plane, or along the edge of two planes; where the boundary is curved or has a corner it stays.
+
+    Args:
+        solid: the mesh. field: its inclusions, in the object's frame; boxes are left as they are.
+        worst_sine: smallest sine of a dihedral angle allowed [-].
+
+    Returns:
+        The solid with its vertices moved, and for each tetrahedron the inclusion that holds its centroid, an index
+        into ``field.inclusions`` (the last one wins, as in `MaterialField.evaluate`), or -1 (m,).
+    """
+    vertices = solid.vertices.copy()
+    slide = _freedom(solid)
+    around: list[list[int]] = [[] for _ in vertices]
+    for number, tet in enumerate(solid.tets.tolist()):
+        for v in tet:
+            around[v].append(number)
+    shortest = _shortest_edges(vertices, solid.tets)
+    taken = np.zeros(len(vertices), bool)
+    for part in field.inclusions:
+        if part.kind == "box":
+            continue
+        for reach in REACH:
+            _pass(part, reach, vertices, solid.tets, slide, around, shortest, taken, worst_sine)
+    inside = np.full(len(solid.tets), -1)
+    centroid = vertices[solid.tets].mean(axis=1)
+    for number, part in enumerate(field.inclusions):
+        inside[part.distance(centroid) <= 0.0] = number
+    return dataclasses.replace(solid, vertices=vertices), inside
+
+
+def straddling(solid: Solid, part: Inclusion) -> np.ndarray:
+    """Whether each tetrahedron (m,) has corners clearly on both sides of an inclusion's surface."""
+    margin = 2.0 * _ON * _shortest_edges(solid.vertices, solid.tets)
+    distance = part.distance(solid.vertices)
+    return (distance > margin)[solid.tets].any(axis=1) & (distance < -margin)[solid.tets].any(axis=1)
+
+
+def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray, slide: np.ndarray,
+          around: list[list[int]], shortest: np.ndarray, taken: np.ndarray, worst_sine: float) -> None:
+    distance = part.distance(vertices)
+    side = np.where(np.abs(distance) <= _ON * shortest, 0, np.sign(distance)).astype(int)
+    crossed = (side[tets] > 0).any(axis=1) & (side[tets] < 0).any(axis=1)
+    near = np.zeros(len(vertices), bool)
+    near[tets[crossed]] = True
+    candidates = np.flatnonzero(near & ~taken & (side != 0) & (np.abs(distance) < reach * shortest))
+    for v in candidates[np.argsort(np.abs(distance[candidates]) / shortest[candidates], kind="stable")]:
+        mine = np.array(around[v])
+        if not ((side[tets[mine]] > 0).any(axis=1) & (side[tets[mine]] < 0).any(axis=1)).any():
+            continue  # its neighbours' moves have already done the work
+        target = _onto(part.distance, vertices[v], slide[v], shortest[v])
+        if target is None or np.linalg.norm(target - vertices[v]) > reach * shortest[v]:
+            continue
+        before = smallest_sine(vertices, tets[mine]).min()
+        old = vertices[v].copy()
+        vertices[v] = target
+        if smallest_sine(vertices, tets[mine]).min() < min(worst_sine, before):
+            vertices[v] = old
+            continue
+        taken[v], side[v] = True, 0
+
+
+def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide: np.ndarray, size: float) -> np.ndarray | None:
+    """The nearest zero of ``distance`` from ``start`` along the directions that ``slide`` (3, 3) leaves, or None."""
+    point = start.copy()
+    step = 1e-5 * size
+    for _ in range(12):
+        probes = np.concatenate([point[None], point + step * np.eye(3), point - step * np.eye(3)])
+        d = distance(probes)
+        if abs(d[0]) < 1e-6 * size:
+            return point
+        gradient = slide @ ((d[1:4] - d[4:7]) / (2.0 * step))
+        steep = float(gradient @ gradient)
+        # Sliding where the surface is nearly tangent would carry the vertex far for little.
+        if steep < 0.05:
+            return None
+        point = point - d[0] / steep * gradient
+    return None
+
+
+def _freedom(solid: Solid) -> np.ndarray:
+    """Projector (n, 3, 3) onto the directions in which each vertex may move without changing the body's form."""
+    free = np.tile(np.eye(3), (len(solid.vertices), 1, 1))
+    faces, _ = boundary_faces(solid.tets)
+    corner = solid.vertices[faces]
+    normal = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    at: dict[int, list[np.ndarray]] = {}
+    for face, n in zip(faces.tolist(), normal):
+        for v in face:
+            kinds = at.setdefault(v, [])
+            if not any(abs(float(n @ m)) > 1.0 - 1e-9 for m in kinds):
+                kinds.append(n)
+    for v, kinds in at.items():
+        if len(kinds) == 1:
+            free[v] = np.eye(3) - np.outer(kinds[0], kinds[0])
+        elif len(kinds) == 2:
+            along = np.cross(kinds[0], kinds[1])
+            free[v] = np.outer(along, along) / float(along @ along)
+        else:
+            free[v] = 0.0
+    return free
+
+
+def _shortest_edges(vertices: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Length of the shortest edge at each vertex (n,) [m]."""
+    out = np.full(len(vertices), np.inf)
+    for i in range(4):
+        for j in range(i + 1, 4):
+            length = np.linalg.norm(vertices[tets[:, i]] - vertices[tets[:, j]], axis=1)
+            np.minimum.at(out, tets[:, i], length)
+            np.minimum.at(out, tets[:, j], length)
+    return out
