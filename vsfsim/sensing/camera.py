@@ -70,7 +70,7 @@ def look_at(spec: CameraSpec, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
-           device: str = "cpu", renderer: str = "warp",
+           device: str = "cpu", renderer: str = "warp", shading: float = 1.0,
            background: tuple[int, int, int] = (226, 228, 231)) -> View:
     """Take one RGB-D picture.
 
@@ -82,6 +82,7 @@ def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, wi
         device: Warp device of the ray caster; pyrender takes the machine's GL whatever it says.
         renderer: "warp" casts one ray a pixel, depth exact on the triangles; "pyrender" rasterises with OpenGL
             (colours without the procedural textures).
+        shading: 1 for full light and shade, 0 for the bare albedo (pyrender knows only these two, cut at 0.5).
         background: sRGB colour where there is no object.
 
     Returns:
@@ -94,14 +95,16 @@ def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, wi
     intrinsics, camera_pose = np.asarray(intrinsics, np.float64), np.asarray(camera_pose, np.float64)
     if intrinsics.shape != (3, 3) or camera_pose.shape != (4, 4) or not (np.isfinite(intrinsics).all() and np.isfinite(camera_pose).all()):
         raise RenderError(f"render: intrinsics {intrinsics.shape} and camera_pose {camera_pose.shape}; give finite (3, 3) and (4, 4).")
+    if not 0.0 <= shading <= 1.0:
+        raise RenderError(f"render: shading is {shading!r}; it must be from 0 (bare albedo) to 1 (full light and shade).")
     if width < 1 or height < 1:
         raise RenderError(f"render: the picture is {width} x {height}; it must have at least one pixel.")
     if renderer == "warp":
         from vsfsim.sensing.render_warp import cast
-        return cast(surface, intrinsics, camera_pose, width, height, device=device, background=background)
+        return cast(surface, intrinsics, camera_pose, width, height, device=device, shading=shading, background=background)
     if renderer == "pyrender":
         from vsfsim.sensing.render_pyrender import rasterise
-        return rasterise(surface, intrinsics, camera_pose, width, height, background=background)
+        return rasterise(surface, intrinsics, camera_pose, width, height, shading=shading, background=background)
     raise RenderError(f"render: unknown renderer '{renderer}'. {did_you_mean(renderer, RENDERERS)}")
 
 

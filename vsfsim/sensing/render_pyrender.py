@@ -23,7 +23,7 @@ _MISSING = (
 
 
 def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
-              background: tuple[int, int, int]) -> View:
+              shading: float, background: tuple[int, int, int]) -> View:
     """See `vsfsim.sensing.camera.render`, which has checked the operands.
 
     Raises:
@@ -67,7 +67,8 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
     except Exception as error:  # GL reports a missing driver by whatever exception its binding happens to raise
         raise RenderError(_MISSING.format(tried=f"{os.environ.get('PYOPENGL_PLATFORM')}: {error}")) from error
     try:
-        colour, _ = offscreen.render(scene, flags=RenderFlags.SKIP_CULL_FACES)
+        flat = RenderFlags.FLAT if shading < 0.5 else RenderFlags.NONE
+        colour, _ = offscreen.render(scene, flags=RenderFlags.SKIP_CULL_FACES | flat)
         # The colour pass is smoothed over four samples a pixel, and its depth is that of one of them, off centre.
         # The segmentation pass samples pixel centres.
         _, depth = offscreen.render(scene, flags=RenderFlags.SKIP_CULL_FACES | RenderFlags.SEG,

@@ -22,7 +22,7 @@ _TURN = 2.0 * np.pi
 
 
 def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
-         device: str, background: tuple[int, int, int]) -> View:
+         device: str, shading: float, background: tuple[int, int, int]) -> View:
     """See `vsfsim.sensing.camera.render`, which has checked the operands."""
     centre = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
     vertices = surface.vertices - centre
@@ -48,7 +48,7 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
             wp.array([TEXTURES.index(name) for name in look.texture], dtype=wp.int32),
             wp.array(np.asarray(look.texture_scale, np.float32), dtype=wp.float32),
             wp.array(np.asarray(look.texture_contrast, np.float32), dtype=wp.float32),
-            wp.mat33d(to_ray), wp.vec3d(*origin), radius,
+            wp.mat33d(to_ray), wp.vec3d(*origin), radius, shading,
         ], outputs=[depth, colour])
         depth, colour = depth.numpy(), colour.numpy()
     mask = depth > 0.0
@@ -112,7 +112,7 @@ def _texture(kind: int, p: wp.vec3) -> float:
 
 
 @wp.func
-def _lit(albedo: wp.vec3, n: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
+def _lit(albedo: wp.vec3, n: wp.vec3, to_eye: wp.vec3, shading: float) -> wp.vec3:
     """Linear RGB under a key and a fill light fixed in the world and a sky brighter than the ground."""
     key = wp.normalize(wp.vec3(0.45, -0.35, 0.82))
     fill = wp.normalize(wp.vec3(-0.7, 0.6, 0.35))
@@ -120,7 +120,7 @@ def _lit(albedo: wp.vec3, n: wp.vec3, to_eye: wp.vec3) -> wp.vec3:
     lambert = 0.72 * wp.max(wp.dot(n, key), 0.0) + 0.20 * wp.max((wp.dot(n, fill) + 0.3) / 1.3, 0.0)
     half_way = wp.normalize(key + to_eye)
     highlight = 0.06 * wp.pow(wp.max(wp.dot(n, half_way), 0.0), 24.0)
-    return albedo * (ambient + lambert) + wp.vec3(highlight)
+    return albedo * wp.lerp(1.0, ambient + lambert, shading) + wp.vec3(shading * highlight)
 
 
 @wp.kernel(enable_backward=False)
@@ -140,6 +140,7 @@ def _cast(
     to_ray: wp.mat33d,
     origin: wp.vec3d,
     radius: wp.float64,
+    shading: float,
     # state out
     depth_out: wp.array2d(dtype=wp.float32),
     colour_out: wp.array2d(dtype=wp.vec3),
@@ -184,4 +185,4 @@ def _cast(
     region = region_in[face]
     bright = 1.0 + contrast_in[region] * _texture(texture_in[region], rest / wp.max(scale_in[region], 1.0e-6))
     depth_out[row, column] = float(z)
-    colour_out[row, column] = _lit(albedo_in[region] * wp.max(bright, 0.0), shade, to_eye)
+    colour_out[row, column] = _lit(albedo_in[region] * wp.max(bright, 0.0), shade, to_eye, shading)

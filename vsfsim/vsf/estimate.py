@@ -21,6 +21,11 @@ from vsfsim.vsf.dynamics import VsfError
 # outweigh the prior by more than float64 can hold side by side), and the primal takes over.
 _DUAL_LIMIT = 1e11
 _MAX_STEPS = 200
+_MAX_PIVOTS = 2000
+# Newton steps in a row without progress: what is left is rounding.
+_PATIENCE = 12
+# A KKT residual that needs no second algorithm.
+_GOOD = 1e-9
 # Columns of A that are dense at one time in `posterior_std`.
 _BLOCK = 1024
 
@@ -71,11 +76,14 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
         # More readings than unknowns: |b - A x| = |Q^T b - R x| + const, with R only touched x touched.
         q, r = linalg.qr(a.toarray(), mode="economic")
         a, b = sparse.csr_matrix(r), q.T @ b
-    strength = _largest_eigenvalue(a)
-    solve = _dual if strength < _DUAL_LIMIT else _primal
-    x, steps = solve(a, b, x0, scale[touched], tolerance)
-    out[touched] = scale[touched] * x
+    # Where the readings outweigh the prior too far, the dual is given them at less weight, as a start for the primal.
+    weight = min(1.0, float(np.sqrt(_DUAL_LIMIT / max(_largest_eigenvalue(a), 1e-300))))
+    x, steps = _dual(a * weight, b * weight, x0, scale[touched], tolerance)
     residual = _kkt(a, b, x0, x, scale[touched])
+    if weight < 1.0 or residual > _GOOD:
+        x, more = _primal(a, b, x0, x, scale[touched], tolerance)
+        steps, residual = steps + more, _kkt(a, b, x0, x, scale[touched])
+    out[touched] = scale[touched] * x
     return MapResult(out, steps, residual, int(np.count_nonzero(x > 0.0)))
 
 
@@ -115,13 +123,15 @@ def _dual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray
     at = sparse.csr_matrix(a.T)
     y = np.zeros(len(b))
     x = np.maximum(x0, 0.0)
-    best, best_residual = x, np.inf
+    best, best_residual, patience = x, np.inf, _PATIENCE
     for step in range(_MAX_STEPS):
         residual = _kkt(a, b, x0, x, scale)
         if residual < best_residual:
-            best, best_residual = x, residual
-        if residual <= tolerance:
-            return x, step
+            best, best_residual, patience = x, residual, _PATIENCE
+        else:
+            patience -= 1
+        if residual <= tolerance or patience == 0:
+            return best, step
         inside = x0 + at @ y > 0.0
         gradient = y + a @ np.where(inside, x0 + at @ y, 0.0) - b
         part = a[:, inside]
@@ -161,31 +171,49 @@ def _line_search(p: np.ndarray, q: np.ndarray, y: np.ndarray, d: np.ndarray, b: 
     return float(np.clip(-constants[root] / max(linears[root], 1e-300), start, ends[root]))
 
 
-def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
-    """Projected Newton on the primal, each step by orthogonal factorisation; for a prior next to none."""
-    x = np.maximum(x0, 0.0)
+def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, scale: np.ndarray,
+            tolerance: float) -> tuple[np.ndarray, int]:
+    """Active set on the primal (Lawson and Hanson 1974, with the prior's rows), each solve by orthogonal factorisation.
+
+    Slower than the dual, one particle a step, but it never forms A A^T and every step lowers the cost: for a prior
+    next to none. It starts from the feasible ``x``.
+    """
     columns = a.tocsc()
-
-    def cost(x: np.ndarray) -> float:
-        return 0.5 * float(np.sum((b - a @ x) ** 2) + np.sum((x - x0) ** 2))
-
-    for step in range(_MAX_STEPS):
-        if _kkt(a, b, x0, x, scale) <= tolerance:
-            return x, step
-        gradient = a.T @ (a @ x - b) + x - x0
-        free = np.flatnonzero(~((x <= 0.0) & (gradient > 0.0)))
+    own = 1.0 + np.asarray(a.multiply(a).sum(axis=0)).ravel()
+    free = x > 0.0
+    best, best_residual = x, _kkt(a, b, x0, x, scale)
+    blocked: set[int] = set()
+    entered = -1
+    for step in range(1, _MAX_PIVOTS + 1):
         goal = np.zeros_like(x)
         goal[free] = _least_squares(columns[:, free].toarray(), b, x0[free])
-        now, length = cost(x), 1.0
-        while length > 1e-12:
-            trial = np.maximum(x + length * (goal - x), 0.0)
-            if cost(trial) <= now - 1e-4 * float(gradient @ (x - trial)) or cost(trial) < now * (1 - 1e-14):
-                break
-            length *= 0.5
-        else:
-            return x, step + 1
-        x = trial
-    return x, _MAX_STEPS
+        leaving = np.flatnonzero(free & (goal <= 0.0))
+        if len(leaving):
+            # Go as far as the first that reaches 0, which leaves (rounding may make others reach it with that one).
+            way = x[leaving] / np.maximum(x[leaving] - goal[leaving], 1e-300)
+            length = float(np.clip(way.min(), 0.0, 1.0))
+            x = np.maximum(x + length * (goal - x), 0.0)
+            out = leaving[way <= length * (1.0 + 1e-12)]
+            x[out], free[out] = 0.0, False
+            if entered in out:
+                # What came in goes straight out again: its pull was rounding.
+                blocked.add(entered)
+                entered = -1
+            continue
+        x = goal
+        residual = _kkt(a, b, x0, x, scale)
+        if residual < best_residual:
+            best, best_residual, blocked = x, residual, set()
+        if residual <= tolerance:
+            break
+        pull = scale * (a.T @ (b - a @ x) + x0 - x) / own
+        pull[free] = 0.0
+        pull[list(blocked)] = 0.0
+        entered = int(np.argmax(pull))
+        if pull[entered] <= 0.0:
+            break
+        free[entered] = True
+    return best, step
 
 
 def _least_squares(a: np.ndarray, b: np.ndarray, x0: np.ndarray) -> np.ndarray:

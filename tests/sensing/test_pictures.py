@@ -1,0 +1,103 @@
+"""The PNGs a user looks at: they hold what they should, checked by their pixels."""
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+from vsfsim.core.scene import CameraSpec
+from vsfsim.core.shape import Sphere
+from vsfsim.core.solid import Appearance
+from vsfsim.data.records import ObjectView, Touch
+from vsfsim.sensing.camera import RenderError, Surface, look_at, render
+from vsfsim.sensing.contact_sheet import contact_sheet
+from vsfsim.sensing.turntable import turntable
+
+RED = Appearance(np.array([[0.6, 0.02, 0.02]]), ("plain",), np.ones(1), np.zeros(1))
+
+
+def block() -> Surface:
+    mesh = trimesh.creation.box((0.1, 0.06, 0.05))
+    vertices = np.asarray(mesh.vertices) + [0, 0, 0.025]
+    return Surface(vertices, np.asarray(mesh.faces), np.zeros(12, int), RED, vertices)
+
+
+def picture(path) -> np.ndarray:
+    return np.asarray(Image.open(path).convert("RGB")).astype(int)
+
+
+def reddish(image: np.ndarray) -> np.ndarray:
+    return (image[..., 0] > 1.8 * image[..., 1]) & (image[..., 0] > 60)
+
+
+def test_turntable_shows_the_object_in_every_cell(tmp_path):
+    out = tmp_path / "turn.png"
+    turntable(block(), out, frames=6, columns=3, size=100, title="block")
+    image = picture(out)
+    assert image.shape[1] == 300
+    tall = (image.shape[0] - 35) / 2
+    for k in range(6):
+        top, left = 35 + (k // 3) * tall, (k % 3) * 100
+        cell = image[round(top):round(top + tall), left:left + 100]
+        red = reddish(cell)
+        # Well in the frame: a good part of the cell and nothing cut off at its edges.
+        assert red.mean() > 0.1
+        assert not red[0].any() and not red[-1].any() and not red[:, 0].any() and not red[:, -1].any()
+
+
+def test_modulus_row_has_the_colours_of_its_bar(tmp_path):
+    out = tmp_path / "turn.png"
+    modulus = np.where(block().vertices[block().triangles].mean(axis=1)[:, 2] > 0.049, 1e7, 1e4)
+    turntable(block(), out, frames=2, columns=2, size=100, young_modulus=modulus)
+    image = picture(out)
+    tall = (image.shape[0] - 35) / 2
+    below = image[round(35 + tall):, :100]
+    yellow = (below[..., 0] > 180) & (below[..., 1] > 180) & (below[..., 2] < 90)
+    violet = (below[..., 2] > below[..., 1] + 30) & (below[..., 0] < 110)
+    assert yellow.sum() > 200 and violet.sum() > 200
+    assert image.shape[1] > 260  # room for the bar
+
+
+@pytest.mark.parametrize("modulus", [np.ones(3), np.zeros(12), np.full(12, np.nan)])
+def test_turntable_refuses_a_modulus_that_does_not_fit(tmp_path, modulus):
+    with pytest.raises(RenderError, match="young_modulus"):
+        turntable(block(), tmp_path / "turn.png", young_modulus=modulus)
+    assert not (tmp_path / "turn.png").exists()
+
+
+def object_view(index: int, touches: int) -> ObjectView:
+    intrinsics, pose = look_at(CameraSpec(160, 120, 0.5, 0.4, 0.5 + index, 0.7), np.array([0, 0, 0.025]))
+    view = render(block(), intrinsics, pose, 160, 120)
+    cloud = view.points()
+    made = []
+    for k in range(touches):
+        depth = np.array([0.0, 0.01, 0.02, 0.01])
+        poses = np.repeat(np.eye(4)[None], 4, axis=0)
+        poses[:, 2, 3] = 0.09 - depth
+        force = np.zeros((4, 3))
+        force[:, 2] = (k + 1) * 100 * np.maximum(depth - 0.005, 0)
+        made.append(Touch(np.arange(4) / 30, poses, np.array([0, 0, -1.0]), cloud[k * 50], np.array([0, 0, 1.0]), force, -force,
+                          np.array([True, True, k != 1, True]), np.zeros(4), np.ones(4, int), k != 2, np.zeros(4, int)))
+    return ObjectView(f"block-{index:04d}-v0", index, 0, "test", Sphere(0.02), view, tuple(made), None)
+
+
+def test_contact_sheet_has_a_row_a_view(tmp_path):
+    one, three = tmp_path / "one.png", tmp_path / "three.png"
+    contact_sheet([object_view(0, 3)], one)
+    contact_sheet([object_view(k, k) for k in range(3)], three, title="three")
+    first, all_three = picture(one), picture(three)
+    assert all_three.shape[1] == first.shape[1] and all_three.shape[0] > 2.8 * first.shape[0]
+    assert reddish(first[:, : first.shape[1] // 4]).sum() > 1000
+    # The curves: something coloured on the white of the last panel.
+    last = first[:, 3 * first.shape[1] // 4:]
+    assert ((last.max(axis=2) - last.min(axis=2)) > 60).sum() > 200
+
+
+def test_contact_sheet_of_nothing_is_refused(tmp_path):
+    with pytest.raises(RenderError, match="no object view"):
+        contact_sheet([], tmp_path / "none.png")
+
+
+def test_normal_force_is_positive_when_the_object_pushes_back():
+    touch = object_view(0, 1).touches[0]
+    np.testing.assert_allclose(touch.normal_force(), [0, 0.5, 1.5, 0.5])

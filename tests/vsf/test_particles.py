@@ -1,0 +1,94 @@
+"""Particle structure from a view: what is seen and what it hides."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from vsfsim.data.records import View
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.particles import bounds_from_view, particles_from_view
+
+H, W, F = 120, 160, 200.0
+HEIGHT = 0.5
+
+
+def from_above(depth_of=lambda x, y: np.full_like(x, HEIGHT - 0.1)) -> View:
+    """A camera at z = 0.5 looking straight down at a 0.1 x 0.08 m patch of height 0.1."""
+    column, row = np.meshgrid(np.arange(W), np.arange(H))
+    intrinsics = np.array([[F, 0, (W - 1) / 2], [0, F, (H - 1) / 2], [0, 0, 1.0]])
+    x, y = (column - intrinsics[0, 2]) / F, (row - intrinsics[1, 2]) / F
+    depth = depth_of(x, y)
+    mask = (np.abs(x * depth) <= 0.05) & (np.abs(y * depth) <= 0.04)
+    pose = np.eye(4)
+    pose[:3, :3] = np.diag([1.0, -1.0, -1.0])
+    pose[2, 3] = HEIGHT
+    return View(np.zeros((H, W, 3), np.uint8), np.where(mask, depth, 0).astype(np.float32), mask, intrinsics, pose)
+
+
+def test_hidden_cone_below_a_flat_top():
+    view = from_above()
+    bounds = np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.2]])
+    points = particles_from_view(view, bounds=bounds, spacing=0.005)
+    assert points.dtype == np.float64
+    # Nothing above the top; below it, exactly the pyramid of rays through the mask, to within half a pixel.
+    assert points[:, 2].max() < 0.1 and points[:, 2].min() == pytest.approx(0.0025)
+    depth = HEIGHT - points[:, 2]
+    half = 0.5 / F
+    assert np.all(np.abs(points[:, 0] / depth) <= 0.05 / 0.4 + half)
+    grid = 0.0025 + 0.005 * np.arange(40)
+    x, y, z = np.meshgrid(grid - 0.1, grid - 0.1, grid, indexing="ij")
+    depth = HEIGHT - z
+    sure = (z < 0.0999) & (np.abs(x / depth) <= 0.125 - half) & (np.abs(y / depth) <= 0.1 - half)
+    kept = {tuple(np.round(p, 6)) for p in points}
+    assert all(tuple(np.round(p, 6)) in kept for p in np.stack([x[sure], y[sure], z[sure]], axis=1))
+
+
+def test_tolerance_lets_points_just_before_the_surface_in():
+    view = from_above()
+    bounds = np.array([[-0.1, -0.1, 0.0], [0.1, 0.1, 0.2]])
+    assert particles_from_view(view, bounds=bounds, spacing=0.005, tolerance=0.004)[:, 2].max() == pytest.approx(0.1025)
+
+
+def test_order_and_draw_are_deterministic_and_uniform():
+    view = from_above()
+    bounds = np.array([[-0.05, -0.05, 0.0], [0.05, 0.05, 0.1]])
+    everything = particles_from_view(view, bounds=bounds)
+    assert np.array_equal(np.lexsort(everything.T), np.arange(len(everything)))
+    one, two, other = (particles_from_view(view, bounds=bounds, max_particles=500, seed=s) for s in (3, 3, 4))
+    assert np.array_equal(one, two) and not np.array_equal(one, other)
+    assert len({tuple(p) for p in one}) == 500 and {tuple(p) for p in one} <= {tuple(p) for p in everything}
+    # A uniform draw keeps the mean: 500 of them, standard error of z about 1.2 mm.
+    assert np.abs(one.mean(axis=0) - everything.mean(axis=0)).max() < 0.006
+
+
+def test_bounds_stand_on_the_table():
+    view = from_above()
+    bounds = bounds_from_view(view, margin=0.01)
+    cloud = view.points()
+    np.testing.assert_allclose(bounds[0, :2], cloud[:, :2].min(axis=0) - 0.01)
+    np.testing.assert_allclose(bounds[1], cloud.max(axis=0) + 0.01)
+    assert bounds[0, 2] == 0.0
+    assert particles_from_view(view)[:, 2].min() > 0.0
+
+
+def test_empty_mask_and_points_behind_the_camera():
+    view = from_above()
+    blind = replace(view, mask=np.zeros_like(view.mask))
+    assert particles_from_view(blind, bounds=np.array([[0, 0, 0], [0.1, 0.1, 0.1]])).shape == (0, 3)
+    with pytest.raises(VsfError, match="mask is empty"):
+        bounds_from_view(blind)
+    above = particles_from_view(view, bounds=np.array([[-0.1, -0.1, 0.6], [0.1, 0.1, 0.8]]))
+    assert above.shape == (0, 3)
+
+
+@pytest.mark.parametrize("change, words", [
+    ({"bounds": np.array([[0, 0, 0], [1, 1, -1.0]])}, "upper corner"),
+    ({"spacing": 0.0}, "spacing"),
+    ({"spacing": 1e-5}, "Is the spacing in metres"),
+    ({"max_particles": 0}, "max_particles"),
+])
+def test_bad_input_is_refused(change, words):
+    given = {"bounds": np.array([[0, 0, 0], [0.1, 0.1, 0.1]]), **change}
+    with pytest.raises(VsfError, match=words):
+        particles_from_view(from_above(), **given)

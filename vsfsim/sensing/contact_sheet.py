@@ -1,0 +1,115 @@
+"""One picture of a dataset: for each object view its image, depth, touched points and force curves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.data.records import ObjectView, View
+from vsfsim.sensing.camera import RenderError
+
+
+def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: str = "") -> None:
+    """Draw one row an object view: RGB, depth, where it was touched, and force over travel.
+
+    Touches are coloured alike in both panels on the right: a dot at the target with the last 20 mm of the way to it,
+    and its curve. One that met nothing is a cross without a curve; a frame that did not converge is a black cross.
+
+    Args:
+        views: one or more.
+        out_png: the file to write.
+        title: above everything.
+
+    Raises:
+        RenderError: there is no view.
+    """
+    if not views:
+        raise RenderError("contact_sheet: there is no object view to draw; give at least one.")
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(14.0, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained", facecolor="white")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    panels = figure.subplots(len(views), 4, squeeze=False)
+    for row, seen in zip(panels, views):
+        colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, max(len(seen.touches), 1)))
+        window = _window(seen.view)
+        _picture(row[0], seen.view, window)
+        row[0].set_title(f"{seen.name}  ({seen.split})", fontsize=9, loc="left")
+        _depth(figure, row[1], seen.view, window)
+        _targets(row[2], seen, colours, window)
+        _forces(row[3], seen, colours)
+    figure.savefig(out_png)
+
+
+def _window(view: View) -> tuple[int, int, int, int]:
+    """Rows and columns to show: the object and a tenth around it."""
+    if not view.mask.any():
+        return 0, view.mask.shape[0], 0, view.mask.shape[1]
+    row, column = np.flatnonzero(view.mask.any(axis=1)), np.flatnonzero(view.mask.any(axis=0))
+    height, width = row[-1] - row[0] + 1, column[-1] - column[0] + 1
+    # All panels about 4:3, whatever the object, so that the rows line up.
+    tall = 1.15 * max(height, 0.75 * width) + 8
+    return (*_span(row[0], row[-1], tall, view.mask.shape[0]), *_span(column[0], column[-1], tall / 0.75, view.mask.shape[1]))
+
+
+def _span(first: int, last: int, length: float, limit: int) -> tuple[int, int]:
+    """A stretch of ``length`` around first..last, moved to lie within 0..limit."""
+    start = min(max(round(0.5 * (first + last) - 0.5 * length), 0), max(limit - int(length), 0))
+    return start, min(start + int(length), limit)
+
+
+def _framed(axes, window: tuple[int, int, int, int]) -> None:
+    top, bottom, left, right = window
+    axes.set(xlim=(left - 0.5, right - 0.5), ylim=(bottom - 0.5, top - 0.5), xticks=[], yticks=[])
+
+
+def _picture(axes, view: View, window: tuple[int, int, int, int]) -> None:
+    axes.imshow(view.rgb)
+    _framed(axes, window)
+
+
+def _depth(figure, axes, view: View, window: tuple[int, int, int, int]) -> None:
+    shown = axes.imshow(np.where(view.mask, view.depth, np.nan), cmap="magma_r")
+    axes.set_facecolor("0.92")
+    _framed(axes, window)
+    axes.set_title("depth [m]", fontsize=9, loc="left")
+    bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
+    bar.ax.tick_params(labelsize=7)
+
+
+def _targets(axes, seen: ObjectView, colours: np.ndarray, window: tuple[int, int, int, int]) -> None:
+    faded = 0.65 * seen.view.rgb.mean(axis=2, keepdims=True) + 0.35 * 255.0
+    axes.imshow(np.repeat(faded.astype(np.uint8), 3, axis=2))
+    to_camera = np.linalg.inv(seen.view.camera_pose)
+    touched = sum(bool(touch.touched) for touch in seen.touches)
+    for touch, colour in zip(seen.touches, colours):
+        ends = np.stack([touch.target, touch.target - 0.02 * touch.axis])
+        camera = ends @ to_camera[:3, :3].T + to_camera[:3, 3]
+        pixel = camera @ seen.view.intrinsics.T
+        pixel = pixel[:, :2] / pixel[:, 2:]
+        axes.plot(*pixel.T, color=colour, lw=1.2)
+        axes.plot(*pixel[0], "o" if touch.touched else "x", color=colour, ms=5, mec="black" if touch.touched else colour, mew=0.6 if touch.touched else 1.5)
+    _framed(axes, window)
+    axes.set_title(f"{len(seen.touches)} touches, {touched} in contact", fontsize=9, loc="left")
+
+
+def _forces(axes, seen: ObjectView, colours: np.ndarray) -> None:
+    for touch, colour in zip(seen.touches, colours):
+        if not touch.touched:
+            continue
+        # Travel along the press from the first frame; loading and unloading lie over each other if nothing slips.
+        travel = 1e3 * (touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis
+        force = touch.normal_force()
+        axes.plot(travel, force, ".-", color=colour, lw=1.0, ms=3)
+        bad = ~np.asarray(touch.converged, bool)
+        axes.plot(travel[bad], force[bad], "kx", ms=6)
+    axes.tick_params(labelsize=7)
+    axes.grid(color="0.9")
+    axes.set_xlabel("travel along the press [mm]", fontsize=8)
+    axes.set_title("normal force [N]", fontsize=9, loc="left")
