@@ -62,7 +62,9 @@ class VsfObject:
             raise MethodError("the view shows no object: its mask is empty.")
         bounds = np.stack([cloud.min(axis=0) - settings.margin, cloud.max(axis=0) + settings.margin])
         bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
-        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, max_particles=None, seed=0, device=settings.device)
+        # Half a cell before the surface still belongs to it; else the first layer would lie up to a cell deep, and a shallow
+        # press would meet nothing.
+        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device, tolerance=0.5 * settings.spacing)
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:

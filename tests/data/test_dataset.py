@@ -115,6 +115,18 @@ def test_a_finished_dataset_is_left_alone_and_repaired_if_damaged(tmp_path):
     assert contents(tmp_path / "d") == before
 
 
+def test_killed_between_the_manifest_and_the_last_clean_up(tmp_path):
+    build(tmp_path / "d")
+    before = contents(tmp_path / "d")
+    (tmp_path / "d" / "dataset.part.json").write_text("{}")
+    (tmp_path / "d" / "dataset.lock").write_text("123")
+    assert verify(tmp_path / "d").problems, "leftovers are told"
+    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+        assert writer.missing() == []
+        writer.finish()
+    assert contents(tmp_path / "d") == before
+
+
 @pytest.mark.parametrize("finished", [True, False])
 @pytest.mark.parametrize(("changes", "message"), [
     ({"seed": 1}, "seed 0 there, 1 asked for"),
@@ -133,10 +145,10 @@ def test_the_folder_of_another_recipe_is_refused(tmp_path, changes, message, fin
 
 
 def test_the_folder_of_something_else_is_refused(tmp_path):
-    (tmp_path / "thesis.tex").write_text("x")
-    with pytest.raises(DatasetError, match=r"not empty and holds no dataset \(thesis.tex\)"):
+    (tmp_path / "movie.part").write_text("x")
+    with pytest.raises(DatasetError, match=r"not empty and holds no dataset \(movie.part\)"):
         DatasetWriter(tmp_path, RECIPE, NAMES)
-    assert contents(tmp_path) == {"thesis.tex": b"x"}
+    assert contents(tmp_path) == {"movie.part": b"x"}
 
 
 def test_files_of_two_versions_of_the_code_are_not_mixed(tmp_path, monkeypatch):

@@ -117,6 +117,7 @@ class _Run:
         near = np.zeros(len(points), bool)
         for touch in view.touches:
             near |= reached(points, view.probe, touch.mount_pose)
+        near &= view.truth.probe_stiffness > 0.0  # ratios are scored; a cone that met nothing has none
         return _Subject(view, frozen_view(view.view), record(view, self.task), divide(view, self.task.protocol), near)
 
     def _trial(self, method: Method, subject: _Subject, label: str, seed: int) -> None:

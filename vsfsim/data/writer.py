@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
@@ -24,6 +25,9 @@ from vsfsim.data.provenance import made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.schema import SCHEMA_VERSION
+
+_OUR_PART = re.compile(r"\.(h5|json)\.\d+\.part$")
+"""Files that `write_atomic` left when it was killed; nothing else is ever removed from a folder."""
 
 
 class DatasetWriter:
@@ -133,7 +137,7 @@ class DatasetWriter:
             table = read_manifest(self.path / PART_MANIFEST)
             there, code = Recipe.read(table["recipe"], str(self.path / PART_MANIFEST)), table["made_by"]
         else:
-            strangers = sorted(p.name for p in self.path.iterdir() if p.name != LOCK and not p.name.endswith(".part"))
+            strangers = sorted(p.name for p in self.path.iterdir() if p.name != LOCK and not _OUR_PART.search(p.name))
             if strangers:
                 raise DatasetError(f"folder {self.path} is not empty and holds no dataset ({', '.join(strangers[:5])}{', ...' if len(strangers) > 5 else ''}). Choose another --out.")
             return
@@ -147,13 +151,15 @@ class DatasetWriter:
     def _begin(self) -> dict[str, str | None]:
         self._refuse_other()  # again, now that nobody else can write
         self._finished: Dataset | None = None
-        for part in self.path.glob("*.part"):
-            part.unlink(missing_ok=True)
+        for part in self.path.iterdir():
+            if _OUR_PART.search(part.name):
+                part.unlink(missing_ok=True)
         if (self.path / MANIFEST).exists():
             finished = Dataset.open(self.path)
             bad = [e for e in finished.entries if not (self.path / e.file).is_file() or file_sha256(self.path / e.file) != e.sha256]
             if not bad and list(finished.names()) == self.names:
                 self._finished = finished
+                (self.path / PART_MANIFEST).unlink(missing_ok=True)  # killed just before it was removed
                 self.notes.append(f"{self.path} is finished already; nothing to do.")
                 return dict(finished.made_by)
             if dict(finished.made_by) != made_by():
