@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
 
+from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View

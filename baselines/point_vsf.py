@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfSettings
 
+from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfSettings
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.data.records import View
 

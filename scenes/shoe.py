@@ -15,13 +15,13 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-from vsfsim.scenes._diagonals import improve_rank
-from vsfsim.scenes._materials import draw_appearance, draw_modulus
-from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.solid import Solid
+from vsfsim.scenes._diagonals import improve_rank
+from vsfsim.scenes._materials import draw_appearance, draw_modulus
+from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
 

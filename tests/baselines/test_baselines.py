@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
+
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.point_vsf import PointVsf
-
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.metrics import spearman
 from vsfsim.bench.mock import mock_view

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from vsfsim.scenes import shoe
-from vsfsim.scenes._materials import CLASSES, draw_appearance
-from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
 from vsfsim.physics.manifold import body_of_each_tet, pinched_vertices
+from vsfsim.scenes import shoe
+from vsfsim.scenes._materials import CLASSES, draw_appearance
+from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
 # Degrees. 200 draws over the full range of every parameter gave 5.7 at least, the styles' own forms 10.6.
 WORST, USUAL = 5.0, 9.0

@@ -9,7 +9,6 @@ from typing import Any
 import warp as wp
 
 
-
 def _start() -> None:
     """No banner, and no warning that there is no GPU: the native library writes that one straight to stderr."""
     kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
