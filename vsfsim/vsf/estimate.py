@@ -184,7 +184,7 @@ def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, 
     best, best_residual = x, _kkt(a, b, x0, x, scale)
     blocked: set[int] = set()
     entered = -1
-    for _ in range(1, _MAX_PIVOTS + 1):
+    for step in range(1, _MAX_PIVOTS + 1):  # noqa: B007 - its last value is returned
         goal = np.zeros_like(x)
         goal[free] = _least_squares(columns[:, free].toarray(), b, x0[free])
         leaving = np.flatnonzero(free & (goal <= 0.0))
