@@ -120,12 +120,13 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate import press as presses
 
     _check_device(device, precision)
     _check_writable("--plot", plot)
     _check_writable("--json", Path(json) if json not in (None, "-") else None)
     loaded = load_scene(find_scene(scene))
+    from vsfsim.generate import press as presses  # seconds; a mistake in the scene should not wait for it
+
     result = presses.press(loaded.sample(seed), tier=tier, device=device, precision=precision, seed=seed,
                            progress=_Progress("press"))
     if plot is not None:
@@ -164,13 +165,14 @@ def generate(scene: SceneName,
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate.run import generate as run
 
     _check_device(device, precision)
     if renderer not in ("warp", "pyrender"):
         raise VsfsimError(f"--renderer is '{renderer}'. {did_you_mean(renderer, ('warp', 'pyrender'))}")
     loaded = load_scene(find_scene(scene))
     folder = out or Path("datasets") / loaded.name
+    from vsfsim.generate.run import generate as run  # seconds; a mistake in the scene should not wait for it
+
     began = time.perf_counter()
     dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device, precision=precision,
                   renderer=renderer, workers=workers, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
@@ -253,8 +255,8 @@ def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim
     given = _parameters(parameters)
     parameters_of(find_method(method), given)  # a typing error should not wait for the dataset
     wanted = load_task(task)
-    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
     path = _result_path(out, wanted.name, method)
+    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
     result.save(path)
     t = result.timing
     print(score_table(result, wanted.primary))
@@ -275,8 +277,8 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
-    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
     path = _result_path(out, wanted.name, name)
+    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
     result.save(path)
     print(score_table(result, wanted.primary))
     print(f"written to {path}")
@@ -352,7 +354,12 @@ def _check_writable(option: str, path: Path | None) -> None:
 
 
 def _result_path(out: Path | None, task: str, method: str) -> Path:
-    return out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    """Where a result goes; refused before the work if it cannot be a file."""
+    path = out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    there = next(folder for folder in path.parents if folder.exists())  # the folders below it are made with the file
+    if path.is_dir() or not there.is_dir():
+        raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is {'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
+    return path
 
 
 class _Progress:
