@@ -239,8 +239,14 @@ class Solver:
                 # near the solution the tangent of the step before is as good: renew it only while much is unbalanced
                 fresh = renew[open_] | (state["measure"][open_] > 0.05)
                 if fresh.any():
-                    self.elasticity.tangent(active[fresh], self.u)
-                direction, steps = self._direction(active, state["residual"][:, open_])
+                    self.elasticity.tangent(active[fresh], self.u, projected=False)
+                direction, steps, negative = self._direction(active, state["residual"][:, open_])
+                if negative.any():
+                    # not a bowl along some direction: take the projected tangent, which always is
+                    self.elasticity.tangent(active[negative], self.u, projected=True)
+                    safe, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]])
+                    direction[:, negative] = safe
+                    steps += more
                 before = state["measure"][open_].copy()
                 taken, moved = self._line_search(active, pose, direction, {k: v[..., open_] for k, v in state.items()})
                 newton[active] += 1
@@ -258,7 +264,8 @@ class Solver:
         self.touching.evaluate(np.arange(batch), pose, self.u)
         return self._report(columns, state, newton, cg)
 
-    def _direction(self, columns: np.ndarray, residual: np.ndarray) -> tuple[wp.array, int]:
+    def _direction(self, columns: np.ndarray, residual: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+        """Newton's direction (3 n, k) [m], the iterations it took, and which columns met negative curvature."""
         count, batch = len(columns), self.u.shape[1]
         index = wp.array(columns, dtype=wp.int32, device=self.device)
         width = 3 * self.touching.nodes.shape[1]
@@ -298,17 +305,16 @@ class Solver:
             return back(r)
 
         right = wp.array(residual, dtype=self.real, device=self.device)
-        direction, steps, _ = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
+        direction, steps, negative = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
                                         tolerance=np.full(count, self.options.cg_tolerance))
-        return direction, steps
+        return direction.numpy().astype(np.float64), steps, negative
 
-    def _line_search(self, columns: np.ndarray, pose: np.ndarray, direction: wp.array,
+    def _line_search(self, columns: np.ndarray, pose: np.ndarray, d: np.ndarray,
                      state: State) -> tuple[State, np.ndarray]:
         """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
 
         Returns the state after it, and which columns moved at all.
         """
-        d = direction.numpy().astype(np.float64)
         base = self._u()[:, columns]
         slope = (state["residual"] * d).sum(axis=0)
         step = np.ones(len(columns))
