@@ -199,7 +199,9 @@ def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, 
     blocked: set[int] = set()
     entered = -1
     work = 2.0 * min(a.shape) ** 2 * max(a.shape)
-    for step in range(1, int(np.clip(_PRIMAL_WORK / work, *_PIVOTS)) + 1):
+    step, limit = 0, int(np.clip(_PRIMAL_WORK / work, *_PIVOTS))
+    while step < limit:
+        step += 1
         goal = np.zeros_like(x)
         goal[free] = _least_squares(columns[:, free].toarray(), b, x0[free])
         leaving = np.flatnonzero(free & (goal <= 0.0))
