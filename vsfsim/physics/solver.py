@@ -248,15 +248,17 @@ class Solver:
         for _ in range(4):  # a patch may have to grow
             stuck = np.zeros(len(columns), bool)
             renew = np.ones(len(columns), bool)  # whose tangent must be made anew
+            safe = np.zeros(len(columns), bool)  # whose last step failed: they get the projected tangent
             for _ in range(opt.newton):
                 open_ = np.flatnonzero((state["measure"] > opt.tolerance) & ~stuck)
                 if not len(open_) or time.perf_counter() > deadline:
                     break
                 active = columns[open_]
-                # near the solution the tangent of the step before is as good: renew it only while much is unbalanced
-                far = state["measure"][open_] > 0.3
-                fresh = renew[open_] | (state["measure"][open_] > 0.05)
-                # far off, the projected tangent is the safe one; near by, the true one converges quadratically
+                before = state["measure"][open_].copy()
+                # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
+                # and that of the step before is as good
+                far = (before > 0.3) | safe[open_]
+                fresh = renew[open_] | (before > 0.05)
                 for projected, which in ((True, fresh & far), (False, fresh & ~far)):
                     if which.any():
                         self.elasticity.tangent(active[which], self.u, projected=projected)
@@ -264,20 +266,21 @@ class Solver:
                 if negative.any():
                     # not a bowl along some direction: take the projected tangent, which always is
                     self.elasticity.tangent(active[negative], self.u, projected=True)
-                    safe, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
+                    bowl, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
                                                     near=np.zeros(int(negative.sum()), bool))
-                    direction[:, negative] = safe
+                    direction[:, negative] = bowl
                     steps += more
-                direction = self._correct(active, pose, direction)
-                before = state["measure"][open_].copy()
-                taken, moved = self._line_search(active, pose, direction, {k: v[..., open_] for k, v in state.items()})
                 newton[active] += 1
                 cg[active] += steps
-                for key, value in taken.items():
-                    state[key][..., open_] = value
-                renew[open_] = state["measure"][open_] > 0.5 * before
-                # no step helps, not even along a fresh tangent's direction: rounding's floor, or nothing to be found
-                stuck[open_] = ~moved & fresh
+                moved = self._step(active, open_, pose, self._correct(active, pose, direction), state)
+                still = np.flatnonzero(~moved)
+                if len(still):
+                    self.touching.evaluate(active[still], pose, self.u)
+                    moved[still] = self._step(active[still], open_[still], pose, direction[:, still], state)
+                renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
+                # no step helps, not even a projected one: rounding's floor, or nothing to be found
+                stuck[open_] = ~moved & safe[open_]
+                safe[open_] = ~moved
                 self.touching.evaluate(columns, pose, self.u)
             if not self.touching.grow(columns, pose, self._u()):
                 break
@@ -355,6 +358,13 @@ class Solver:
             direction = direction.copy()
             direction[:, useful] += self._answer(columns[useful], [change[k] for k in useful])
         return direction
+
+    def _step(self, columns: np.ndarray, at: np.ndarray, pose: np.ndarray, direction: np.ndarray, state: State) -> np.ndarray:
+        """Line search of ``columns``, whose entries in ``state`` are ``at``; updates state, returns who moved (k,)."""
+        taken, moved = self._line_search(columns, pose, direction, {k: v[..., at] for k, v in state.items()})
+        for key, value in taken.items():
+            state[key][..., at] = value
+        return moved
 
     def _line_search(self, columns: np.ndarray, pose: np.ndarray, d: np.ndarray,
                      state: State) -> tuple[State, np.ndarray]:
