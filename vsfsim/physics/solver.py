@@ -401,8 +401,9 @@ class Solver:
         """One frame of linear elasticity: the condensed contact problem, solved to its tolerance."""
         none = [np.zeros(len(self.touching.dof(b))) for b in columns]
         for _ in range(4):
-            pushed, error = self.touching.condensed(columns, pose, self._sag, none, iterations=60,
-                                                    tolerance=self.options.tolerance)
+            pushed, error = self.touching.condensed(columns, pose, self._sag, none, iterations=100,
+                                                    tolerance=self.options.tolerance, start=self._pushed)
+            self._pushed = pushed
             self._set(self._sag + self._answer(columns, pushed))
             if not self.touching.grow(columns, pose, self._u()):
                 break
