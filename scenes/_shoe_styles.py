@@ -45,7 +45,7 @@ class ShoeForm:
 RANGES: dict[str, tuple[float, float]] = {
     "length": (0.22, 0.30), "width": (0.080, 0.115), "heel_width": (0.060, 0.085),
     "collar_height": (0.050, 0.120), "throat_height": (0.075, 0.130), "toe_height": (0.048, 0.070),
-    "sole_heel": (0.012, 0.030), "sole_fore": (0.012, 0.025), "wall": (0.004, 0.007),
+    "sole_heel": (0.012, 0.030), "sole_fore": (0.012, 0.025), "wall": (0.004, 0.009),
     "opening": (0.36, 0.52), "toe_spring": (0.0, 0.015), "arch": (0.0, 0.006),
     "flare": (0.0, 0.005), "bend": (0.0, 0.010),
 }
@@ -61,21 +61,21 @@ class Style:
 
 STYLES: dict[str, Style] = {
     "sneaker": Style(
-        ShoeForm(0.265, 0.100, 0.070, 0.072, 0.098, 0.056, 0.024, 0.018, 0.0055, 0.44, 0.006, 0.000, 0.003, 0.006),
+        ShoeForm(0.265, 0.100, 0.070, 0.072, 0.098, 0.056, 0.024, 0.018, 0.0065, 0.44, 0.006, 0.000, 0.003, 0.006),
         {"sole": ("rubber",), "toe_cap": ("rubber", "leather"), "upper": ("nylon", "leather", "suede"),
-         "tongue": ("foam", "mesh"), "heel_counter": ("leather", "plastic")}),
+         "tongue": ("foam", "padding"), "heel_counter": ("leather", "plastic")}),
     "boot": Style(
-        ShoeForm(0.280, 0.102, 0.076, 0.112, 0.120, 0.062, 0.028, 0.020, 0.0065, 0.40, 0.008, 0.005, 0.002, 0.005),
+        ShoeForm(0.280, 0.102, 0.076, 0.112, 0.120, 0.062, 0.028, 0.020, 0.0075, 0.40, 0.008, 0.005, 0.002, 0.005),
         {"sole": ("rubber",), "toe_cap": ("leather", "plastic"), "upper": ("leather", "suede"),
-         "tongue": ("foam", "nylon"), "heel_counter": ("leather", "plastic")}),
+         "tongue": ("foam", "padding"), "heel_counter": ("leather", "plastic")}),
     "runner": Style(
-        ShoeForm(0.270, 0.098, 0.072, 0.070, 0.094, 0.054, 0.028, 0.020, 0.0050, 0.43, 0.013, 0.002, 0.005, 0.007),
+        ShoeForm(0.270, 0.098, 0.072, 0.070, 0.094, 0.054, 0.028, 0.020, 0.0060, 0.43, 0.013, 0.002, 0.005, 0.007),
         {"sole": ("rubber",), "toe_cap": ("suede", "plastic"), "upper": ("mesh", "nylon"),
-         "tongue": ("foam",), "heel_counter": ("plastic",)}),
+         "tongue": ("foam", "padding"), "heel_counter": ("plastic",)}),
     "slipper": Style(
-        ShoeForm(0.255, 0.096, 0.074, 0.054, 0.078, 0.053, 0.014, 0.013, 0.0060, 0.48, 0.002, 0.000, 0.001, 0.003),
+        ShoeForm(0.255, 0.096, 0.074, 0.054, 0.078, 0.053, 0.014, 0.013, 0.0070, 0.48, 0.002, 0.000, 0.001, 0.003),
         {"sole": ("rubber", "plastic"), "toe_cap": ("suede", "nylon"), "upper": ("suede", "mesh"),
-         "tongue": ("foam",), "heel_counter": ("suede", "leather")}),
+         "tongue": ("foam", "padding"), "heel_counter": ("suede", "leather")}),
 }
 
 

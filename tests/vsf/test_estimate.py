@@ -140,6 +140,16 @@ def test_more_readings_than_touched_particles_at_size():
     np.testing.assert_allclose(w @ result.mean, w @ truth, atol=5e-3)
 
 
+@pytest.mark.parametrize("var", [1e6, 1e8, 1e10])
+def test_wide_priors_at_size(var):
+    # The readings contradict each other by 0.15 of noise; the wider the prior, the harder the estimate bends to them.
+    w, z = presses(20_000, 40, 12, 4)
+    result = map_estimate(w, z, noise_std=0.15, prior_mean=50.0, prior_var=var)
+    assert result.kkt_residual <= 1e-9
+    narrow = map_estimate(w, z, noise_std=0.15, prior_mean=50.0, prior_var=1e4)
+    assert np.linalg.norm(w @ result.mean - z) < np.linalg.norm(w @ narrow.mean - z)
+
+
 def test_a_prior_next_to_none_at_size_still_converges():
     w, z = presses(3_000, 20, 12, 3)
     result = map_estimate(w, z, noise_std=1e-3, prior_mean=20.0, prior_var=1e12)

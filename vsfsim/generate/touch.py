@@ -19,6 +19,7 @@ from vsfsim.robot.press import times, touch_path, turn_to
 
 _NEIGHBOURS = 40  # points of the cloud that vote for a normal
 _RADIUS = 0.012  # and how far away they may be [m]
+_BLOCKED = 0.015  # a probe that meets something else this far before its target cannot reach it [m]
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarra
 def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callable[[int], np.random.Generator]) -> list[Aim]:
     """Draw the touches of a view: uniform on the visible cloud, along its normal.
 
-    Targets that would drive the probe into the table (z < 0) are drawn again. The depth is cut where the rest state's linear
+    Targets that the probe cannot reach are drawn again: another part of the object is in the way, or the table (z < 0) is. The depth is cut where the rest state's linear
     response passes ``force_limit``, as a careful robot would stop.
 
     Args:
@@ -106,7 +107,7 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callabl
                 out.append(found)
                 break
         else:
-            raise SceneError(f"{scene.source} [touches]: no target of 200 can be touched without driving the probe into the table; "
+            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached without meeting the table or another part first; "
                              "use a smaller probe, approach or depth.")
     return _limit(scene, spec, model, out)
 
@@ -117,10 +118,13 @@ def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, ta
     size = sdf.support(probe, rotation.T @ axis)
     pose = np.eye(4)
     pose[:3, :3] = rotation
-    pose[:3, 3] = target + (size + spec.approach + 2.0 * sdf.reach(probe)) * normal if np.isfinite(sdf.reach(probe)) \
-        else target + spec.approach * normal
+    # from outside the whole body, so that the first thing met is the first thing there
+    away = float(np.linalg.norm(samples - target, axis=1).max()) + 2.0 * size
+    pose[:3, 3] = target + away * normal
     gone = clearance(model, probe, pose, axis, samples=samples)
     contact = pose[:3, 3] + gone * axis if np.isfinite(gone) else target + size * normal
+    if (contact - target) @ normal - size > _BLOCKED:
+        return None
     low = [contact - spec.approach * axis, contact + spec.depth * axis]
     down = sdf.support(probe, rotation.T @ np.array([0.0, 0.0, -1.0]))
     if min(p[2] for p in low) - down < 0.0:

@@ -74,9 +74,9 @@ class Elasticity:
         """Elastic energy (k,) [J] and least det F (k,) [-] of ``columns``, as last computed."""
         return (self._energy.numpy()[columns], self._det.numpy()[columns].astype(np.float64))
 
-    def tangent(self, columns: np.ndarray, u: wp.array) -> None:
-        """Make the projected tangent of ``columns`` at u."""
-        self._launch(self._index(columns), u, 1)
+    def tangent(self, columns: np.ndarray, u: wp.array, *, projected: bool) -> None:
+        """Make the tangent of ``columns`` at u, projected to positive semi-definite or as it is."""
+        self._launch(self._index(columns), u, 1 if projected else 2)
 
     def multiply(self, columns: np.ndarray, index: wp.array, x: wp.array) -> wp.array:
         """Tangent times x (3 n, k), one column for each entry of ``columns``; held rows are 0."""

@@ -92,8 +92,8 @@ def solve(k: Any, multiply: Callable[[wp.array], wp.array], precondition: Callab
         tolerance: relative residual in the preconditioner's norm, per column (k,). iterations: the limit.
 
     Returns:
-        x (3 n, k), iterations done, relative residual per column (k,). A column that meets negative curvature keeps
-        what it has so far (its first direction at the least).
+        x (3 n, k), iterations done, and which columns met negative curvature (k,) bool: those keep what they have so far
+        (their first direction at the least).
     """
     shape, device = right.shape, right.device
 
@@ -111,10 +111,12 @@ def solve(k: Any, multiply: Callable[[wp.array], wp.array], precondition: Callab
     start = np.maximum(rz, 1e-300)
     running = rz > 0.0
     done = 0
+    negative = np.zeros(shape[1], bool)
     for step in range(iterations):
         ap = multiply(p)
         pap = column_dots(k, p, ap)
         bad = running & (pap <= 0.0)
+        negative |= bad
         if step == 0 and bad.any():
             combine(x, np.where(bad, 1.0, 0.0), p, x)
         running = running & ~bad
@@ -131,4 +133,4 @@ def solve(k: Any, multiply: Callable[[wp.array], wp.array], precondition: Callab
         beta = np.where(running, fresh / np.where(rz > 0.0, rz, 1.0), 0.0)
         combine(z, beta, p, p)
         rz = np.where(alpha != 0.0, fresh, rz)
-    return x, done, np.sqrt(np.maximum(rz, 0.0) / start)
+    return x, done, negative

@@ -102,6 +102,7 @@ class Solver:
         self._set(np.zeros((3 * len(self.model.mesh.points), batch)))
         columns = np.arange(batch)
         self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
+        self._pushed_before = self._pushed
         if self.linear:
             self._sag = np.repeat(self.model.factor.solve((self.model.load * self.model.free)[:, None]), batch, axis=1)
         rows: list[State] = []
@@ -116,7 +117,7 @@ class Solver:
             else:
                 self._start(columns, poses[t], known)
                 out = self._advance(columns, previous, poses[t], deadline, self.options.halvings)
-                self._pushed = self._forces(columns)
+                self._pushed_before, self._pushed = self._pushed, self._forces(columns)
             previous = poses[t]
             known.append((poses[t], self._u()))
             if keep:
@@ -177,17 +178,33 @@ class Solver:
             if np.array_equal(seen, pose):
                 self._set(u)
                 return
-        before = self._evaluate(columns, pose)
+        self._evaluate(columns, pose)
         touching = np.array([b for b in columns if self.touching.touches(b) or self._pushed[b].any()], dtype=int)
         if not len(touching):
             return
-        base = self._u()
-        change, _ = self.touching.condensed(touching, pose, base, self._pushed, iterations=20, tolerance=1e-4)
-        self._set(base[:, touching] + self._answer(touching, change), touching)
-        after = self._evaluate(touching, pose)
-        worse = touching[~(after["potential"] < before["potential"][touching])]
-        if len(worse):
-            self._set(base[:, worse], worse)
+        now = self._u()
+        guesses = [(now, self._pushed)]
+        if len(known) > 1 and all(len(a) == len(b) for a, b in zip(self._pushed, self._pushed_before)):
+            (p1, u1), (p0, u0) = known[-1], known[-2]
+            step, last = pose[:, :3, 3] - p1[:, :3, 3], p1[:, :3, 3] - p0[:, :3, 3]
+            size = np.linalg.norm(last, axis=1)
+            ratio = np.where((step * last).sum(axis=1) > 0.0, np.linalg.norm(step, axis=1) / np.where(size > 0.0, size, 1.0), 0.0)
+            ratio = np.minimum(ratio, 2.0)
+            guesses.append((u1 + ratio * (u1 - u0), [a + r * (a - b) for a, b, r in zip(self._pushed, self._pushed_before, ratio)]))
+        best = np.full(len(touching), np.inf)
+        chosen = now.copy()
+        for base, pushed in guesses:
+            change, _ = self.touching.condensed(touching, pose, base, pushed, iterations=20, tolerance=1e-4)
+            trial = base[:, touching] + self._answer(touching, change)
+            self._set(trial, touching)
+            potential = self._evaluate(touching, pose)["potential"]
+            better = potential < best
+            best = np.where(better, potential, best)
+            chosen[:, touching[better]] = trial[:, better]
+        self._set(now)
+        stay = self._evaluate(touching, pose)["potential"] <= best
+        chosen[:, touching[stay]] = now[:, touching[stay]]
+        self._set(chosen)
 
     def _answer(self, columns: np.ndarray, change: list[np.ndarray]) -> np.ndarray:
         """Displacements (3 n, k) [m] of the body at rest under forces on the patches of ``columns``."""
@@ -231,25 +248,39 @@ class Solver:
         for _ in range(4):  # a patch may have to grow
             stuck = np.zeros(len(columns), bool)
             renew = np.ones(len(columns), bool)  # whose tangent must be made anew
+            safe = np.zeros(len(columns), bool)  # whose last step failed: they get the projected tangent
             for _ in range(opt.newton):
                 open_ = np.flatnonzero((state["measure"] > opt.tolerance) & ~stuck)
                 if not len(open_) or time.perf_counter() > deadline:
                     break
                 active = columns[open_]
-                # near the solution the tangent of the step before is as good: renew it only while much is unbalanced
-                fresh = renew[open_] | (state["measure"][open_] > 0.05)
-                if fresh.any():
-                    self.elasticity.tangent(active[fresh], self.u)
-                direction, steps = self._direction(active, state["residual"][:, open_])
                 before = state["measure"][open_].copy()
-                taken, moved = self._line_search(active, pose, direction, {k: v[..., open_] for k, v in state.items()})
+                # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
+                # and that of the step before is as good
+                far = (before > 0.3) | safe[open_]
+                fresh = renew[open_] | (before > 0.05)
+                for projected, which in ((True, fresh & far), (False, fresh & ~far)):
+                    if which.any():
+                        self.elasticity.tangent(active[which], self.u, projected=projected)
+                direction, steps, negative = self._direction(active, state["residual"][:, open_], near=~far)
+                if negative.any():
+                    # not a bowl along some direction: take the projected tangent, which always is
+                    self.elasticity.tangent(active[negative], self.u, projected=True)
+                    bowl, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
+                                                    near=np.zeros(int(negative.sum()), bool))
+                    direction[:, negative] = bowl
+                    steps += more
                 newton[active] += 1
                 cg[active] += steps
-                for key, value in taken.items():
-                    state[key][..., open_] = value
-                renew[open_] = state["measure"][open_] > 0.5 * before
-                # no step helps, not even along a fresh tangent's direction: rounding's floor, or nothing to be found
-                stuck[open_] = ~moved & fresh
+                moved = self._step(active, open_, pose, self._correct(active, pose, direction), state)
+                still = np.flatnonzero(~moved)
+                if len(still):
+                    self.touching.evaluate(active[still], pose, self.u)
+                    moved[still] = self._step(active[still], open_[still], pose, direction[:, still], state)
+                renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
+                # no step helps, not even a projected one: rounding's floor, or nothing to be found
+                stuck[open_] = ~moved & safe[open_]
+                safe[open_] = ~moved
                 self.touching.evaluate(columns, pose, self.u)
             if not self.touching.grow(columns, pose, self._u()):
                 break
@@ -258,14 +289,19 @@ class Solver:
         self.touching.evaluate(np.arange(batch), pose, self.u)
         return self._report(columns, state, newton, cg)
 
-    def _direction(self, columns: np.ndarray, residual: np.ndarray) -> tuple[wp.array, int]:
+    def _direction(self, columns: np.ndarray, residual: np.ndarray, *,
+                   near: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+        """Newton's direction (3 n, k) [m], the iterations it took, and which columns met negative curvature.
+
+        The contact's geometric term counts only where ``near`` (k,): deep inside the probe it is large, and wrong.
+        """
         count, batch = len(columns), self.u.shape[1]
         index = wp.array(columns, dtype=wp.int32, device=self.device)
         width = 3 * self.touching.nodes.shape[1]
         stiff = np.zeros((batch, width, width))
         inverse = np.zeros((batch, width, width))
-        for b in columns:
-            rows, d, bend = self.touching.rows(b, geometric=True)
+        for b, close in zip(columns, near, strict=True):
+            rows, d, bend = self.touching.rows(b, geometric=bool(close))
             if len(rows):
                 s = rows.shape[1]
                 stiff[b, :s, :s] = rows.T @ (d[:, None] * rows) + bend
@@ -273,6 +309,7 @@ class Solver:
                 small[np.diag_indices_from(small)] += 1.0 / d
                 inverse[b, :s, :s] = rows.T @ np.linalg.solve(small, rows)
         has_contact = bool(inverse.any())
+        self._contact_stiffness = stiff
         stiff_array = wp.array(stiff, dtype=self.real, device=self.device)
         inverse_array = wp.array(inverse, dtype=self.real, device=self.device)
 
@@ -298,17 +335,43 @@ class Solver:
             return back(r)
 
         right = wp.array(residual, dtype=self.real, device=self.device)
-        direction, steps, _ = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
+        direction, steps, negative = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
                                         tolerance=np.full(count, self.options.cg_tolerance))
-        return direction, steps
+        return direction.numpy().astype(np.float64), steps, negative
 
-    def _line_search(self, columns: np.ndarray, pose: np.ndarray, direction: wp.array,
+    def _correct(self, columns: np.ndarray, pose: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.
+
+        The difference between the true contact forces at the end of the step and the linearised ones is worked off by the condensed
+        problem. Where the contact stays as it is this changes nothing.
+        """
+        whole = self._u()
+        pushed = list(self._forces(range(whole.shape[1])))
+        for k, b in enumerate(columns):
+            dof = self.touching.dof(b)
+            n = len(dof)
+            pushed[b] = pushed[b] - self._contact_stiffness[b, :n, :n] @ direction[dof, k]
+        whole[:, columns] += direction
+        change, error = self.touching.condensed(columns, pose, whole, pushed, iterations=12, tolerance=1e-3)
+        useful = np.flatnonzero((error < 0.1) & np.array([bool(c.any()) for c in change]))
+        if len(useful):
+            direction = direction.copy()
+            direction[:, useful] += self._answer(columns[useful], [change[k] for k in useful])
+        return direction
+
+    def _step(self, columns: np.ndarray, at: np.ndarray, pose: np.ndarray, direction: np.ndarray, state: State) -> np.ndarray:
+        """Line search of ``columns``, whose entries in ``state`` are ``at``; updates state, returns who moved (k,)."""
+        taken, moved = self._line_search(columns, pose, direction, {k: v[..., at] for k, v in state.items()})
+        for key, value in taken.items():
+            state[key][..., at] = value
+        return moved
+
+    def _line_search(self, columns: np.ndarray, pose: np.ndarray, d: np.ndarray,
                      state: State) -> tuple[State, np.ndarray]:
         """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
 
         Returns the state after it, and which columns moved at all.
         """
-        d = direction.numpy().astype(np.float64)
         base = self._u()[:, columns]
         slope = (state["residual"] * d).sum(axis=0)
         step = np.ones(len(columns))
@@ -338,8 +401,9 @@ class Solver:
         """One frame of linear elasticity: the condensed contact problem, solved to its tolerance."""
         none = [np.zeros(len(self.touching.dof(b))) for b in columns]
         for _ in range(4):
-            pushed, error = self.touching.condensed(columns, pose, self._sag, none, iterations=60,
-                                                    tolerance=self.options.tolerance)
+            pushed, error = self.touching.condensed(columns, pose, self._sag, none, iterations=100,
+                                                    tolerance=self.options.tolerance, start=self._pushed)
+            self._pushed = pushed
             self._set(self._sag + self._answer(columns, pushed))
             if not self.touching.grow(columns, pose, self._u()):
                 break

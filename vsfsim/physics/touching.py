@@ -5,7 +5,7 @@ rest-state compliance A gives the elastic answer of the whole body, so the conta
 
     u_S = u0_S + A (f(u_S) - f0),
 
-is small and dense; a semi-smooth Newton method solves it exactly. It is the `linear` tier, and the prediction of the others.
+is small and dense; a semi-smooth Newton method with a line search on its energy solves it exactly. It is the `linear` tier, and the prediction of the others.
 """
 
 from __future__ import annotations
@@ -124,39 +124,58 @@ class Touching:
     # ------------------------------------------------------------------------------------------ the condensed problem
 
     def condensed(self, columns: np.ndarray, pose: np.ndarray, base: np.ndarray, pushed: list[np.ndarray], *,
-                  iterations: int, tolerance: float) -> tuple[list[np.ndarray], np.ndarray]:
+                  iterations: int, tolerance: float, start: list[np.ndarray] | None = None) -> tuple[list[np.ndarray], np.ndarray]:
         """Change of the contact forces when the probes go to ``pose``, the body answering as at rest.
 
         Args:
             columns: touches. pose: (B, 4, 4). base: displacements before (3 n, B) [m].
             pushed: contact forces before, on each patch's degrees of freedom [N]. iterations: limit.
-            tolerance: relative error of the patch's displacements.
+            tolerance: relative error of the patch's displacements. start: changes to begin with, or None for none.
 
         Returns:
             Changes on each patch's degrees of freedom [N], in the order of ``columns``, and the relative errors left.
         """
         trial = np.array(base, dtype=np.float64)
+        q = {b: np.zeros(3 * len(self.patches[b].nodes)) for b in columns}  # forces sought; u_S = base + A q throughout
+        for b, known in zip(columns, start or [], strict=False):
+            if len(known) == len(q[b]):
+                q[b] = known
+                trial[self.dof(b), b] += self.compliance(b) @ known
+        dq, move, level, slope = dict(q), dict(q), dict.fromkeys(columns, np.inf), dict.fromkeys(columns, 0.0)
+        step = dict.fromkeys(columns, 1.0)
+        error = dict.fromkeys(columns, np.inf)
+        best = {b: (np.inf, q[b]) for b in columns}
         running = list(columns)
-        delta = {b: np.zeros(3 * len(self.patches[b].nodes)) for b in columns}
-        error = dict.fromkeys(columns, 0.0)
         for _ in range(iterations):
             self.evaluate(np.array(running), pose, wp.array(trial, dtype=self.real, device=self.device))
             for b in list(running):
                 a, dof = self.compliance(b), self.dof(b)
-                delta[b] = self.nodal(b) - pushed[b]
-                miss = trial[dof, b] - base[dof, b] - a @ delta[b]
+                energy = 0.5 * (trial[dof, b] - base[dof, b]) @ q[b] + pushed[b] @ (trial[dof, b] - base[dof, b]) + self.energy[b]
+                if energy > level[b] - 1e-4 * step[b] * slope[b] + 1e-12 * abs(level[b]) and step[b] > 1e-4:
+                    # too far: back half of what is left of this step
+                    step[b] *= 0.5
+                    q[b] = q[b] - step[b] * dq[b]
+                    trial[dof, b] -= step[b] * move[b]
+                    continue
+                rho = self.nodal(b) - pushed[b] - q[b]
+                miss = a @ rho
+                error[b] = float(np.abs(miss).max() / max(np.abs(trial[dof, b]).max(), 1e-9))
+                if error[b] < best[b][0]:
+                    best[b] = (error[b], self.nodal(b) - pushed[b])
+                if error[b] < tolerance:
+                    running.remove(b)
+                    continue
                 rows, stiffness, _ = self.rows(b, geometric=False)
                 small = rows @ a @ rows.T
                 small[np.diag_indices_from(small)] += 1.0 / stiffness
-                step = a @ (rows.T @ np.linalg.solve(small, rows @ miss)) - miss
-                error[b] = float(np.abs(miss).max() / max(np.abs(trial[dof, b]).max(), 1e-9))
-                if error[b] < tolerance:
-                    running.remove(b)
-                else:
-                    trial[dof, b] += step
+                dq[b] = rho - rows.T @ np.linalg.solve(small, rows @ miss)
+                move[b] = a @ dq[b]
+                level[b], slope[b], step[b] = energy, dq[b] @ miss, 1.0
+                q[b] = q[b] + dq[b]
+                trial[dof, b] += move[b]
             if not running:
                 break
-        return [delta[b] for b in columns], np.array([error[b] for b in columns])
+        return [best[b][1] for b in columns], np.array([best[b][0] for b in columns])
 
     # ------------------------------------------------------------------------------------------ nothing slips through
 

@@ -17,11 +17,16 @@ from scipy import linalg, sparse
 
 from vsfsim.vsf.dynamics import VsfError
 
-# Above this square of the largest singular value of A, rounding in y would show in x = x0 + A^T y (the readings then
-# outweigh the prior by more than float64 can hold side by side), and the primal takes over.
-_DUAL_LIMIT = 1e11
+# Largest eigenvalue of A A^T up to which the dual is trusted with the whole problem: beyond, the readings outweigh the
+# prior by more than float64 can hold side by side, and rounding in y shows in x = x0 + A^T y.
+_DUAL_LIMIT = 1e14
+# Strengths at which the problem is solved on the way to its own, and how well.
+_STAGES = tuple(1e6 * 30.0**k for k in range(6))
+_STAGE_TOLERANCE = 1e-4
 _MAX_STEPS = 200
-_MAX_PIVOTS = 2000
+# Budget of the primal in floating-point operations (about five minutes of one core), and its steps in any case.
+_PRIMAL_WORK = 1e12
+_PIVOTS = (20, 2000)
 # Newton steps in a row without progress: what is left is rounding.
 _PATIENCE = 12
 # A KKT residual that needs no second algorithm.
@@ -76,9 +81,16 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
         # More readings than unknowns: |b - A x| = |Q^T b - R x| + const, with R only touched x touched.
         q, r = linalg.qr(a.toarray(), mode="economic")
         a, b = sparse.csr_matrix(r), q.T @ b
-    # Where the readings outweigh the prior too far, the dual is given them at less weight, as a start for the primal.
-    weight = min(1.0, float(np.sqrt(_DUAL_LIMIT / max(_largest_eigenvalue(a), 1e-300))))
-    x, steps = _dual(a * weight, b * weight, x0, scale[touched], tolerance)
+    # A tight fit to the readings takes many steps from the prior: come to it by raising the readings' weight.
+    strength = max(_largest_eigenvalue(a), 1e-300)
+    stages = [t for t in _STAGES if t < 0.1 * min(strength, _DUAL_LIMIT)] + [min(strength, _DUAL_LIMIT)]
+    x, y, steps, before = x0, np.zeros(len(b)), 0, 1.0
+    for stage in stages:
+        weight = 1.0 if stage == strength else float(np.sqrt(stage / strength))
+        # The same x = x0 + (weight A)^T y at the new weight.
+        x, y, more = _dual(a * weight, b * weight, x0, y * (before / weight), scale[touched],
+                           tolerance if stage == stages[-1] else _STAGE_TOLERANCE)
+        steps, before = steps + more, weight
     residual = _kkt(a, b, x0, x, scale[touched])
     if weight < 1.0 or residual > _GOOD:
         x, more = _primal(a, b, x0, x, scale[touched], tolerance)
@@ -118,34 +130,36 @@ def posterior_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior_
     return out
 
 
-def _dual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, tolerance: float) -> tuple[np.ndarray, int]:
-    """Semi-smooth Newton on the dual; returns x and the number of steps."""
+def _dual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, y: np.ndarray, scale: np.ndarray,
+          tolerance: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Semi-smooth Newton on the dual from ``y``; returns x, y and the number of steps."""
     at = sparse.csr_matrix(a.T)
-    y = np.zeros(len(b))
-    x = np.maximum(x0, 0.0)
-    best, best_residual, patience = x, np.inf, _PATIENCE
+    x = np.maximum(x0 + at @ y, 0.0)
+    best, best_residual, patience = (x, y), np.inf, _PATIENCE
     for step in range(_MAX_STEPS):
         residual = _kkt(a, b, x0, x, scale)
-        if residual < best_residual:
-            best, best_residual, patience = x, residual, _PATIENCE
+        # Far from the solution the residual says nothing about progress (the line search does); near it, what no
+        # longer falls is rounding.
+        if residual < best_residual or best_residual > 1e-5:
+            best, best_residual, patience = (x, y), residual, _PATIENCE
         else:
             patience -= 1
         if residual <= tolerance or patience == 0:
-            return best, step
-        inside = x0 + at @ y > 0.0
-        gradient = y + a @ np.where(inside, x0 + at @ y, 0.0) - b
+            return *best, step
+        pull = x0 + at @ y
+        inside = pull > 0.0
+        gradient = y + a @ np.where(inside, pull, 0.0) - b
         part = a[:, inside]
         hessian = (part @ part.T).toarray()
         hessian[np.diag_indices_from(hessian)] += 1.0
         factor = linalg.cho_factor(hessian, lower=True, overwrite_a=True, check_finite=False)
         direction = -linalg.cho_solve(factor, gradient, check_finite=False)
-        length = _line_search(x0 + at @ y, at @ direction, y, direction, b)
-        moved = y + length * direction
+        moved = y + _line_search(pull, at @ direction, y, direction, b) * direction
         if np.array_equal(moved, y):
-            break
+            return *best, step + 1
         y = moved
         x = np.maximum(x0 + at @ y, 0.0)
-    return best, step + 1
+    return *best, _MAX_STEPS
 
 
 def _line_search(p: np.ndarray, q: np.ndarray, y: np.ndarray, d: np.ndarray, b: np.ndarray) -> float:
@@ -184,7 +198,10 @@ def _primal(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, 
     best, best_residual = x, _kkt(a, b, x0, x, scale)
     blocked: set[int] = set()
     entered = -1
-    for step in range(1, _MAX_PIVOTS + 1):  # noqa: B007 - its last value is returned
+    work = 2.0 * min(a.shape) ** 2 * max(a.shape)
+    step, limit = 0, int(np.clip(_PRIMAL_WORK / work, *_PIVOTS))
+    while step < limit:
+        step += 1
         goal = np.zeros_like(x)
         goal[free] = _least_squares(columns[:, free].toarray(), b, x0[free])
         leaving = np.flatnonzero(free & (goal <= 0.0))

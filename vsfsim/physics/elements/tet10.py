@@ -8,6 +8,7 @@ inverted element has a finite energy and a force that turns it back.
 P = mu F + c cof F with c = (lambda + mu)(J - 1) - mu. The Hessian is projected to a positive semi-definite one with
 its eigen-system in closed form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion energies", 2019):
 twists mu + c s_k, flips mu - c s_k, and a 3 x 3 block for the stretches, with s_k the singular values of F.
+The projection costs the quadratic convergence of Newton's method in bent or compressed parts, so the Hessian can also be had as it is.
 
 Ten nodes (corners 0-3, then the edges of `EDGES`), straight sides, four Gauss points, moduli per Gauss point.
 Vectors are (3 n, B): degree of freedom by touch; node i owns rows 3 i, 3 i + 1, 3 i + 2.
@@ -125,13 +126,12 @@ def kernels(real: type) -> Any:
         return wp.outer(vec3(u[0, i], u[1, i], u[2, i]), vec3(v[0, j], v[1, j], v[2, j]))
 
     @wp.func(module=module)
-    def projected_hessian(f: mat33, mu: real, lam: real):
+    def hessian(f: mat33, mu: real, lam: real, zero: real):
         u, s, v = wp.svd3(f)
         sign = wp.determinant(u) * wp.determinant(v)
         j = sign * s[0] * s[1] * s[2]
         bulk = lam + mu
         c = bulk * (j - real(1.0)) - mu
-        zero = real(0.0)
         h = mat99()
         for k in range(3):
             i1 = (k + 1) % 3
@@ -166,7 +166,7 @@ def kernels(real: type) -> Any:
         volume: wp.array(dtype=real),
         mu: wp.array2d(dtype=real),
         lam: wp.array2d(dtype=real),
-        with_hessian: int,
+        with_hessian: int,  # 0 none, 1 projected to positive semi-definite, 2 as it is
         columns: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
@@ -208,8 +208,11 @@ def kernels(real: type) -> Any:
             p = m * (f - cof) + stiff * j1 * cof
             least = wp.min(least, real(1.0) + j1)
             force = spread(force, (weight * g) * wp.transpose(p), q)
-            if with_hessian == 1:
-                hessian_out[t, q, b] = weight * projected_hessian(f, m, lam[t, q])
+            if with_hessian > 0:
+                least_eigenvalue = real(0.0)
+                if with_hessian == 2:
+                    least_eigenvalue = real(-1e30)
+                hessian_out[t, q, b] = weight * hessian(f, m, lam[t, q], least_eigenvalue)
         for a in range(10):
             force_out[t, a, b] = vec3(force[a, 0], force[a, 1], force[a, 2])
         energy_out[t, b] = energy
