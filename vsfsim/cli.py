@@ -363,15 +363,17 @@ def _result_path(out: Path | None, task: str, method: str) -> Path:
 
 
 class _Progress:
-    """A line on stderr with the time that is left; silent where stderr is not a terminal."""
+    """What is going on and the time that is left, on stderr: one line that is overwritten, or, in a log, one every 20 s."""
 
     def __init__(self, label: str):
-        self.label, self.start, self.alive = label, time.perf_counter(), sys.stderr.isatty()
+        self.label, self.start, self.told = label, time.perf_counter(), time.perf_counter()
 
     def __call__(self, done: int, total: int, what: str) -> None:
-        if not self.alive:
-            return
-        spent = time.perf_counter() - self.start
-        left = f", {spent / done * (total - done):.0f} s left" if done else ""
-        end = "\n" if done >= total else ""
-        print(f"\r\x1b[K{self.label}: {done}/{total} {what}{left}", end=end, file=sys.stderr, flush=True)
+        now = time.perf_counter()
+        left = f", {(now - self.start) / done * (total - done):.0f} s left" if done else ""
+        line = f"{self.label}: {done}/{total} {what}{left}"
+        if sys.stderr.isatty():
+            print(f"\r\x1b[K{line}", end="\n" if done >= total else "", file=sys.stderr, flush=True)
+        elif now - self.told > 20.0:
+            self.told = now
+            print(line, file=sys.stderr, flush=True)
