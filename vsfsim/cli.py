@@ -366,10 +366,12 @@ class _Progress:
     """What is going on and the time that is left, on stderr: one line that is overwritten, or, in a log, one every 20 s."""
 
     def __init__(self, label: str):
-        self.label, self.start, self.told = label, time.perf_counter(), time.perf_counter()
+        self.label, self.start, self.told, self.total = label, time.perf_counter(), time.perf_counter(), 0
 
     def __call__(self, done: int, total: int, what: str) -> None:
         now = time.perf_counter()
+        if total != self.total:  # another stage: compiling kernels says nothing about the frames after it
+            self.start, self.total = now, total
         left = f", {(now - self.start) / done * (total - done):.0f} s left" if done else ""
         line = f"{self.label}: {done}/{total} {what}{left}"
         if sys.stderr.isatty():
