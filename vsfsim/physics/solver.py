@@ -28,7 +28,8 @@ class SolverOptions:
     """Limits and tolerances.
 
     tolerance: largest sum of unbalanced nodal forces over the sum of contact (or weight) forces [-]; bounds the error of
-    the force balance. newton: iterations a step. cg: iterations a linear system. cg_tolerance: its relative residual.
+    the force balance. newton: iterations a step. cg: iterations a linear system. cg_tolerance: its relative residual near the solution.
+    cg_far: looser by this factor far from it, where Newton's model is no better.
     halvings: how often a failed step is halved. seconds: wall-clock limit of one frame of the batch [s].
     """
 
@@ -36,6 +37,7 @@ class SolverOptions:
     newton: int = 40
     cg: int = 150
     cg_tolerance: float = 1e-2
+    cg_far: float = 10.0
     halvings: int = 5
     seconds: float = 120.0
 
@@ -336,7 +338,7 @@ class Solver:
 
         right = wp.array(residual, dtype=self.real, device=self.device)
         direction, steps, negative = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
-                                        tolerance=np.full(count, self.options.cg_tolerance))
+                                        tolerance=np.where(near, 1.0, self.options.cg_far) * self.options.cg_tolerance)
         return direction.numpy().astype(np.float64), steps, negative
 
     def _correct(self, columns: np.ndarray, pose: np.ndarray, direction: np.ndarray) -> np.ndarray:
