@@ -69,8 +69,9 @@ def crossings(corners: np.ndarray, x: float, z: float) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         v = cross(np.array([x, z]) - a[:, flat], (c - a)[:, flat]) / twice
         w = cross((b - a)[:, flat], np.array([x, z]) - a[:, flat]) / twice
+        y = a[:, 1] + v * (b - a)[:, 1] + w * (c - a)[:, 1]
     inside = (v >= 0) & (w >= 0) & (v + w <= 1)
-    return np.sort((a + v[:, None] * (b - a) + w[:, None] * (c - a))[inside, 1])
+    return np.sort(y[inside])
 
 
 def test_it_is_hollow_and_its_walls_are_as_thick_as_asked() -> None:
