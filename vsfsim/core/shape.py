@@ -74,7 +74,7 @@ class Plane:
 class MeshFile:
     """A surface mesh of the user's own (OBJ, PLY, STL).
 
-    path: the file, relative to the scene file. scale: metres per unit of the file, or None to
+    path: the file, relative to the scene file. scale: [m] per unit of the file, or None to
     decide from the size (a bounding box over 5 units is read as millimetres, and said so).
     """
 
