@@ -6,6 +6,7 @@ and exit code 2; anything else is a bug of ours and keeps its traceback, exit co
 
 from __future__ import annotations
 
+import errno
 import sys
 import time
 import traceback
@@ -17,10 +18,22 @@ import typer
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
-                  help="Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness estimators.")
+                  help="""Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness estimators.
+
+\b
+A first look:
+  vsfsim press indent                 press a sphere into a soft block
+  vsfsim inspect shoes-mini           draw a shoe of the small data set
+\b
+Make data, score two methods, see the table:
+  vsfsim generate shoes-mini --out datasets/shoes-mini-v1
+  vsfsim evaluate --method gaussian --task fewshot-shoes-mini-v1
+  vsfsim evaluate --method point-vsf --task fewshot-shoes-mini-v1
+  vsfsim leaderboard --task fewshot-shoes-mini-v1
+""", epilog="Exit codes: 0 fine, 1 a bug of ours, 2 a mistake in what was given, 3 a press that did not converge.")
 
 TaskName = Annotated[str, typer.Option("--task", help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
-DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: datasets/ or $VSFSIM_DATASETS.")]
+DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS.")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method; may be given again.")]
 
 
@@ -43,10 +56,25 @@ def main() -> None:
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe left; nothing is wrong
         sys.exit(0)
+    except OSError as error:
+        if error.errno not in _DISK:
+            _report_bug()
+        if debug:
+            traceback.print_exc()
+        print(f"error: {error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose another place, and run the same command again.", file=sys.stderr)
+        sys.exit(2)
     except Exception:
-        traceback.print_exc()
-        print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.", file=sys.stderr)
-        sys.exit(1)
+        _report_bug()
+
+
+_DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
+"""A disk that is full, or that may not be written: of pictures and temporary files, which others write for us."""
+
+
+def _report_bug() -> None:
+    traceback.print_exc()
+    print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.", file=sys.stderr)
+    sys.exit(1)
 
 
 @app.callback(invoke_without_command=True)
@@ -92,10 +120,13 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate import press as presses
 
     _check_device(device, precision)
+    _check_writable("--plot", plot)
+    _check_writable("--json", Path(json) if json not in (None, "-") else None)
     loaded = load_scene(find_scene(scene))
+    from vsfsim.generate import press as presses  # seconds; a mistake in the scene should not wait for it
+
     result = presses.press(loaded.sample(seed), tier=tier, device=device, precision=precision, seed=seed,
                            progress=_Progress("press"))
     if plot is not None:
@@ -128,14 +159,20 @@ def generate(scene: SceneName,
              tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
              workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None) -> None:
-    """Make a dataset from a scene; a re-run goes on where it stopped."""
+    """Make a dataset from a scene, or finish one.
+
+    Run the same command again after an interruption: it makes only what is missing, to the same bits.
+    """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
-    from vsfsim.generate.run import generate as run
 
     _check_device(device, precision)
+    if renderer not in ("warp", "pyrender"):
+        raise VsfsimError(f"--renderer is '{renderer}'. {did_you_mean(renderer, ('warp', 'pyrender'))}")
     loaded = load_scene(find_scene(scene))
     folder = out or Path("datasets") / loaded.name
+    from vsfsim.generate.run import generate as run  # seconds; a mistake in the scene should not wait for it
+
     began = time.perf_counter()
     dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device, precision=precision,
                   renderer=renderer, workers=workers, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
@@ -149,9 +186,14 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="F
             out: Annotated[Path | None, typer.Option(help="PNG to write; default: NAME.png here.")] = None,
             seed: Annotated[int, typer.Option(min=0, help="Fixes every distribution of a scene.")] = 0,
             device: Device = "cpu") -> None:
-    """Look at a dataset (summary and contact sheet) or at a scene's object (turntable)."""
+    """Draw a dataset, or a scene's object.
+
+    A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus.
+    """
     from vsfsim.generate import inspect as look
 
+    _check_device(device)
+    _check_writable("--out", out)
     for line in look.inspect(what, out, seed=seed, device=device):
         print(line)
 
@@ -160,7 +202,7 @@ def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="F
 
 
 @app.command()
-def verify(folder: Annotated[Path, typer.Argument(help="Folder of a dataset.")]) -> None:
+def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a dataset.")]) -> None:
     """Check every byte, field and frame of a dataset.
 
     Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
@@ -213,8 +255,8 @@ def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim
     given = _parameters(parameters)
     parameters_of(find_method(method), given)  # a typing error should not wait for the dataset
     wanted = load_task(task)
-    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
     path = _result_path(out, wanted.name, method)
+    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
     result.save(path)
     t = result.timing
     print(score_table(result, wanted.primary))
@@ -226,7 +268,7 @@ def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim
 
 
 @app.command()
-def score(predictions: Annotated[Path, typer.Argument(help="An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.")],
+def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.")],
           task: TaskName, name: Annotated[str, typer.Option(help="What the method is called in the result.")],
           dataset: DatasetFolder = None, out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None) -> None:
     """Score a file of predictions made elsewhere."""
@@ -235,15 +277,15 @@ def score(predictions: Annotated[Path, typer.Argument(help="An .npz with one arr
     from vsfsim.bench.task import load_task, open_dataset
 
     wanted = load_task(task)
-    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
     path = _result_path(out, wanted.name, name)
+    result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
     result.save(path)
     print(score_table(result, wanted.primary))
     print(f"written to {path}")
 
 
 @app.command()
-def leaderboard(results: Annotated[list[Path] | None, typer.Argument(help="More result files, or folders of them; default: results/TASK if there is one.")] = None,
+def leaderboard(results: Annotated[list[Path] | None, typer.Argument(metavar="RESULT", help="More result files, or folders of them; default: results/TASK if there is one.")] = None,
                 task: Annotated[str | None, typer.Option(help="Name of a task; default: all tasks.")] = None,
                 markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False) -> None:
     """Rank the methods of a task, from result files."""
@@ -260,7 +302,7 @@ def leaderboard(results: Annotated[list[Path] | None, typer.Argument(help="More 
 
 
 @app.command()
-def check(method: Annotated[str, typer.Argument(help="Name of a method (`vsfsim methods`), or module:attribute.")], parameters: SetOption = None) -> None:
+def check(method: Annotated[str, typer.Argument(metavar="METHOD", help="Name of a method (`vsfsim methods`), or module:attribute.")], parameters: SetOption = None) -> None:
     """Try a method against the contract, in seconds.
 
     Runs on mock objects; no dataset is needed. Exit code 2 if the method does not conform.
@@ -292,7 +334,7 @@ def _parameters(words: list[str] | None) -> dict[str, Any]:
     return out
 
 
-def _check_device(device: str, precision: str) -> None:
+def _check_device(device: str, precision: str = "float64") -> None:
     if precision not in ("float32", "float64"):
         raise VsfsimError(f"--precision is '{precision}'. {did_you_mean(precision, ('float32', 'float64'))}")
     if device != "cpu":
@@ -303,8 +345,21 @@ def _check_device(device: str, precision: str) -> None:
             raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
 
 
+def _check_writable(option: str, path: Path | None) -> None:
+    """Refuse before the work what could not be written after it."""
+    if path is not None and not path.parent.is_dir():
+        raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose another place.")
+    if path is not None and path.is_dir():
+        raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
+
+
 def _result_path(out: Path | None, task: str, method: str) -> Path:
-    return out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    """Where a result goes; refused before the work if it cannot be a file."""
+    path = out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    there = next(folder for folder in path.parents if folder.exists())  # the folders below it are made with the file
+    if path.is_dir() or not there.is_dir():
+        raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is {'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
+    return path
 
 
 class _Progress:

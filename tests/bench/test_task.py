@@ -5,6 +5,8 @@ import pytest
 from vsfsim.bench.task import load_task, open_dataset, parse_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
+from vsfsim.core.scene import load_scene
+from vsfsim.generate.run import make_recipe
 
 
 def test_every_shipped_task_loads():
@@ -16,6 +18,16 @@ def test_every_shipped_task_loads():
         if task.observation.unit != "hPa":
             assert not any(row.comparable for row in task.paper if row.unit == "hPa")
         assert task.dataset.touches >= task.protocol.query + max(task.protocol.shots)
+
+
+@pytest.mark.parametrize("name", list(shelf.tasks()))
+def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
+    """So `vsfsim generate SCENE --out FOLDER` is enough; the longer command that the error prints makes the same."""
+    wanted = load_task(name).dataset
+    scene = load_scene(shelf.find_scene(wanted.scene))
+    recipe = make_recipe(scene, seed=0, objects=None, views=None, touches=None, tier=None, device="cpu", precision="float64", renderer="warp")
+    assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
+        (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
@@ -65,3 +77,7 @@ def test_another_dataset_is_refused(task_text, toy_dataset, old, new, message):
 
 def test_the_right_dataset_is_opened(task, toy_dataset):
     assert open_dataset(task, toy_dataset.path).sha256 == toy_dataset.sha256
+
+
+def test_a_task_may_leave_the_tier_open(task_text, toy_dataset):
+    open_dataset(parse_task(task_text.replace('tier = "vsf"', 'tier = "auto"'), "toy.toml"), toy_dataset.path)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -75,3 +76,9 @@ def test_docs_page_lists_every_field():
     page = schema_markdown()
     for field in FIELDS:
         assert f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} |" in page
+
+
+def test_the_docs_page_in_the_repository_is_up_to_date():
+    page = Path(__file__).parents[2] / "docs" / "dataset.md"
+    renew = "python -c 'from vsfsim.data.schema import schema_markdown; print(schema_markdown(), end=\"\")' > docs/dataset.md"
+    assert page.read_text() == schema_markdown(), f"renew it: {renew}"

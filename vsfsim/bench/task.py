@@ -27,7 +27,7 @@ class DatasetWanted:
     """``[dataset]``: which dataset, and how to make it.
 
     folder: its place under ``datasets/``. scene: name of the scene. scene_sha256: of the scene's text, or "" for any.
-    seed, objects, views, touches, tier: of the recipe. sha256: of the content, or "" for any.
+    seed, objects, views, touches: of the recipe. tier: of the recipe, or "auto" for any. sha256: of the content, or "" for any.
     """
 
     folder: str
@@ -172,7 +172,9 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(folder)}\n") from error
     recipe, want = dataset.recipe, task.dataset
     pairs = [("scene", recipe.scene, want.scene), ("seed", recipe.seed, want.seed), ("objects", recipe.objects, want.objects),
-             ("views", recipe.views, want.views), ("touches", recipe.touches, want.touches), ("tier", recipe.tier, want.tier)]
+             ("views", recipe.views, want.views), ("touches", recipe.touches, want.touches)]
+    if want.tier != "auto":  # a recipe names the tier that was chosen, never "auto"
+        pairs.append(("tier", recipe.tier, want.tier))
     if want.scene_sha256:
         pairs.append(("sha256 of the scene text", recipe.scene_sha256, want.scene_sha256))
     if want.sha256:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import DatasetError, did_you_mean
+from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import read_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
@@ -94,13 +95,17 @@ class Dataset:
         return tuple(entry.name for entry in self.entries if split in (None, entry.split))
 
     def load(self, name: str) -> ObjectView:
-        """Read one object view.
+        """Read one object view, after its bytes were compared with the sha256 in dataset.json.
 
         Raises:
             DatasetError: no such name, or the file is missing or damaged.
         """
         for entry in self.entries:
             if entry.name == name:
+                path = self.path / entry.file
+                # HDF5 would read a flipped byte without a word, and a score would rest on it.
+                if path.is_file() and file_sha256(path) != entry.sha256:
+                    raise DatasetError(f"{path} was changed after it was written (its sha256 does not fit {MANIFEST}). Delete it and run the same `vsfsim generate` again, which makes only what is missing.")
                 return read_view(self.path / entry.file, blind=self.is_blind)
         raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. {did_you_mean(name, self.names())}")
 

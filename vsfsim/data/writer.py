@@ -51,8 +51,10 @@ class DatasetWriter:
     def __init__(self, path: str | Path, recipe: Recipe, names: list[str]):
         self.path, self.recipe, self.names = Path(path), recipe, list(names)
         self.notes: list[str] = []
+        self._fresh = False  # dataset.part.json was made by this writer
         if len(set(self.names)) != len(self.names) or not self.names:
             raise DatasetError(f"names of object views must be unique and at least one, not {self.names!r}.")
+        self._made_folder = not self.path.exists()
         try:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -63,7 +65,7 @@ class DatasetWriter:
         try:
             self._made_by = self._begin()
         except BaseException:
-            self.close()
+            self.__exit__(BaseException)
             raise
 
     def file_of(self, name: str) -> Path:
@@ -124,8 +126,13 @@ class DatasetWriter:
     def __enter__(self) -> DatasetWriter:
         return self
 
-    def __exit__(self, *exc: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *exc: object) -> None:
+        # What cannot be made at all (a mesh without volume) leaves no trace; one finished file is worth resuming.
+        if kind is not None and self._fresh and not any(self.path.glob("*.h5")):
+            (self.path / PART_MANIFEST).unlink(missing_ok=True)
         self.close()
+        if kind is not None and self._made_folder and self.path.is_dir() and not any(self.path.iterdir()):
+            self.path.rmdir()
 
     # ------------------------------------------------------------------ the start
 
@@ -169,6 +176,7 @@ class DatasetWriter:
                 (self.path / entry.file).unlink(missing_ok=True)
                 self.notes.append(f"{entry.file} was missing or damaged and is made again.")
         if not (self.path / PART_MANIFEST).exists():
+            self._fresh = True
             write_atomic(self.path / PART_MANIFEST, manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": made_by(),
                                                                    "recipe": self.recipe.table(), "names": self.names}))
         (self.path / MANIFEST).unlink(missing_ok=True)

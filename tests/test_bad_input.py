@@ -1,0 +1,202 @@
+"""Wrong input through the command line: one paragraph, exit code 2, nothing half-written; `--debug` shows the traceback."""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+HERE = Path(__file__).parent
+BOX = """
+name = "box"
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+resolution = 0.015
+young_modulus = 1e5
+tier = "linear"
+[probe]
+shape = { sphere = 0.02 }
+[press]
+from = [0.0, 0.0, 0.05]
+to = [0.0, 0.0, 0.048]
+frames = 2
+[touches]
+count = 2
+depth = 0.003
+frames = { free = 1, in = 1, hold = 0, out = 0 }
+[camera]
+width = 32
+height = 24
+distance = 0.3
+[dataset]
+objects = 2
+views = 1
+splits = { train = 1, test = 1 }
+"""
+FLAT = "v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nv 0 0.1 0\nf 1 2 3\nf 1 3 4\n"
+PRESS, GENERATE = ("press", "box.toml"), ("generate", "box.toml", "--out", "out")
+MESH = ('box = [0.06, 0.06, 0.03]', 'mesh = "flat.obj"')
+TASK = """
+name = "toy-v1"
+description = "Three blocks of springs."
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
+protocol = { shots = [0, 5], seeds = 2, query = 4, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.1, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+"""
+EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.toml", "--dataset", "toy")
+
+
+def run(*words, cwd, **options):
+    """`vsfsim WORDS` in folder ``cwd``."""
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench")}
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *words],
+                          capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
+
+
+def contents(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in sorted(folder.rglob("*"))}
+
+
+def assert_refused(out, message):
+    """Exit code 2 and one paragraph that holds ``message``."""
+    assert out.returncode == 2, out.stdout + out.stderr
+    assert out.stderr.startswith("error: ") and message in out.stderr, out.stderr
+    assert "\n" not in out.stderr.strip(), "more than one paragraph"
+    assert out.stdout == "" and "Traceback" not in out.stderr
+
+
+@pytest.fixture
+def toy(tmp_path):
+    """A mock dataset and a task on it."""
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(tmp_path / "toy", recipe, [view.name for view in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("words", "old", "new", "message"), [
+    (PRESS, "young_modulus", "young_modulos", "box.toml [object]: unknown key 'young_modulos'. Did you mean 'young_modulus'?"),
+    (GENERATE, "[touches]", "[tuoches]", "unknown key 'tuoches'. Did you mean 'touches'?"),
+    (PRESS, "young_modulus = 1e5", "young_modulus = -1e5", "box.toml [object]: young_modulus is -100000.0; a Young's modulus is a positive number of pascals"),
+    (GENERATE, "young_modulus = 1e5", "young_modulus = { uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
+    (PRESS, "young_modulus = 1e5", "young_modulus = { base = 1e5, inclusions = [{ sphere = [0, 0, 0, 0.01], value = -1.0 }] }", "inclusions[0]: value is -1.0"),
+    (PRESS, *MESH, "volume"),
+    (GENERATE, *MESH, "volume"),
+    (GENERATE, MESH[0], 'mesh = "none.obj"', "none.obj"),
+    (PRESS, 'tier = "linear"', 'tier = "fine"', "tier is 'fine'. Did you mean 'fem-fine'?"),
+    (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
+])
+def test_a_wrong_scene_is_refused_and_leaves_nothing(tmp_path, words, old, new, message):
+    assert old in BOX
+    (tmp_path / "box.toml").write_text(BOX.replace(old, new))
+    (tmp_path / "flat.obj").write_text(FLAT)
+    before = contents(tmp_path)
+    assert_refused(run(*words, cwd=tmp_path), message)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (("evaluate", "--method", "point-vfs", "--task", "toy-v1.toml", "--dataset", "toy"), "unknown method 'point-vfs'. Did you mean 'point-vsf'?"),
+    (("check", "guassian"), "unknown method 'guassian'. Did you mean 'gaussian'?"),
+    (("evaluate", "--method", "nowhere:Mine", "--task", "toy-v1.toml", "--dataset", "toy"), "method 'nowhere:Mine' cannot be loaded: ModuleNotFoundError"),
+    ((*EVALUATE, "--out", "toy-v1.toml/x.json"), "'toy-v1.toml' is no folder"),
+    (("press", "indnt"), "unknown scene 'indnt'. Did you mean 'indent'?"),
+    (("press", "indent", "--tier", "linear"), "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
+    (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
+    (("press", "indent", "--precision", "float16"), "--precision is 'float16'. Did you mean 'float64'?"),
+    (("generate", "indent"), "there is no [touches]"),
+    (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"), "--renderer is 'pyrendr'. Did you mean 'pyrender'?"),
+    (("inspect", "toy", "--out", "nowhere/x.png"), "there is no folder 'nowhere'"),
+    (("leaderboard", "nowhere.json", "--task", "toy-v1.toml"), "nowhere.json does not exist"),
+])
+def test_a_wrong_word_is_refused_and_leaves_nothing(toy, words, message):
+    before = contents(toy)
+    assert_refused(run(*words, cwd=toy), message)
+    assert contents(toy) == before
+
+
+@pytest.mark.parametrize("where", [0.1, 0.5, 0.999])
+@pytest.mark.parametrize("name", ["mock-0000-v0.h5", "mock-0002-v0.h5", "dataset.json"])
+def test_one_flipped_byte_of_a_dataset_is_never_scored(toy, name, where):
+    path = toy / "toy" / name
+    content = bytearray(path.read_bytes())
+    content[int(where * len(content))] ^= 4
+    path.write_bytes(bytes(content))
+    before = contents(toy)
+    assert_refused(run(*EVALUATE, cwd=toy), name)
+    assert contents(toy) == before
+
+
+def test_verify_names_the_damaged_file_and_the_cure(toy):
+    path = toy / "toy" / "mock-0001-v0.h5"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 4
+    path.write_bytes(bytes(content))
+    out = run("verify", "toy", cwd=toy)
+    assert out.returncode == 2 and "mock-0001-v0.h5: was changed after it was written" in out.stdout and "vsfsim generate" in out.stdout
+
+
+def test_the_folder_of_another_scene_is_refused_and_left_alone(toy):
+    (toy / "box.toml").write_text(BOX)
+    before = contents(toy)
+    assert_refused(run("generate", "box.toml", "--out", "toy", cwd=toy), "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
+    assert contents(toy) == before
+
+
+def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+    (tmp_path / "box.toml").write_text(BOX)
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "me.png").write_bytes(b"x")
+    before = contents(tmp_path)
+    assert_refused(run("generate", "box.toml", "--out", "photos", cwd=tmp_path), "folder photos is not empty and holds no dataset (me.png)")
+    assert contents(tmp_path) == before
+
+
+def test_a_full_disk_under_a_result(toy):
+    before = contents(toy)
+    # a file-size limit fails a write as a quota does, on any machine and without rights
+    out = run(*EVALUATE, cwd=toy, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500)))
+    assert_refused(out, "results/toy-v1/toy_methods.Constant.json cannot be written")
+    assert {k: v for k, v in contents(toy).items() if v is not None} == {k: v for k, v in before.items() if v is not None}
+
+
+def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(tmp_path):
+    unshare = shutil.which("unshare")
+    mount = [unshare or "unshare", "-m" if os.geteuid() == 0 else "-rm", "sh", "-c"]
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    if unshare is None or subprocess.run([*mount, f"mount -t tmpfs -o size=100k none {disk}"], capture_output=True).returncode:
+        pytest.skip("a small disk cannot be mounted here (no unshare, or no right to)")
+    (tmp_path / "box.toml").write_text(BOX)
+    # the mount is gone when its shell ends, so what was left on the small disk is copied out before
+    command = f'{sys.executable} -P -c "from vsfsim.cli import main; main()" generate box.toml --out disk/d --workers 1'
+    script = f"mount -t tmpfs -o size=100k none {disk} && {command}; code=$?; cp -r disk/d kept; exit $code"
+    out = subprocess.run([*mount, script], capture_output=True, text=True, cwd=tmp_path, stdin=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    assert_refused(out, "box-0001-v0.h5 cannot be written: No space left on device")
+    kept = tmp_path / "kept"
+    assert sorted(p.name for p in kept.iterdir()) == ["box-0000-v0.h5", "dataset.part.json"], "whole files only"
+    first = (kept / "box-0000-v0.h5").read_bytes()
+    assert run("generate", "box.toml", "--out", "kept", "--workers", "1", cwd=tmp_path).returncode == 0
+    assert (kept / "box-0000-v0.h5").read_bytes() == first
+    assert run("verify", "kept", cwd=tmp_path).stdout.rstrip().endswith("ok")
+
+
+@pytest.mark.parametrize("words", [("--debug", *PRESS), (*PRESS, "--debug")])
+def test_debug_shows_the_traceback(tmp_path, words):
+    (tmp_path / "box.toml").write_text(BOX.replace("young_modulus", "young_modulos"))
+    out = run(*words, cwd=tmp_path)
+    assert out.returncode == 2 and "Traceback" in out.stderr and "error: box.toml [object]: unknown key" in out.stderr
