@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, ProbeShape, Rod, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import sdf
+from vsfsim.physics.conform import snap_to_inclusions
 from vsfsim.physics.discretise import build_solid
 from vsfsim.physics.mesh import gauss_points
 from vsfsim.physics.model import Model, build_model
@@ -122,8 +124,28 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
         modulus = field.by_region(solid.region_names, solid.young_modulus, where)
-    region = np.broadcast_to(np.asarray(solid.region)[:, None], (len(solid.tets), 4))
-    return solid, field.evaluate(gauss_points(solid), region, modulus)
+    if not field.inclusions:
+        return solid, field.evaluate(gauss_points(solid), _spread(solid, 4), modulus)
+    solid, _ = snap_to_inclusions(solid, field)
+    return solid, np.repeat(_mixed(solid, field, modulus)[:, None], 4, axis=1)
+
+
+def _spread(solid: Solid, points: int) -> np.ndarray:
+    return np.broadcast_to(np.asarray(solid.region)[:, None], (len(solid.tets), points))
+
+
+def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
+    """One modulus a tetrahedron (m,) [Pa]: the harmonic mean over its volume.
+
+    Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic mean, or the
+    modulus at the Gauss points, would make a stiff inclusion grow by up to an element, which stiffens case S2 by 15-30 %.
+    """
+    n = 6
+    steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)])
+    # drawn to the centroid a little, so that a point on a face belongs to its own tetrahedron
+    bary = 0.9 * steps / n + 0.1 / 4.0
+    points = np.einsum("sk,mkc->msc", bary, solid.vertices[solid.tets])
+    return 1.0 / (1.0 / field.evaluate(points, _spread(solid, len(bary)), modulus)).mean(axis=1)
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
