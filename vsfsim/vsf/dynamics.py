@@ -20,6 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.vsf.stick_slip import stick_slip_kernel
