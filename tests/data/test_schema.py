@@ -82,3 +82,9 @@ def test_the_docs_page_in_the_repository_is_up_to_date():
     page = Path(__file__).parents[2] / "docs" / "dataset.md"
     renew = "python -c 'from vsfsim.data.schema import schema_markdown; print(schema_markdown(), end=\"\")' > docs/dataset.md"
     assert page.read_text() == schema_markdown(), f"renew it: {renew}"
+
+
+def test_docs_page_tables_have_whole_rows():
+    """A | in a sentence would cut its row in two."""
+    rows = [line for line in schema_markdown().splitlines() if line.startswith("| `")]
+    assert {line.count("|") for line in rows} == {4, 7}

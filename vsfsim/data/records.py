@@ -64,7 +64,7 @@ class Touch:
     touched: the probe met the object in at least one frame.
     reason: 0 for a good frame, else an index + 1 into `reason_names` (T,) int.
     reason_names: what the codes of `reason` mean, one sentence each.
-    audit: columns by name, each (T,): force_balance = |force + reaction| over the larger norm [-];
+    audit: columns by name, each (T,): force_balance = |force - reaction - weight| over the larger norm [-];
         min_det_f = smallest det F of an element [-]; energy = total potential [J];
         penetration = deepest penetration of the probe by a node [m].
     q: joint angles of the arm (T, 7) [rad], or None without an arm.

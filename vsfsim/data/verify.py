@@ -17,7 +17,7 @@ from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
 
 BALANCE_LIMIT = 1e-3
-"""Largest |force + reaction| over the larger norm in a converged frame with contact; the solver's own residual is far
+"""Largest |force - reaction - weight| over the larger norm in a converged frame with contact; the solver's own residual is far
 below it, so a frame above has lost or invented force."""
 
 CONTACT_FORCE = 1e-3
