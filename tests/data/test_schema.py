@@ -1,6 +1,7 @@
 """The schema table, the records and the files say the same thing, units and all."""
 
 import dataclasses
+import json
 import re
 from pathlib import Path
 
@@ -10,8 +11,10 @@ import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.data import records
+from vsfsim.data.dataset import make_manifest
 from vsfsim.data.hdf5 import write_view
-from vsfsim.data.schema import FIELDS, TEXT, fields_of, schema_markdown
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.schema import FIELDS, MANIFEST_KEYS, TEXT, fields_of, schema_markdown
 
 UNITLESS = {"1"}
 
@@ -84,7 +87,13 @@ def test_the_docs_page_in_the_repository_is_up_to_date():
     assert page.read_text() == schema_markdown(), f"renew it: {renew}"
 
 
+def test_docs_page_lists_every_key_of_the_manifest():
+    recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1}, device="cpu", tier="vsf",
+                    precision="float64", renderer="warp")
+    assert set(json.loads(make_manifest(recipe, {}, ()))) == set(MANIFEST_KEYS)
+
+
 def test_docs_page_tables_have_whole_rows():
     """A | in a sentence would cut its row in two."""
     rows = [line for line in schema_markdown().splitlines() if line.startswith("| `")]
-    assert {line.count("|") for line in rows} == {4, 7}
+    assert {line.count("|") for line in rows} == {3, 4, 7}

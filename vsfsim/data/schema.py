@@ -116,6 +116,18 @@ ATTRIBUTES: Mapping[str, tuple[str, str]] = {
 """Attributes of the root of an object file: type and meaning."""
 
 
+MANIFEST_KEYS: Mapping[str, str] = {
+    "digest": "sha256 of all the other keys, so that no byte can change unseen",
+    "format": "always 'vsfsim-dataset'",
+    "schema_version": f"{SCHEMA_VERSION} in this version of vsfsim",
+    "made_by": "version and commit of vsfsim",
+    "sha256": "identity of the content: over name, split and sha256 of every object file, in order",
+    "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, precision, renderer",
+    "files": "one entry a file: name, split, indices, counts, bytes, sha256",
+}
+"""Keys of dataset.json and their meaning."""
+
+
 def fields_of(group: str) -> tuple[Field, ...]:
     """The rows of one group: "view", "touches/*" or "truth"."""
     return tuple(field for field in FIELDS if field.group == group)
@@ -167,10 +179,15 @@ def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None) -> 
 
 
 def schema_markdown() -> str:
-    """The docs page of the object file."""
+    """The docs page of a dataset: the folder and the object file."""
     lines = [
-        "# The object file", "",
-        f"One HDF5 file per object view, schema version {SCHEMA_VERSION}. Every dataset carries `@units` and `@dims`.",
+        "# The dataset", "",
+        "A folder with `dataset.json` and one HDF5 file per object view. While it is being made there is a `dataset.part.json` and a",
+        "`dataset.lock` instead of `dataset.json`; `vsfsim generate` goes on from there. `vsfsim verify` checks everything on this page.", "",
+        "| key of dataset.json | meaning |", "|---|---|",
+        *(f"| `{key}` | {doc} |" for key, doc in MANIFEST_KEYS.items()), "",
+        "## The object file", "",
+        f"Schema version {SCHEMA_VERSION}. Every HDF5 dataset carries `@units` and `@dims`.",
         "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are lengths: H, W of",
         "the image; T frames of a touch; N read-out vertices; Q reasons; M elements, R regions, P probed points and n",
         "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and nowhere else.", "",
@@ -178,7 +195,7 @@ def schema_markdown() -> str:
     ]
     lines += [f"| `{name}` | {kind} | {doc} |" for name, (kind, doc) in ATTRIBUTES.items()]
     for group, title in (("view", "View"), ("touches/*", "Touches"), ("truth", "Truth (the last group; a blind dataset never reads it)")):
-        lines += ["", f"## {title}", "", "| path | dtype | dims | unit | | meaning |", "|---|---|---|---|---|---|"]
+        lines += ["", f"### {title}", "", "| path | dtype | dims | unit | | meaning |", "|---|---|---|---|---|---|"]
         for field in fields_of(group):
             marks = ", ".join(m for m, on in (("optional", not field.required), ("*masked*", field.masked)) if on)
             lines.append(f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} | {marks} | {field.doc} |")
