@@ -119,7 +119,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
     view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device, renderer=r.renderer)
-    aims = aim(scene, spec, model, view, lambda k: np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k)))
+    aims = aim(scene, spec, model, view, lambda k: np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k)), device=device)
     batch = -(-len(aims) // -(-len(aims) // BATCH))  # as even as can be
     touches = touch_all(scene, spec, model, aims, options=tiers.options(r.tier), linear=not tiers.TIERS[r.tier].nonlinear,
                         device=device, precision=r.precision, batch=batch, progress=progress)

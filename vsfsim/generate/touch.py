@@ -79,14 +79,15 @@ def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarra
     return gone
 
 
-def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callable[[int], np.random.Generator]) -> list[Aim]:
+def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callable[[int], np.random.Generator], *,
+        device: str = "cpu") -> list[Aim]:
     """Draw the touches of a view: uniform on the visible cloud, along its normal.
 
     Targets that the probe cannot reach are drawn again: another part of the object is in the way, or the table (z < 0) is. The depth is cut where the rest state's linear
     response passes ``force_limit``, as a careful robot would stop.
 
     Args:
-        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones.
+        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones. device: Warp device.
 
     Raises:
         SceneError: nothing is visible, or no reachable target was found in 200 draws.
@@ -109,7 +110,7 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callabl
         else:
             raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached without meeting the table or another part first; "
                              "use a smaller probe, approach or depth.")
-    return _limit(scene, spec, model, out)
+    return _limit(scene, spec, model, out, device)
 
 
 def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray, normal: np.ndarray) -> Aim | None:
@@ -132,14 +133,14 @@ def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, ta
     return Aim(target, normal, axis, contact, spec.depth)
 
 
-def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim]) -> list[Aim]:
+def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
     """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few frames suffices."""
     if not aims:
         return aims
     steps = 8
     depth = spec.depth * np.arange(1, steps + 1) / steps
     poses = np.stack([[_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
-    frames = Solver(model, scene.probe, options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
+    frames = Solver(model, scene.probe, device=device, options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
     force = np.linalg.norm(frames.force, axis=-1)
     out = []
     for k, a in enumerate(aims):

@@ -430,7 +430,7 @@ class Solver:
         batch = self.u.shape[1]
         shape3 = (-1, 3, len(columns))
         on_body = state["contact"].reshape(shape3).sum(axis=0).T
-        held = ((state["internal"] - self.model.load[:, None]) * (1.0 - self.model.free[:, None])).reshape(shape3).sum(axis=0).T
+        held = ((state["internal"] - self.model.load[:, None] - state["contact"]) * (1.0 - self.model.free[:, None])).reshape(shape3).sum(axis=0).T
         weight = self.model.load.reshape(-1, 3).sum(axis=0)
         unbalanced = np.linalg.norm(held + on_body + weight, axis=1)
         largest = np.maximum(np.maximum(np.linalg.norm(held, axis=1), np.linalg.norm(on_body, axis=1)), self._floor)
