@@ -62,6 +62,7 @@ def kernels(given: type) -> Any:
         columns: wp.array(dtype=wp.int32),
         face_nodes: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
+        softening: wp.array(dtype=real),
         origin: wp.array(dtype=vec3),
         turn: wp.array(dtype=mat33),
         # state in
@@ -96,7 +97,7 @@ def kernels(given: type) -> Any:
                     n = rotation * probe.normal(kind, size, local)
                     normal_out[b, f, q] = n
                     curvature_out[b, f, q] = rotation * probe.curvature(kind, size, local) * wp.transpose(rotation)
-                    w = stiffness[b, f, q]
+                    w = softening[b] * stiffness[b, f, q]
                     energy += real(0.5) * w * g * g
                     for a in range(6):
                         for c in range(3):

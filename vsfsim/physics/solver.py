@@ -67,6 +67,10 @@ class Frames:
 
 State = dict[str, np.ndarray]
 
+_HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
+_SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
+_SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
+
 
 class Solver:
     """Touches of one body by one probe.
@@ -247,49 +251,63 @@ class Solver:
         opt, batch = self.options, self.u.shape[1]
         newton, cg = np.zeros(batch, int), np.zeros(batch, int)
         state = self._evaluate(columns, pose)
+        # a probe that went deep into a soft wall in one frame: come to it through softer contact
+        hard = columns[(np.abs(state["measure"] - 1.0) < 0.03) | (state["measure"] > _HARD)]
+        if len(hard):
+            self._set(self._before()[:, hard], hard)
+            for softening in _SOFTENINGS:
+                self.touching.softening[hard] = softening
+                self._newton(hard, pose, deadline, self._evaluate(hard, pose), _SOFT_TOLERANCE, newton, cg)
+            self.touching.softening[hard] = 1.0
+            state = self._evaluate(columns, pose)
         for _ in range(4):  # a patch may have to grow
-            stuck = np.zeros(len(columns), bool)
-            renew = np.ones(len(columns), bool)  # whose tangent must be made anew
-            safe = np.zeros(len(columns), bool)  # whose last step failed: they get the projected tangent
-            for _ in range(opt.newton):
-                open_ = np.flatnonzero((state["measure"] > opt.tolerance) & ~stuck)
-                if not len(open_) or time.perf_counter() > deadline:
-                    break
-                active = columns[open_]
-                before = state["measure"][open_].copy()
-                # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
-                # and that of the step before is as good
-                far = (before > 0.3) | safe[open_]
-                fresh = renew[open_] | (before > 0.05)
-                for projected, which in ((True, fresh & far), (False, fresh & ~far)):
-                    if which.any():
-                        self.elasticity.tangent(active[which], self.u, projected=projected)
-                direction, steps, negative = self._direction(active, state["residual"][:, open_], near=~far)
-                if negative.any():
-                    # not a bowl along some direction: take the projected tangent, which always is
-                    self.elasticity.tangent(active[negative], self.u, projected=True)
-                    bowl, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
-                                                    near=np.zeros(int(negative.sum()), bool))
-                    direction[:, negative] = bowl
-                    steps += more
-                newton[active] += 1
-                cg[active] += steps
-                moved = self._step(active, open_, pose, self._correct(active, pose, direction), state)
-                still = np.flatnonzero(~moved)
-                if len(still):
-                    self.touching.evaluate(active[still], pose, self.u)
-                    moved[still] = self._step(active[still], open_[still], pose, direction[:, still], state)
-                renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
-                # no step helps, not even a projected one: rounding's floor, or nothing to be found
-                stuck[open_] = ~moved & safe[open_]
-                safe[open_] = ~moved
-                self.touching.evaluate(columns, pose, self.u)
+            self._newton(columns, pose, deadline, state, opt.tolerance, newton, cg)
             if not self.touching.grow(columns, pose, self._u()):
                 break
             self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
             state = self._evaluate(columns, pose)
         self.touching.evaluate(np.arange(batch), pose, self.u)
         return self._report(columns, state, newton, cg)
+
+    def _newton(self, columns: np.ndarray, pose: np.ndarray, deadline: float, state: State, tolerance: float,
+                newton: np.ndarray, cg: np.ndarray) -> None:
+        """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state and the counts (B,)."""
+        stuck = np.zeros(len(columns), bool)
+        renew = np.ones(len(columns), bool)  # whose tangent must be made anew
+        safe = np.zeros(len(columns), bool)  # whose last step failed: they get the projected tangent
+        for _ in range(self.options.newton):
+            open_ = np.flatnonzero((state["measure"] > tolerance) & ~stuck)
+            if not len(open_) or time.perf_counter() > deadline:
+                break
+            active = columns[open_]
+            before = state["measure"][open_].copy()
+            # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
+            # and that of the step before is as good
+            far = (before > 0.3) | safe[open_]
+            fresh = renew[open_] | (before > 0.05)
+            for projected, which in ((True, fresh & far), (False, fresh & ~far)):
+                if which.any():
+                    self.elasticity.tangent(active[which], self.u, projected=projected)
+            direction, steps, negative = self._direction(active, state["residual"][:, open_], near=~far)
+            if negative.any():
+                # not a bowl along some direction: take the projected tangent, which always is
+                self.elasticity.tangent(active[negative], self.u, projected=True)
+                bowl, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
+                                                near=np.zeros(int(negative.sum()), bool))
+                direction[:, negative] = bowl
+                steps += more
+            newton[active] += 1
+            cg[active] += steps
+            moved = self._step(active, open_, pose, self._correct(active, pose, direction), state)
+            still = np.flatnonzero(~moved)
+            if len(still):
+                self.touching.evaluate(active[still], pose, self.u)
+                moved[still] = self._step(active[still], open_[still], pose, direction[:, still], state)
+            renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
+            # no step helps, not even a projected one: rounding's floor, or nothing to be found
+            stuck[open_] = ~moved & safe[open_]
+            safe[open_] = ~moved
+            self.touching.evaluate(columns, pose, self.u)
 
     def _direction(self, columns: np.ndarray, residual: np.ndarray, *,
                    near: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:

@@ -22,6 +22,7 @@ class Touching:
     """Contact state of B touches on the device.
 
     patches: one a touch. nodes: patch nodes on the device (B, s), -1 pads.
+    softening: factor on the contact stiffness of each touch (B,), 1 but on the way to a hard frame.
 
     Args:
         model: the body. probe: its shape. poses: probe to world (T, B, 4, 4), to find what is in reach.
@@ -37,6 +38,7 @@ class Touching:
         self._rest = wp.array(model.mesh.points, dtype=self.kernels.vec3, device=device)
         self.patches = [contact.make_patch(model.mesh, self._reachable(poses[:, b]), model.surface_modulus)
                         for b in range(poses.shape[1])]
+        self.softening = np.ones(poses.shape[1])
         self._upload()
 
     def _reachable(self, path: np.ndarray) -> np.ndarray:
@@ -79,7 +81,7 @@ class Touching:
         """Gaps, normals and forces of ``columns`` at ``pose`` (B, 4, 4) for displacements u (3 n, B) [m]."""
         wp.launch(self.kernels.evaluate, dim=(self._faces.shape[1], len(columns)), device=self.device, inputs=[
             self._rest, self._shape, self._kind, self._size, wp.array(columns, dtype=wp.int32, device=self.device),
-            self._faces, self._stiffness, wp.array(pose[:, :3, 3], dtype=self.kernels.vec3, device=self.device),
+            self._faces, self._stiffness, wp.array(self.softening, dtype=wp.float64, device=self.device), wp.array(pose[:, :3, 3], dtype=self.kernels.vec3, device=self.device),
             wp.array(pose[:, :3, :3], dtype=self.kernels.mat33, device=self.device), u,
             self._gap, self._normal, self._curvature, self._energy, self._force])
         # one look at the results serves the host: they are small (the patches only)
@@ -104,7 +106,7 @@ class Touching:
         f = len(p.faces)
         rows, stiffness, bend = contact.contact_matrices(
             p, self.gap[b, :f], self.normal[b, :f], self.curvature[b, :f], bend=geometric)
-        return rows * self.model.free[self.dof(b)], stiffness, bend
+        return rows * self.model.free[self.dof(b)], self.softening[b] * stiffness, self.softening[b] * bend
 
     def compliance(self, b: int) -> np.ndarray:
         """Rest-state compliance of touch ``b``'s patch (3 s, 3 s) [m/N], 0 where held."""
