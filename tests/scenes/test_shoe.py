@@ -70,7 +70,7 @@ def crossings(corners: np.ndarray, x: float, z: float) -> np.ndarray:
         v = cross(np.array([x, z]) - a[:, flat], (c - a)[:, flat]) / twice
         w = cross((b - a)[:, flat], np.array([x, z]) - a[:, flat]) / twice
         y = a[:, 1] + v * (b - a)[:, 1] + w * (c - a)[:, 1]
-    inside = (v >= 0) & (w >= 0) & (v + w <= 1)
+        inside = (v >= 0) & (w >= 0) & (v + w <= 1)
     return np.sort(y[inside])
 
 
