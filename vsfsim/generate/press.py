@@ -14,8 +14,9 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
 from vsfsim.physics import tiers
 from vsfsim.physics.device import compile_kernels, solver_kernels
+from vsfsim.physics.frames import Frames
 from vsfsim.physics.model import Model
-from vsfsim.physics.solver import Frames, Solver
+from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
 
 

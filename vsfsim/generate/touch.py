@@ -13,8 +13,9 @@ from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import Touch, View
 from vsfsim.physics import sdf
+from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
-from vsfsim.physics.solver import Frames, Solver, SolverOptions
+from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import times, touch_path, turn_to
 
 _NEIGHBOURS = 40  # points of the cloud that vote for a normal

@@ -11,59 +11,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 import warp as wp
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics import pcg
+from vsfsim.physics.direction import newton_direction
 from vsfsim.physics.elasticity import Elasticity
+from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.touching import Touching
-
-
-@dataclass(frozen=True)
-class SolverOptions:
-    """Limits and tolerances.
-
-    tolerance: largest sum of unbalanced nodal forces over the sum of contact (or weight) forces [-]; bounds the error of
-    the force balance. newton: iterations a step. cg: iterations a linear system. cg_tolerance: its relative residual near the solution.
-    cg_far: looser by this factor far from it, where Newton's model is no better.
-    halvings: how often a failed step is halved. seconds: wall-clock limit of one frame of the batch [s].
-    """
-
-    tolerance: float = 1e-4
-    newton: int = 40
-    cg: int = 150
-    cg_tolerance: float = 1e-2
-    cg_far: float = 10.0
-    halvings: int = 5
-    seconds: float = 120.0
-
-
-@dataclass(frozen=True)
-class Frames:
-    """What B touches of T frames gave; arrays (T, B) unless said.
-
-    force: on the probe (T, B, 3) [N]. reaction: of the supports on the body (T, B, 3) [N].
-    converged: bool. residual: unbalanced over contact force [-]. iterations: Newton. cg_iterations: conjugate gradients.
-    force_balance: |force - reaction - weight| over the larger [-]. min_det_f: least det F [-]. energy: elastic [J].
-    penetration: deepest point of the surface inside the probe [m]. seconds: of the frame, shared by the batch (T,) [s].
-    """
-
-    force: np.ndarray
-    reaction: np.ndarray
-    converged: np.ndarray
-    residual: np.ndarray
-    iterations: np.ndarray
-    cg_iterations: np.ndarray
-    force_balance: np.ndarray
-    min_det_f: np.ndarray
-    energy: np.ndarray
-    penetration: np.ndarray
-    seconds: np.ndarray
-
 
 State = dict[str, np.ndarray]
 
@@ -88,7 +46,6 @@ class Solver:
         self.options = options or SolverOptions()
         self.device, self.precision, self.linear = device, precision, linear
         self.real = wp.float64 if precision == "float64" else wp.float32
-        self._pcg = pcg.kernels(self.real)
         self.elasticity = Elasticity(model, device=device, real=self.real)
         weight = np.abs(model.load).sum()
         # forces under this are zero: a billionth of the softest modulus on one element face
@@ -288,11 +245,11 @@ class Solver:
             for projected, which in ((True, fresh & far), (False, fresh & ~far)):
                 if which.any():
                     self.elasticity.tangent(active[which], self.u, projected=projected)
-            direction, steps, negative = self._direction(active, state["residual"][:, open_], near=~far)
+            direction, steps, negative = self._newton_direction(active, state["residual"][:, open_], near=~far)
             if negative.any():
                 # not a bowl along some direction: take the projected tangent, which always is
                 self.elasticity.tangent(active[negative], self.u, projected=True)
-                bowl, more, _ = self._direction(active[negative], state["residual"][:, open_[negative]],
+                bowl, more, _ = self._newton_direction(active[negative], state["residual"][:, open_[negative]],
                                                 near=np.zeros(int(negative.sum()), bool))
                 direction[:, negative] = bowl
                 steps += more
@@ -309,55 +266,12 @@ class Solver:
             safe[open_] = ~moved
             self.touching.evaluate(columns, pose, self.u)
 
-    def _direction(self, columns: np.ndarray, residual: np.ndarray, *,
-                   near: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
-        """Newton's direction (3 n, k) [m], the iterations it took, and which columns met negative curvature.
-
-        The contact's geometric term counts only where ``near`` (k,): deep inside the probe it is large, and wrong.
-        """
-        count, batch = len(columns), self.u.shape[1]
-        index = wp.array(columns, dtype=wp.int32, device=self.device)
-        width = 3 * self.touching.nodes.shape[1]
-        stiff = np.zeros((batch, width, width))
-        inverse = np.zeros((batch, width, width))
-        for b, close in zip(columns, near, strict=True):
-            rows, d, bend = self.touching.rows(b, geometric=bool(close))
-            if len(rows):
-                s = rows.shape[1]
-                stiff[b, :s, :s] = rows.T @ (d[:, None] * rows) + bend
-                small = rows @ self.touching.compliance(b) @ rows.T
-                small[np.diag_indices_from(small)] += 1.0 / d
-                inverse[b, :s, :s] = rows.T @ np.linalg.solve(small, rows)
-        has_contact = bool(inverse.any())
-        self._contact_stiffness = stiff
-        stiff_array = wp.array(stiff, dtype=self.real, device=self.device)
-        inverse_array = wp.array(inverse, dtype=self.real, device=self.device)
-
-        def patch(block: wp.array, sign: float, x: wp.array, y: wp.array) -> None:
-            if has_contact:
-                wp.launch(self._pcg.patch, dim=(width, count), device=self.device,
-                          inputs=[block, self.touching.nodes, index, sign, x, y])
-
-        def multiply(x: wp.array) -> wp.array:
-            out = self.elasticity.multiply(columns, index, x)
-            patch(stiff_array, 1.0, x, out)
-            return out
-
-        def back(x: wp.array) -> wp.array:
-            return wp.array(self.model.factor.solve(x.numpy()), dtype=self.real, device=self.device)
-
-        def precondition(r: wp.array) -> wp.array:
-            if not has_contact:
-                return back(r)
-            y = back(r)
-            r = wp.clone(r)
-            patch(inverse_array, -1.0, y, r)
-            return back(r)
-
-        right = wp.array(residual, dtype=self.real, device=self.device)
-        direction, steps, negative = pcg.solve(self._pcg, multiply, precondition, right, iterations=self.options.cg,
-                                        tolerance=np.where(near, 1.0, self.options.cg_far) * self.options.cg_tolerance)
-        return direction.numpy().astype(np.float64), steps, negative
+    def _newton_direction(self, columns: np.ndarray, residual: np.ndarray, *, near: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
+        opt = self.options
+        direction, steps, negative, self._contact_stiffness = newton_direction(
+            self.elasticity, self.touching, self.model.factor, columns, residual, near=near,
+            tolerance=np.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, iterations=opt.cg)
+        return direction, steps, negative
 
     def _correct(self, columns: np.ndarray, pose: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.

@@ -15,9 +15,9 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics import sdf
 from vsfsim.physics.conform import snap_to_inclusions
 from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.frames import SolverOptions
 from vsfsim.physics.mesh import gauss_points
 from vsfsim.physics.model import Model, build_model
-from vsfsim.physics.solver import SolverOptions
 
 
 @dataclass(frozen=True)
