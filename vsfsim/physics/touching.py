@@ -161,7 +161,7 @@ class Touching:
                     continue
                 rho = self.nodal(b) - pushed[b] - q[b]
                 miss = a @ rho
-                error[b] = float(np.abs(miss).max() / max(np.abs(trial[dof, b]).max(), 1e-9))
+                error[b] = float(np.abs(miss).max(initial=0.0) / max(np.abs(trial[dof, b]).max(initial=0.0), 1e-9))
                 if error[b] < best[b][0]:
                     best[b] = (error[b], self.nodal(b) - pushed[b])
                 if error[b] < tolerance:

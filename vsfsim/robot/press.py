@@ -47,7 +47,7 @@ def press_path(spec: PressSpec, probe: ProbeShape) -> np.ndarray:
     if spec.retract:
         # frames of the way in where their number agrees, so that both ways meet the same equilibria
         back = np.concatenate([inward[::-1][1:], start[None]])
-        at = np.linspace(0, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract < len(back) else None
+        at = np.linspace(-1, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract <= len(back) else None
         parts.append(back[at] if at is not None else straight(stop, start, spec.retract))
     return _poses(np.concatenate(parts), turn_to(stop - start, probe))
 

@@ -1,0 +1,113 @@
+"""Signed distances of the probes: the kernels against the host, normals and curvature against finite differences."""
+
+import functools
+
+import numpy as np
+import pytest
+import warp as wp
+
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+from vsfsim.physics import sdf
+
+PROBES = [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Cylinder(0.03, 0.005), Box((0.02, 0.03, 0.05)), Plane()]
+IDS = ["sphere", "capsule", "cylinder", "disc", "box", "plane"]
+
+
+@functools.cache
+def kernel():
+    vec3, vec4 = wp.types.vector(length=3, dtype=wp.float64), wp.types.vector(length=4, dtype=wp.float64)
+    mat33 = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
+    probe = sdf.functions(wp.float64, "test_sdf")
+
+    @wp.kernel(module="test_sdf", enable_backward=False)
+    def evaluate(kind: int, size: vec4, x_in: wp.array(dtype=vec3), gap_out: wp.array(dtype=wp.float64),
+                 normal_out: wp.array(dtype=vec3), curvature_out: wp.array(dtype=mat33)):
+        i = wp.tid()
+        gap_out[i] = probe.gap(kind, size, x_in[i])
+        normal_out[i] = probe.normal(kind, size, x_in[i])
+        curvature_out[i] = probe.curvature(kind, size, x_in[i])
+
+    return evaluate, vec3, vec4, mat33
+
+
+def evaluate(probe, x, device):
+    launch, vec3, vec4, mat33 = kernel()
+    kind, size = sdf.encode(probe)
+    n = len(x)
+    nan = np.full(n, np.nan)
+    gap = wp.array(nan, dtype=wp.float64, device=device)
+    normal = wp.array(np.full((n, 3), np.nan), dtype=vec3, device=device)
+    curvature = wp.array(np.full((n, 3, 3), np.nan), dtype=mat33, device=device)
+    wp.launch(launch, dim=n, device=device, inputs=[kind, vec4(size), wp.array(x, dtype=vec3, device=device), gap, normal, curvature])
+    return gap.numpy(), normal.numpy(), curvature.numpy()
+
+
+def near_surface(probe, count=4000):
+    """Points of both sides within a few millimetres of the surface."""
+    rng = np.random.default_rng(0)
+    x = rng.uniform(-0.06, 0.06, (40 * count, 3))
+    return x[np.abs(sdf.distance(probe, x)) < 0.004][:count]
+
+
+@pytest.mark.parametrize("probe", PROBES, ids=IDS)
+def test_gap_is_the_hosts_distance_and_normal_its_gradient(probe, device):
+    x = near_surface(probe)
+    assert len(x) > 1000
+    gap, normal, _ = evaluate(probe, x, device)
+    assert np.abs(gap - sdf.distance(probe, x)).max() < 1e-15
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1.0).max() < 1e-12
+    h = 1e-7
+    slope = np.stack([(sdf.distance(probe, x + h * e) - sdf.distance(probe, x - h * e)) / (2 * h) for e in np.eye(3)], axis=1)
+    # rounding 1e-17 / h = 1e-10, truncation h / fillet ~ 1e-7 / 5e-5 = 2e-3 where a difference straddles a fillet's end
+    off = np.abs(normal - slope).max(axis=1)
+    # inside, the medial surface has no gradient: points whose difference straddles it are few (measure zero) and left out
+    smooth = np.linalg.norm(slope, axis=1) > 0.999
+    assert smooth.mean() > 0.995
+    assert off[smooth].max() < 3e-3
+    assert np.quantile(off, 0.95) < 1e-6
+
+
+@pytest.mark.parametrize("probe", [Sphere(0.02), Capsule(0.01, 0.03), Plane()], ids=["sphere", "capsule", "plane"])
+def test_curvature_is_the_derivative_of_the_normal(probe, device):
+    x = near_surface(probe, 1000)
+    if isinstance(probe, Capsule):
+        x = x[np.abs(np.abs(x[:, 2]) - 0.015) > 1e-5]  # the seam, where it jumps
+    curvature = evaluate(probe, x, device)[2]
+    h = 1e-7
+    slope = np.stack([(evaluate(probe, x + h * e, device)[1] - evaluate(probe, x - h * e, device)[1]) / (2 * h) for e in np.eye(3)], axis=2)
+    # curvatures are ~100 / m; rounding 1e-16 / h = 1e-9 absolute, truncation h^2 curvature^3 ~ 1e-8
+    assert np.abs(curvature - slope).max() < 1e-5
+
+
+@pytest.mark.parametrize("probe", PROBES, ids=IDS)
+def test_nothing_is_nan_where_a_shape_has_no_normal(probe, device):
+    special = np.array([[0, 0, 0], [0, 0, 0.01], [0, 0, -0.015], [0, 0, 0.02], [0.01, 0, 0], [0, -0.015, 0], [0.01, 0.015, 0.025], [1e-300, 0, 0]], float)
+    gap, normal, curvature = evaluate(probe, special, device)
+    assert np.isfinite(gap).all() and np.isfinite(normal).all() and np.isfinite(curvature).all()
+    assert np.abs(np.linalg.norm(normal, axis=1) - 1.0).max() < 1e-12
+    assert np.abs(gap - sdf.distance(probe, special)).max() < 1e-15
+
+
+def test_distances_that_can_be_told_by_hand():
+    assert sdf.distance(Sphere(0.02), [0.0, 0.03, 0.0]) == pytest.approx(0.01)
+    assert sdf.distance(Capsule(0.01, 0.03), [[0.02, 0, 0.01], [0, 0, 0.04]]) == pytest.approx([0.01, 0.015])
+    assert sdf.distance(Cylinder(0.015, 0.04), [[0.02, 0, 0], [0, 0, 0.03], [0, 0, 0]]) == pytest.approx([0.005, 0.01, -0.015])
+    assert sdf.distance(Box((0.02, 0.03, 0.05)), [[0.02, 0, 0], [0, 0, -0.03], [0, 0, 0]]) == pytest.approx([0.01, 0.005, -0.01])
+    assert sdf.distance(Plane(), [1.0, 2.0, -0.5]) == pytest.approx(-0.5)
+
+
+@pytest.mark.parametrize("probe", PROBES[:-1], ids=IDS[:-1])
+def test_reach_and_support_hold_the_whole_probe(probe):
+    rng = np.random.default_rng(1)
+    x = rng.uniform(-0.06, 0.06, (400_000, 3))
+    x = x[sdf.distance(probe, x) <= 0.0]
+    assert np.linalg.norm(x, axis=1).max() <= sdf.reach(probe)
+    fillet = sdf.encode(probe)[1][3]
+    for direction in np.vstack([np.eye(3), -np.eye(3), rng.standard_normal((10, 3))]):
+        d = direction / np.linalg.norm(direction)
+        # against a far plane: the distance from a point far along d is what is left of the way, exactly for a convex shape at infinity
+        far = 1e5
+        exact = far - float(sdf.distance(probe, far * d))
+        # the support is that of the sharp shape, past the rounded one by (sqrt 3 - 1) fillets at most; 1e5 m cost 1e-11 m of rounding
+        # and size^2 / far = 1e-7 m of parallax
+        assert -1e-7 <= sdf.support(probe, d) - exact <= 0.74 * fillet + 1e-7

@@ -1,0 +1,92 @@
+"""Tiers: the cheapest that is enough, refusals that say what would do, element sizes."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import Plane, Sphere
+from vsfsim.physics import tiers
+
+SCENE = """
+name = "t"
+needs = {needs}
+[object]
+shape = {shape}
+young_modulus = {young_modulus}
+poisson_ratio = 0.3
+{more}
+"""
+
+
+def scene(*, needs='["normal-force"]', shape="{ box = [0.06, 0.06, 0.03] }", young_modulus="1e5", more=""):
+    return parse_scene(SCENE.format(needs=needs, shape=shape, young_modulus=young_modulus, more=more), Path("t.toml")).sample(0)
+
+
+@pytest.mark.parametrize(("needs", "tier"), [
+    ("[]", "linear"), ('["normal-force"]', "linear"), ('["appearance", "normal-force"]', "linear"),
+    ('["bulging"]', "fem-coarse"), ('["normal-force", "large-deformation", "bulging"]', "fem"),
+])
+def test_auto_takes_the_cheapest_that_shows_every_need(needs, tier):
+    assert tiers.choose(scene(needs=needs)) == tier
+
+
+def test_what_is_asked_for_beats_the_scenes_own_and_more_than_enough_is_fine():
+    assert tiers.choose(scene(more='tier = "fem"')) == "fem"
+    assert tiers.choose(scene(more='tier = "fem"'), "fem-fine") == "fem-fine"
+    assert tiers.choose(scene(needs='["bulging"]'), "fem-fine") == "fem-fine"
+
+
+@pytest.mark.parametrize(("given", "asked", "message"), [
+    (dict(needs='["large-deformation"]'), "fem-coarse", "t.toml: the scene needs large-deformation, which tier 'fem-coarse' cannot show; use 'fem' or above."),
+    (dict(needs='["bulging", "large-deformation"]'), "linear", "needs bulging, large-deformation, which tier 'linear' cannot show; use 'fem' or above."),
+    (dict(), "spring", "tier 'spring' is not built yet; take one of linear, fem-coarse, fem, fem-fine, or auto."),
+    (dict(more='tier = "vsf"'), None, "t.toml [object]: tier 'vsf' is not built yet"),
+    (dict(), "fine", "take one of linear, fem-coarse, fem, fem-fine"),
+])
+def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked, message):
+    with pytest.raises(SceneError, match=re.escape(message)):
+        tiers.choose(scene(**given), asked)
+
+
+@pytest.mark.parametrize(("more", "message"), [
+    ("friction = 0.3", "frictionless contact only so far; set friction = 0"),
+    ('fixed = "none"', 'hold it with fixed = "bottom" or a box'),
+    ("fixed = [-1.0, -1.0, 0.5, 1.0, 1.0, 0.6]", "holds 0 of"),
+    # one edge of the box: the body could turn about it
+    ("fixed = [-0.031, -0.031, -0.001, -0.029, 0.031, 0.001]", "on a line at most; the body could turn"),
+])
+def test_what_cannot_be_held_or_modelled_is_refused(more, message):
+    with pytest.raises(SceneError, match=re.escape(message)):
+        tiers.build(scene(more=more), "linear")
+
+
+def test_a_finer_tier_is_finer_and_the_scenes_resolution_wins():
+    s = scene()
+    sizes = [tiers.element_size(s.object, tier, s.probe) for tier in ("fem-coarse", "fem", "fem-fine")]
+    assert sizes == sorted(sizes, reverse=True) and sizes[-1] < sizes[0]
+    # a small tip needs small elements; a plane has no size and sets none
+    assert tiers.element_size(s.object, "fem", Sphere(0.002)) < sizes[1]
+    assert tiers.element_size(s.object, "fem", Plane()) == pytest.approx((0.06 * 0.06 * 0.03) ** (1 / 3) / 11)
+    assert tiers.element_size(scene(more="resolution = 0.004").object, "linear", Sphere(0.002)) == 0.004
+
+
+def test_the_model_holds_what_the_scene_says():
+    s = scene(more="resolution = 0.015\npose = [0.1, -0.2, 0.3]\nyaw = 0.7\ndensity = 500.0",
+              young_modulus="{ base = 1e5, inclusions = [ { box = [-0.03, -0.03, 0.0, 0.0, 0.03, 0.03], value = 4e5 } ] }")
+    model = tiers.build(s, "fem-coarse")
+    # the object frame's base centre lies at the pose
+    assert model.mesh.points.min(axis=0)[2] == pytest.approx(0.3)
+    middle = 0.5 * (model.mesh.points.min(axis=0) + model.mesh.points.max(axis=0))
+    assert middle == pytest.approx([0.1, -0.2, 0.315])
+    assert model.mesh.volume.sum() == pytest.approx(0.06 * 0.06 * 0.03, rel=1e-12)
+    # the inclusion is the half at negative x of its own frame, and meshed exactly: a grid plane lies at x = 0
+    centre = model.mesh.points[model.mesh.tets[:, :4]].mean(axis=1)
+    own_x = (centre[:, 0] - 0.1) * np.cos(0.7) + (centre[:, 1] + 0.2) * np.sin(0.7)
+    assert np.allclose(model.young_modulus, np.where(own_x < 0.0, 4e5, 1e5)[:, None], rtol=1e-12)
+    # gradients turned with the body: they differentiate world coordinates
+    x = model.mesh.points[model.mesh.tets[:, :4]]
+    assert np.einsum("mkc,mkd->mcd", model.mesh.gradients, x) == pytest.approx(np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
