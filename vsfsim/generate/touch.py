@@ -182,13 +182,16 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], *, o
 
 
 NOT_CONVERGED = "the solver did not reach its tolerance, halved steps included"
+OUT_OF_BALANCE = "force on the probe and reaction of the supports differ by over 0.1 %"
+_BALANCE = 1e-3  # design: the audit's limit
 
 
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
-    converged = frames.converged[:, k] & np.isfinite(frames.force[:, k]).all(axis=1)
+    found = frames.converged[:, k] & np.isfinite(frames.force[:, k]).all(axis=1)
+    converged = found & (frames.force_balance[:, k] <= _BALANCE)
     audit = {name: getattr(frames, name)[:, k] for name in ("force_balance", "min_det_f", "energy", "penetration")}
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
-        reason=np.where(converged, 0, 1), reason_names=(NOT_CONVERGED,), audit=audit)
+        reason=np.where(converged, 0, np.where(found, 2, 1)), reason_names=(NOT_CONVERGED, OUT_OF_BALANCE), audit=audit)
