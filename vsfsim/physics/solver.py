@@ -69,6 +69,7 @@ class Solver:
         self.touching = Touching(self.model, self.probe, poses, device=self.device, real=self.real)
         self.elasticity.begin(batch)
         self._set(np.zeros((3 * len(self.model.mesh.points), batch)))
+        self._settled: np.ndarray | None = None
         columns = np.arange(batch)
         self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
         self._pushed_before = self._pushed
@@ -206,7 +207,7 @@ class Solver:
 
     def _before(self) -> np.ndarray:
         """Displacements at the end of the frame before this one."""
-        if getattr(self, "_settled", None) is None or self._settled.shape != self.u.shape:
+        if self._settled is None:
             return np.zeros(self.u.shape)
         return self._settled
 
