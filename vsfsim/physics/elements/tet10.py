@@ -31,6 +31,7 @@ GAUSS_FAR = (5.0 - np.sqrt(5.0)) / 20.0
 def kernels(real: type) -> Any:
     """The kernels of this element for one scalar type (`wp.float32` or `wp.float64`)."""
     vec3 = wp.types.vector(length=3, dtype=real)
+    vec4 = wp.types.vector(length=4, dtype=real)
     vec9 = wp.types.vector(length=9, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat99 = wp.types.matrix(shape=(9, 9), dtype=real)
@@ -51,58 +52,43 @@ def kernels(real: type) -> Any:
         return out
 
     @wp.func(module=module)
+    def gauss(q: int):
+        # barycentric coordinates of Gauss point q
+        out = vec4(far, far, far, far)
+        for k in range(4):
+            if k == q:
+                out[k] = near
+        return out
+
+    @wp.func(module=module)
     def corner_sums(x: mat103, q: int):
         # sum_a x_a dN_a/dL_k for the four barycentric coordinates L_k: gradients of N in two cheap steps
         out = mat43()
+        b = gauss(q)
+        four = real(4.0)
+        one = real(1.0)
         for c in range(3):
-            l0 = far
-            l1 = far
-            l2 = far
-            l3 = far
-            if q == 0:
-                l0 = near
-            if q == 1:
-                l1 = near
-            if q == 2:
-                l2 = near
-            if q == 3:
-                l3 = near
-            four = real(4.0)
-            one = real(1.0)
-            out[0, c] = (four * l0 - one) * x[0, c] + four * (l1 * x[4, c] + l2 * x[6, c] + l3 * x[7, c])
-            out[1, c] = (four * l1 - one) * x[1, c] + four * (l0 * x[4, c] + l2 * x[5, c] + l3 * x[8, c])
-            out[2, c] = (four * l2 - one) * x[2, c] + four * (l1 * x[5, c] + l0 * x[6, c] + l3 * x[9, c])
-            out[3, c] = (four * l3 - one) * x[3, c] + four * (l0 * x[7, c] + l1 * x[8, c] + l2 * x[9, c])
+            out[0, c] = (four * b[0] - one) * x[0, c] + four * (b[1] * x[4, c] + b[2] * x[6, c] + b[3] * x[7, c])
+            out[1, c] = (four * b[1] - one) * x[1, c] + four * (b[0] * x[4, c] + b[2] * x[5, c] + b[3] * x[8, c])
+            out[2, c] = (four * b[2] - one) * x[2, c] + four * (b[1] * x[5, c] + b[0] * x[6, c] + b[3] * x[9, c])
+            out[3, c] = (four * b[3] - one) * x[3, c] + four * (b[0] * x[7, c] + b[1] * x[8, c] + b[2] * x[9, c])
         return out
 
     @wp.func(module=module)
     def spread(f: mat103, t: mat43, q: int):
         # the transpose of corner_sums, added to f
-        l0 = far
-        l1 = far
-        l2 = far
-        l3 = far
-        if q == 0:
-            l0 = near
-        if q == 1:
-            l1 = near
-        if q == 2:
-            l2 = near
-        if q == 3:
-            l3 = near
+        b = gauss(q)
         four = real(4.0)
         one = real(1.0)
         for c in range(3):
-            f[0, c] += (four * l0 - one) * t[0, c]
-            f[1, c] += (four * l1 - one) * t[1, c]
-            f[2, c] += (four * l2 - one) * t[2, c]
-            f[3, c] += (four * l3 - one) * t[3, c]
-            f[4, c] += four * (l1 * t[0, c] + l0 * t[1, c])
-            f[5, c] += four * (l2 * t[1, c] + l1 * t[2, c])
-            f[6, c] += four * (l0 * t[2, c] + l2 * t[0, c])
-            f[7, c] += four * (l3 * t[0, c] + l0 * t[3, c])
-            f[8, c] += four * (l3 * t[1, c] + l1 * t[3, c])
-            f[9, c] += four * (l3 * t[2, c] + l2 * t[3, c])
+            for k in range(4):
+                f[k, c] += (four * b[k] - one) * t[k, c]
+            f[4, c] += four * (b[1] * t[0, c] + b[0] * t[1, c])
+            f[5, c] += four * (b[2] * t[1, c] + b[1] * t[2, c])
+            f[6, c] += four * (b[0] * t[2, c] + b[2] * t[0, c])
+            f[7, c] += four * (b[3] * t[0, c] + b[0] * t[3, c])
+            f[8, c] += four * (b[3] * t[1, c] + b[1] * t[3, c])
+            f[9, c] += four * (b[3] * t[2, c] + b[2] * t[3, c])
         return f
 
     @wp.func(module=module)
