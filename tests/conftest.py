@@ -19,15 +19,22 @@ def device(request):
 def block(device):
     """Makes a model of a box: block(size, resolution, young_modulus=..., ...).
 
-    young_modulus: [Pa], or a function of the Gauss points (m, 4, 3) [m]. focus: points near which the mesh stays fine.
+    young_modulus: [Pa], or a function of the Gauss points (m, 4, 3) [m]. ticks: grid lines along x, y, z [m] instead of an even mesh.
     Further keywords go to `build_model`.
     """
-    from vsfsim.physics.blocks import box
+    from vsfsim.core.hexes import split_hexes
+    from vsfsim.physics.blocks import box, grid_hexes
     from vsfsim.physics.mesh import gauss_points
     from vsfsim.physics.model import build_model
 
-    def make(size, resolution, *, young_modulus=1e5, poisson_ratio=0.45, fixed="bottom", focus=None, **more):
-        vertices, tets = box(size, resolution, focus=None if focus is None else np.asarray(focus, float))
+    def make(size, resolution, *, young_modulus=1e5, poisson_ratio=0.45, fixed="bottom", ticks=None, **more):
+        if ticks is None:
+            vertices, tets = box(size, resolution)
+        else:
+            shape = tuple(len(t) for t in ticks)
+            vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
+            number = np.arange(len(vertices))
+            tets, _ = split_hexes(grid_hexes(number.reshape(shape)), np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
         solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
         at = gauss_points(solid)
         values = young_modulus(at) if callable(young_modulus) else np.full(at.shape[:2], float(young_modulus))
@@ -48,5 +55,18 @@ def line():
         poses[:, 0, :3, :3] = turn_to(np.asarray(axis, float), probe)
         poses[:, 0, :3, 3] = positions
         return poses
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def graded():
+    """Makes ticks [m] from 0 to ``length`` that grow geometrically: graded(first, equal, growth, length), ``equal`` steps of ``first`` [m] to begin with."""
+
+    def make(first, equal, growth, length):
+        steps = [first] * equal
+        while sum(steps) < length:
+            steps.append(steps[-1] * growth)
+        return np.concatenate([[0.0], np.cumsum(steps)]) * length / sum(steps)
 
     return make

@@ -9,15 +9,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.core.hexes import split_hexes
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.core.solid import Solid
 from vsfsim.generate.press import press
-from vsfsim.physics.blocks import grid_hexes
 from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.model import build_model
 from vsfsim.physics.solver import Solver
 
 S1, S2 = 9.70, 14.48
@@ -57,24 +53,15 @@ def test_block_with_a_stiff_inclusion(device, tier, tolerance, frames):
 
 
 @pytest.mark.slow
-def test_hertz_with_the_bonded_layers_correction(device):
+def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     """0.1 mm into a block of 0.2 x 0.2 x 0.1 m: 0.02399 N, Hertz's law with the correction of a bonded layer (physics.md).
 
     Hertz alone: 4/3 E / (1 - nu^2) sqrt(R) d^1.5 = 0.02364 N. A quarter of the block between rollers, on a mesh that grows from 0.35 mm
     under the contact (radius sqrt(R d) = 1.41 mm) to the walls.
     """
-    first, growth, half, height = 3.5e-4, 1.45, 0.1, 0.1
-    steps = [first] * 5
-    while sum(steps) < half:
-        steps.append(steps[-1] * growth)
-    ticks = np.concatenate([[0.0], np.cumsum(steps)]) * half / sum(steps)
-    grid = (ticks, ticks, height - ticks[::-1])
-    shape = tuple(len(t) for t in grid)
-    vertices = np.stack(np.meshgrid(*grid, indexing="ij"), axis=-1).reshape(-1, 3)
-    parity = np.indices(shape).sum(axis=0).reshape(-1) % 2
-    tets, _ = split_hexes(grid_hexes(np.arange(len(vertices)).reshape(shape)), parity * len(vertices) + np.arange(len(vertices)))
-    solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
-    model = build_model(solid, np.full((len(tets), 4), 1e5), poisson_ratio=0.45, fixed="bottom", bottom_tolerance=1e-9, where="hertz", device=device)
+    height = 0.1
+    ticks = graded(4e-4, 4, 1.8, height)
+    model = block((height, height, height), None, ticks=(ticks, ticks, height - ticks[::-1]))
     held = (model.free == 0.0).reshape(-1, 3)
     held[:, :2] |= model.mesh.points[:, :2] < 1e-12
     free = np.where(held, 0.0, 1.0).ravel()
@@ -84,7 +71,7 @@ def test_hertz_with_the_bonded_layers_correction(device):
     frames = Solver(model, Sphere(0.02), device=device).run(poses)
     assert frames.converged.all()
     force = 4.0 * frames.force[-1, 0, 2]
-    print(f"Hertz: {force:.5f} N, {force / 0.02399 - 1:+.2%}; {len(tets)} tets, {frames.seconds.mean():.1f} s a frame")
+    print(f"Hertz: {force:.5f} N, {force / 0.02399 - 1:+.2%}; {len(model.mesh.tets)} tets, {frames.seconds.mean():.1f} s a frame")
     # four elements across the contact's radius, its edge unresolved: 1 %; large-strain terms are of the order d / a = 7 %
     # of nothing much (0.2 %); the closed form's own correction series leaves 0.5 %
     assert force == pytest.approx(0.02399, rel=0.02)

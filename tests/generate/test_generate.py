@@ -1,0 +1,203 @@
+"""From a scene to a dataset: whole, the same bits for any number of workers and after any number of kills; and the press."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vsfsim.core.scene import load_scene
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.verify import verify
+from vsfsim.generate import press as presses
+from vsfsim.generate.run import generate, splits_for
+
+SCENE = """
+name = "tiny"
+needs = ["bulging"]
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+resolution = 0.02
+pose = [0.01, -0.02, 0.0]
+yaw = 0.4
+poisson_ratio = 0.4
+young_modulus = { base = { loguniform = [2e4, 2e5] }, inclusions = [ { box = [0.0, -0.03, 0.0, 0.03, 0.03, 0.03], value = 4e5 } ] }
+[probe]
+shape = { sphere = 0.01 }
+[touches]
+count = 2
+depth = 0.004
+approach = 0.005
+frames = { free = 1, in = 2, hold = 0, out = 1 }
+[press]
+from = [0.01, -0.02, 0.045]
+to = [0.01, -0.02, 0.037]
+frames = 4
+retract = 2
+[camera]
+width = 64
+height = 48
+distance = 0.25
+[dataset]
+objects = 2
+views = 1
+splits = { train = 1, test = 1 }
+"""
+
+
+def command(*words):
+    return [sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *map(str, words)]
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "tiny.toml"
+    path.write_text(SCENE)
+    return load_scene(path)
+
+
+@pytest.fixture(scope="module")
+def made(scene, tmp_path_factory):
+    """The dataset made without a break by one worker, in this process' call."""
+    return generate(scene, tmp_path_factory.mktemp("data") / "one", workers=1)
+
+
+def contents(folder):
+    return {p.name: p.read_bytes() for p in sorted(Path(folder).iterdir())}
+
+
+def test_it_is_whole_and_verifies(made, scene):
+    report = verify(made.path)
+    assert report.ok, report.text()
+    assert report.files == 2 and report.touches == 4 and report.frames == 16 and report.worst_balance <= 1e-3
+    assert made.recipe.scene_text == SCENE and made.recipe.tier == "fem-coarse" and made.recipe.seed == 0
+    assert made.names("train") == ("tiny-0000-v0",) and made.names("test") == ("tiny-0001-v0",)
+    views = list(made)
+    assert [v.split for v in views] == ["train", "test"]
+    for v in views:
+        assert v.view.rgb.shape == (48, 64, 3) and v.view.mask.any() and v.view.points().shape[1] == 3
+        for touch in v.touches:
+            assert touch.converged.all() and touch.touched and not touch.reason.any()
+            # free, in, in, out: no force before contact, most at the deepest, and out over the pose of the way in
+            force = touch.normal_force()
+            assert force[0] == 0.0 and force[2] == force.max() > 0.0
+            assert force[2] > force[1] > 0.0
+            assert np.abs(touch.force - touch.reaction).max() <= 1e-3 * np.abs(touch.force).max()
+            assert touch.target[2] >= 0.0 and touch.axis == pytest.approx(-touch.normal)
+
+
+def test_the_truth_is_the_scenes(made, scene):
+    from vsfsim.generate.run import _SCENE, stream
+
+    bases = []
+    for v in made:
+        concrete = scene.sample(stream(0, _SCENE, v.object_index))
+        bases.append(concrete.object.young_modulus.base)
+        truth = v.truth
+        # back into the object's frame, where the scene's field lives
+        c, s = np.cos(0.4), np.sin(0.4)
+        local = (truth.points - [0.01, -0.02, 0.0]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        # the inclusion's face is a plane of the mesh: no element has two materials
+        assert truth.young_modulus == pytest.approx(concrete.object.young_modulus.evaluate(local), rel=1e-12)
+        assert len(np.unique(truth.young_modulus.round(3))) == 2
+        assert (truth.probe_stiffness > 0.0).all() and len(truth.probe_points) == len(truth.probe_stiffness) > 0
+        assert np.linalg.norm(truth.probe_normals, axis=1) == pytest.approx(1.0)
+        assert (truth.vsf_stiffness >= 0.0).all() and truth.vsf_touched.any() and not truth.vsf_touched.all()
+        # stiffer where the material is stiffer: the softest of the stiff half beats the mean of the soft one
+        at = (truth.probe_points - [0.01, -0.02, 0.0]) @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+        top = at[:, 2] > 0.0299
+        stiff, soft = truth.probe_stiffness[top & (at[:, 0] > 0.01)], truth.probe_stiffness[top & (at[:, 0] < -0.01)]
+        assert len(stiff) and len(soft) and stiff.mean() > soft.mean()
+    assert bases[0] != bases[1] and all(2e4 <= b <= 2e5 for b in bases)
+
+
+def test_blind_hides_the_truth(made):
+    assert all(v.truth is not None for v in made)
+    assert all(v.truth is None for v in made.blind()) and all(v.truth is None for v in Dataset.open(made.path, blind=True))
+
+
+def test_two_workers_give_the_same_bits(made, scene, tmp_path):
+    generate(scene, tmp_path / "two", workers=2)
+    assert contents(tmp_path / "two") == contents(made.path)
+
+
+def test_another_seed_gives_another_dataset_and_more_objects_keep_the_first(made, scene, tmp_path):
+    other = generate(scene, tmp_path / "seed", seed=1, objects=1, workers=1)
+    assert other.entries[0].sha256 != made.entries[0].sha256
+    assert other.load("tiny-0000-v0").truth.young_modulus.min() != made.load("tiny-0000-v0").truth.young_modulus.min()
+    again = generate(scene, tmp_path / "first", objects=1, workers=1)
+    a, b = again.load("tiny-0000-v0"), made.load("tiny-0000-v0")
+    assert all(np.array_equal(p.force, q.force) for p, q in zip(a.touches, b.touches))
+
+
+def test_sigkill_at_random_moments_then_again_gives_the_same_bits(made, scene, tmp_path):
+    words = command("generate", scene.path, "--out", tmp_path / "d", "--workers", 2)
+    began = time.perf_counter()
+    first = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    # the first kill comes as soon as a file is there: half a dataset
+    while first.poll() is None and not list((tmp_path / "d").glob("*.h5*") if (tmp_path / "d").is_dir() else []):
+        assert time.perf_counter() - began < 120.0
+        time.sleep(0.005)
+    length = time.perf_counter() - began
+    first.send_signal(signal.SIGKILL)
+    first.wait()
+    for _ in range(2):
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        time.sleep(random.uniform(0.2, 1.0) * length)
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    last = subprocess.run(words, capture_output=True, text=True)
+    assert last.returncode == 0, last.stderr
+    assert contents(tmp_path / "d") == contents(made.path)
+    assert verify(tmp_path / "d").ok
+
+
+def test_splits_keep_their_proportions(scene):
+    concrete = scene.sample(0)
+    assert splits_for(concrete, 2) == {"train": 1, "test": 1}
+    assert splits_for(concrete, 10) == {"train": 5, "test": 5}
+    assert sum(splits_for(concrete, 7).values()) == 7
+
+
+# ------------------------------------------------------------------------------------------ the press
+
+KEYS = {"depth", "force", "reaction", "pressure", "converged", "residual", "iterations", "seconds", "tets", "nodes", "tier", "device", "precision"}
+
+
+def check_press(table):
+    assert table.keys() >= KEYS  # design.md, section 4
+    assert len(table["depth"]) == 6 and np.shape(table["force"]) == np.shape(table["reaction"]) == (6, 3)
+    # the probe starts 5 mm above the top of the block and ends 3 mm inside; a node of the top lies under its tip
+    assert table["depth"] == pytest.approx([0.0, 0.0, 0.001, 0.003, 0.0, 0.0], abs=2e-6)
+    force = np.array(table["force"])
+    # 8 mm in four frames of 2 mm: the first two clear the block, the third is 1 mm inside
+    assert not force[:2].any() and force[3, 2] > force[2, 2] > 0.0 and not force[4:].any()
+    assert all(table["converged"]) and table["pressure"] is None
+    assert (table["tier"], table["device"], table["precision"]) == ("fem-coarse", "cpu", "float64")
+    assert table["tets"] > 0 and table["nodes"] > table["tets"] and min(table["seconds"]) > 0.0
+    assert np.abs(force - table["reaction"]).max() <= 1e-3 * force.max()
+
+
+def test_press_gives_all_that_the_design_promises(scene):
+    check_press(presses.press(scene.sample(0)).table())
+
+
+def test_press_prints_one_json_object(scene, tmp_path):
+    out = subprocess.run(command("press", scene.path, "--json", "-"), capture_output=True, text=True, cwd=tmp_path,
+                         env={**os.environ, "OMP_NUM_THREADS": "1"})
+    assert out.returncode == 0, out.stderr
+    table = json.loads(out.stdout)
+    check_press(table)
+    assert table["force"] == presses.press(scene.sample(0)).table()["force"], "the same seed gives the same bits in another process"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_text_table_for_people(scene):
+    lines = presses.text(presses.press(scene.sample(0))).splitlines()
+    assert len(lines) == 8 and "force N" in lines[0] and "6 of 6 frames converged; tier fem-coarse" in lines[7]
