@@ -8,7 +8,7 @@ import pytest
 
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.physics import sdf
-from vsfsim.physics.solver import Frames, Solver, SolverOptions
+from vsfsim.physics.solver import FLOAT32_ACCEPT, Frames, Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)
@@ -71,7 +71,7 @@ def test_single_precision_gives_the_same_forces(press, model, line, device):
     single = Solver(model, PROBE, device=device, precision="float32").run(down(line, DEPTHS))
     assert single.converged.all()
     assert single.force[:, 0, 2] == pytest.approx(press.force[:4, 0, 2], rel=5e-3)
-    assert single.force_balance.max() <= 1e-3
+    assert single.force_balance.max() <= FLOAT32_ACCEPT, "the residual bounds the imbalance"
 
 
 def test_a_batch_gives_what_its_touches_give_alone(model, line, device):

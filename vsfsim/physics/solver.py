@@ -26,7 +26,7 @@ from vsfsim.physics.touching import Touching
 
 State = dict[str, np.ndarray]
 
-FLOAT32_TOLERANCE = 3e-3
+FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
@@ -48,8 +48,9 @@ class Solver:
         options = options or SolverOptions()
         if precision == "float32":
             # rounding of the nodal forces leaves about 1e-3 unbalanced; asking for less would only burn iterations
-            options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_TOLERANCE))
+            options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM), newton=min(options.newton, 15))
         self.options = options
+        self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
         self.device, self.precision, self.linear = device, precision, linear
         self.real = wp.float64 if precision == "float64" else wp.float32
         self.elasticity = Elasticity(model, device=device, real=self.real)
@@ -374,7 +375,7 @@ class Solver:
         unbalanced = np.linalg.norm(held + on_body + weight, axis=1)
         largest = np.maximum(np.maximum(np.linalg.norm(held, axis=1), np.linalg.norm(on_body, axis=1)), self._floor)
         values = {
-            "force": -on_body, "reaction": held, "converged": state["measure"] <= self.options.tolerance,
+            "force": -on_body, "reaction": held, "converged": state["measure"] <= self._accept,
             "residual": state["measure"], "iterations": newton[columns], "cg_iterations": cg[columns],
             "force_balance": unbalanced / largest, "min_det_f": state["det"], "energy": state["energy"],
             "penetration": np.array([self.touching.penetration(b) for b in columns]),

@@ -37,8 +37,8 @@ class Tier:
 
 
 TIERS: dict[str, Tier] = {
-    "linear": Tier(False, 1 / 8, 1 / 2, 0.020, 1e-6),
-    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.020, 1e-3),
+    "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-6),
+    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3),
     "fem": Tier(True, 1 / 11, 1 / 3, 0.014, 5e-4),
     "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4),
 }
