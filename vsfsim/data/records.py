@@ -65,8 +65,8 @@ class Touch:
     reason: 0 for a good frame, else an index + 1 into `reason_names` (T,) int.
     reason_names: what the codes of `reason` mean, one sentence each.
     audit: columns by name, each (T,): force_balance = |force - reaction - weight| over the larger norm [-];
-        min_det_f = smallest det F of an element [-]; energy = total potential [J];
-        penetration = deepest penetration of the probe by a node [m].
+        min_det_f = smallest det F of an element [-]; energy = elastic energy of the object [J];
+        penetration = deepest quadrature point of the surface inside the probe [m].
     q: joint angles of the arm (T, 7) [rad], or None without an arm.
     torque: joint torques due to the contact (T, 7) [N m], or None without an arm.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.

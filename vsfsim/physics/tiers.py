@@ -39,7 +39,7 @@ class Tier:
 TIERS: dict[str, Tier] = {
     "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-6),
     "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3),
-    "fem": Tier(True, 1 / 11, 1 / 3, 0.014, 5e-4),
+    "fem": Tier(True, 1 / 13, 1 / 3, 0.014, 5e-4),
     "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4),
 }
 _NOT_BUILT = ("vsf", "spring")
