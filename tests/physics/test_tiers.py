@@ -1,14 +1,16 @@
 """Tiers: the cheapest that is enough, refusals that say what would do, element sizes."""
 
+import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import SceneError
+from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
+from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
 
 SCENE = """
@@ -90,3 +92,46 @@ def test_the_model_holds_what_the_scene_says():
     # gradients turned with the body: they differentiate world coordinates
     x = model.mesh.points[model.mesh.tets[:, :4]]
     assert np.einsum("mkc,mkd->mcd", model.mesh.gradients, x) == pytest.approx(np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
+
+
+def test_a_scan_is_cut_as_finely_as_a_box_of_its_size(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    block = trimesh.creation.box((0.06, 0.06, 0.03))
+    block.export(tmp_path / "scan.ply")
+    for factor, more in ((1.0, ""), (1000.0, ""), (100.0, ", scale = 0.01")):
+        block.copy().apply_scale(factor).export(tmp_path / f"x{factor:g}.ply")
+        scan = scene(shape=f'{{ mesh = "{tmp_path}/x{factor:g}.ply"{more} }}')
+        for tier in ("fem-coarse", "fem-fine"):
+            assert tiers.element_size(scan.object, tier, scan.probe) == pytest.approx(tiers.element_size(scene().object, tier, scan.probe), rel=1e-6)
+    # a file that changed is read again
+    path = tmp_path / "x1.ply"
+    block.copy().apply_scale(0.5).export(path)
+    os.utime(path, ns=(1, 1))
+    half = scene(shape=f'{{ mesh = "{path}" }}')
+    assert tiers.element_size(half.object, "fem", Plane()) == pytest.approx(0.5 * tiers.element_size(scene().object, "fem", Plane()), rel=1e-6)
+    (tmp_path / "empty.obj").write_text("")
+    with pytest.raises(MeshError, match="empty.obj' has no faces"):
+        tiers.element_size(scene(shape=f'{{ mesh = "{tmp_path}/empty.obj" }}').object, "fem", Plane())
+
+
+def test_the_foot_of_a_scan_is_said_and_a_narrow_one_warned_of():
+    height = 0.1
+
+    def said(foot):
+        # a frustum: a square foot under a square top of 0.1 m
+        v = np.array([[x * w, y * w, z] for z, w in ((0.0, foot), (height, 0.1)) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+        return tiers.foot_note(Solid(v, np.array([[0, 1, 2, 4]]), np.zeros(1, int), ("body",)), tiers.FOOT * height)
+
+    assert "lowest 5 % of the scan, 5.0 mm: a foot of 80 x 80 mm under a body of 100 x 100 mm" in said(0.08) and "tip" not in said(0.08)
+    assert "may tip rather than be indented; fixed = [-0.051, -0.051, -0.001, 0.051, 0.051, 0.025] would hold its lowest quarter" in said(0.02)
+
+
+def test_round_bars_have_their_full_section_and_a_ball_its_true_top():
+    def volume_and_top(shape):
+        vertices = (solid := tiers.body(scene(shape=shape, more="resolution = 0.006"), "fem-coarse")[0]).vertices
+        return solid.volume(), vertices[:, 2].max()
+
+    # the tolerance is rounding: a prism of equal area has exactly the volume
+    assert volume_and_top("{ rod = [0.06, 0.006] }")[0] == pytest.approx(np.pi * 0.006**2 * 0.06, rel=1e-9)
+    assert volume_and_top("{ cylinder = [0.012, 0.02] }") == pytest.approx((np.pi * 0.012**2 * 0.02, 0.02), rel=1e-9)
+    assert volume_and_top("{ sphere = 0.02 }")[1] == pytest.approx(0.04, rel=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -122,8 +123,11 @@ def parse_material(table: Any, where: str) -> MaterialField:
     regions = table.get("regions", {})
     if not isinstance(regions, Mapping):
         raise SceneError(f"{where}: young_modulus.regions is {regions!r}; give a table of region = pascals.")
+    given = table.get("inclusions", [])
+    if not isinstance(given, (list, tuple)):
+        raise SceneError(f"{where}: young_modulus.inclusions is {given!r}; give a list, e.g. [{{ sphere = [x, y, z, r], value = 1e7 }}].")
     parts = []
-    for i, part in enumerate(table.get("inclusions", [])):
+    for i, part in enumerate(given):
         spot = f"{where}: young_modulus.inclusions[{i}]"
         if not isinstance(part, Mapping):
             raise SceneError(f"{spot} is {part!r}; give e.g. {{ sphere = [x, y, z, r], value = 1e7 }}.")
@@ -133,8 +137,10 @@ def parse_material(table: Any, where: str) -> MaterialField:
         kind = kinds[0]
         names = _INCLUSIONS[kind]
         numbers = part[kind]
-        if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names) or not all(isinstance(v, (int, float)) for v in numbers):
-            raise SceneError(f"{spot}: {kind} is {numbers!r}; give [{', '.join(names)}] in metres, in the object's frame.")
+        if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names) or any(
+            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in numbers
+        ):
+            raise SceneError(f"{spot}: {kind} is {numbers!r}; give [{', '.join(names)}] in metres, finite numbers in the object's frame.")
         if names[-1] == "radius" and numbers[-1] <= 0:
             raise SceneError(f"{spot}: the radius is {numbers[-1]!r}; it must be greater than 0.")
         parts.append(Inclusion(kind, tuple(float(v) for v in numbers), modulus(part["value"], f"{spot}: value")))

@@ -188,8 +188,8 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
         raise SceneError(f"scene file '{path}' is not valid TOML: {error}.") from error
     scene = SceneFile(path, text, tree)
     # The ends of every distribution (and each choice) must build; a mid-run surprise is worse than a refusal now.
-    for end in range(max(2, _longest_choice(tree))):
-        _build(_resolve(tree, lambda kind, args, end=end: _end(kind, args, end)), path)
+    for end in _ends(tree, str(path)):
+        _build(end, path)
     return scene
 
 
@@ -197,21 +197,24 @@ def _is_distribution(node: Any) -> bool:
     return isinstance(node, Mapping) and len(node) == 1 and next(iter(node)) in _DISTRIBUTIONS
 
 
-def _longest_choice(node: Any) -> int:
+def _ends(node: Any, where: str) -> list:
+    """Trees without distributions in which every end of every distribution, nested ones too, occurs at least once."""
     if _is_distribution(node):
         kind, args = next(iter(node.items()))
-        return len(args) if kind == "choice" and isinstance(args, list) else 2
+        _check_distribution(kind, args, where)
+        return [end for value in args for end in _ends(value, where)]
     if isinstance(node, Mapping):
-        return max((_longest_choice(v) for v in node.values()), default=1)
+        inner = {key: _ends(value, f"{where}: {key}") for key, value in node.items()}
+        return [{key: ends[i % len(ends)] for key, ends in inner.items()} for i in range(max((len(e) for e in inner.values()), default=1))]
     if isinstance(node, list):
-        return max((_longest_choice(v) for v in node), default=1)
-    return 1
+        items = [_ends(value, f"{where}[{i}]") for i, value in enumerate(node)]
+        return [[ends[i % len(ends)] for ends in items] for i in range(max((len(e) for e in items), default=1))]
+    return [node]
 
 
 def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
     if _is_distribution(node):
         kind, args = next(iter(node.items()))
-        _check_distribution(kind, args)
         return _resolve(pick(kind, args), pick)
     if isinstance(node, Mapping):
         return {key: _resolve(value, pick) for key, value in node.items()}
@@ -220,17 +223,17 @@ def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
     return node
 
 
-def _check_distribution(kind: str, args: Any) -> None:
+def _check_distribution(kind: str, args: Any, where: str) -> None:
     if not isinstance(args, list) or not args:
-        raise SceneError(f"distribution {{ {kind} = {args!r} }}: give a list, e.g. {{ uniform = [0.1, 0.2] }}.")
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. {{ uniform = [0.1, 0.2] }}.")
     if kind == "choice":
         return
     if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in args):
-        raise SceneError(f"distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
     low, high = args
     if low > high or (kind == "loguniform" and low <= 0):
         need = "0 < low <= high" if kind == "loguniform" else "low <= high"
-        raise SceneError(f"distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
 
 
 def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
@@ -239,12 +242,6 @@ def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
     if kind == "uniform":
         return float(rng.uniform(args[0], args[1]))
     return float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
-
-
-def _end(kind: str, args: list, end: int) -> Any:
-    if kind == "choice":
-        return args[end % len(args)]
-    return args[end % 2]
 
 
 # ---------------------------------------------------------------------------------------------- tables

@@ -12,12 +12,12 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
-from vsfsim.physics import tiers
+from vsfsim.physics import sdf, tiers
 from vsfsim.physics.device import compile_kernels, solver_kernels
 from vsfsim.physics.frames import Frames
 from vsfsim.physics.model import Model
 from vsfsim.physics.solver import Solver
-from vsfsim.robot.press import press_path
+from vsfsim.robot.press import press_path, turn_to
 
 
 @dataclass(frozen=True)
@@ -95,28 +95,60 @@ def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precisi
     axis = (stop - start) / np.linalg.norm(stop - start)
     model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=tip(scene, stop, axis)[None], device=device)
     built = time.perf_counter() - began
-    compile_kernels(solver_kernels(precision), device, progress=progress)
     first = poses[0].copy()
     first[:3, 3] = start
+    inside = overlap(model, scene.probe, first, str(scene.source))
+    compile_kernels(solver_kernels(precision), device, progress=progress)
     gap = first_contact(model, np.stack([first, poses[scene.press.frames - 1]]), scene.probe)
     solver = Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(chosen),
                     linear=not tiers.TIERS[chosen].nonlinear)
     frames = solver.run(poses[:, None], progress=None if progress is None else lambda done: progress(done, len(poses), "frames"))
-    depth = np.maximum((poses[:, :3, 3] - start) @ axis - gap, 0.0)
+    way = (poses[:, :3, 3] - start) @ axis
+    depth = np.maximum(way - gap, 0.0)
     return PressResult(
         depth=depth, force=frames.force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
         converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0],
         seconds=frames.seconds, audit=audit(frames, 0), build_seconds=built, tets=len(model.mesh.tets),
         nodes=len(model.mesh.points), tier=chosen, device=device, precision=precision,
-        element_size=tiers.element_size(scene.object, chosen, scene.probe), notes=model.solid.notes)
+        element_size=tiers.element_size(scene.object, chosen, scene.probe), notes=(*model.solid.notes, *path_notes(gap, float(way.max()), inside)))
+
+
+def overlap(model: Model, probe: Any, pose: np.ndarray, where: str) -> float:
+    """How deep the body's surface at rest lies inside a probe at ``pose`` (4, 4) [m]; 0 if they are apart.
+
+    Raises:
+        SceneError: the whole probe is inside the body. ``where`` is the scene file.
+    """
+    centre = pose[:3, 3]
+    corners = model.mesh.points[model.mesh.tets[:, :4]]
+    weights = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2), (centre - corners[:, 0])[..., None])[..., 0]
+    inside = (weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)
+    points = (model.mesh.points[np.unique(model.mesh.faces)] - pose[:3, 3]) @ pose[:3, :3]
+    nearest = float(sdf.distance(probe, points).min())
+    if inside.any() and nearest > 0.0:
+        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in centre.tolist()]} puts the whole probe inside the body, where it touches nothing; "
+                         "start outside (world coordinates of the probe's centre, in metres).")
+    return max(0.0, -nearest)
+
+
+def path_notes(gap: float, way: float, inside: float) -> list[str]:
+    """What a user should know about the path: it misses the body, or starts in it.
+
+    Args:
+        gap: to first contact from the start [m]. way: how far the probe goes [m]. inside: overlap at the start [m].
+    """
+    if gap >= way:
+        there = "meets nothing on its line" if not np.isfinite(gap) else f"would meet it after {1e3 * gap:.1f} mm, and goes {1e3 * way:.1f} mm"
+        return [f"The probe never touches the body: it {there}. Check from and to in [press], world coordinates in metres of the probe's centre."]
+    if inside > 0.05 * way:  # less is the faceting of a round body
+        return [f"The probe starts {1e3 * inside:.1f} mm inside the body, so depth counts from there and not from first contact; "
+                "move from in [press] back to where the probe is free."]
+    return []
 
 
 def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """The leading point of the probe (3,) [m] when its centre is at ``centre``, moving along ``axis``."""
-    from vsfsim.physics.sdf import support
-    from vsfsim.robot.press import turn_to
-
-    return centre + support(scene.probe, turn_to(axis, scene.probe).T @ axis) * axis
+    return centre + sdf.support(scene.probe, turn_to(axis, scene.probe).T @ axis) * axis
 
 
 def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:

@@ -7,6 +7,7 @@ result is kept under a hash of the input and every later build reads that one.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.metadata
 import math
@@ -50,13 +51,7 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
         MeshError: unreadable, no faces, not finite, flat, of absurd size, several objects, or not fillable.
     """
     path = Path(shape.path)
-    if path.suffix.lower() not in FORMATS:
-        raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, e.g. with MeshLab.")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or STL file, "
-                        "relative to the scene file.") from error
+    content = _content(path)
     key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, resolution, _RECIPE,
                                          importlib.metadata.version("pytetwild"))).encode()).hexdigest()
     folder = _cache_folder() if cache is None else Path(cache)
@@ -81,9 +76,7 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
     path, notes = Path(shape.path), []
     mesh = _load(path)
     if not np.isfinite(mesh.vertices).all():
-        bad = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
-        raise MeshError(f"mesh file '{path}': {bad} of {len(mesh.vertices)} vertices are not finite numbers (NaN or infinite); "
-                        "export the mesh again.")
+        raise _not_finite(path, mesh.vertices)
     before = len(mesh.faces)
     mesh.merge_vertices()
     mesh.update_faces(mesh.nondegenerate_faces())
@@ -99,9 +92,8 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
         raise MeshError(f"mesh file '{path}' has no faces with an area (of {before} given); a closed triangle surface is needed.")
 
     extent = float(mesh.extents.max())
-    scale = shape.scale
-    if scale is None:
-        scale = 1e-3 if extent > LARGEST else 1.0
+    scale = _metres_per_unit(shape, extent)
+    if shape.scale is None:
         if scale != 1.0:
             notes.append(f"The bounding box is {extent:.4g} units long, more than {LARGEST:g}, so the file was read as millimetres; "
                          "give scale (metres per unit) to say otherwise.")
@@ -131,6 +123,29 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
         notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with more than two "
                      "faces; closed by the filler.")
     return mesh, notes
+
+
+def extents(shape: MeshFile) -> np.ndarray:
+    """Edges of the file's bounding box (3,) [m]; an axis on which it is flat has 0.
+
+    Raises:
+        MeshError: unreadable, no faces, or not finite.
+    """
+    path = Path(shape.path)
+    stamp = path.stat().st_mtime_ns if path.is_file() else None
+    return _extents(shape, stamp).copy()
+
+
+@functools.lru_cache(maxsize=16)
+def _extents(shape: MeshFile, stamp: int | None) -> np.ndarray:
+    # ``stamp`` is the file's time: an edited file is read again
+    _content(Path(shape.path))
+    mesh = _load(Path(shape.path))
+    used = mesh.vertices[np.unique(mesh.faces)]
+    if not np.isfinite(used).all():
+        raise _not_finite(Path(shape.path), mesh.vertices)
+    size = np.ptp(used, axis=0)
+    return size * _metres_per_unit(shape, float(size.max()))
 
 
 def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
@@ -211,6 +226,28 @@ def _run_filler(surface: trimesh.Trimesh, resolution: float, path: Path) -> tupl
                             "resolution, or repair the mesh by hand (e.g. in MeshLab).")
         with np.load(made, allow_pickle=False) as data:
             return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
+
+
+def _content(path: Path) -> bytes:
+    if path.suffix.lower() not in FORMATS:
+        raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, e.g. with MeshLab.")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or STL file, "
+                        "relative to the scene file.") from error
+
+
+def _metres_per_unit(shape: MeshFile, longest: float) -> float:
+    if shape.scale is not None:
+        return shape.scale
+    return 1e-3 if longest > LARGEST else 1.0
+
+
+def _not_finite(path: Path, vertices: np.ndarray) -> MeshError:
+    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
+    return MeshError(f"mesh file '{path}': {bad} of {len(vertices)} vertices are not finite numbers (NaN or infinite); "
+                     "export the mesh again.")
 
 
 def _load(path: Path) -> trimesh.Trimesh:

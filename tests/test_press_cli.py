@@ -1,0 +1,95 @@
+"""`vsfsim press` as a user runs it: a scan, each kind of probe, and paths that make no sense."""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import version
+
+import numpy as np
+import pytest
+import trimesh
+
+SCENE = """
+[object]
+shape = { SHAPE }
+resolution = SIZE
+young_modulus = 5e4
+poisson_ratio = 0.45
+tier = "TIER"
+[probe]
+shape = { PROBE }
+[press]
+from = [0.0, 0.0, FROM]
+to = [0.0, 0.0, TO]
+frames = FRAMES
+"""
+BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01", start=0.04, stop=0.037, frames=2)
+
+
+@pytest.fixture
+def press(tmp_path):
+    """Runs `vsfsim press` on a scene made of keywords: press(*words, **scene)."""
+
+    def run(*words, **scene):
+        text, given = SCENE, {**BOX, **scene}
+        for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"), ("TO", "stop"), ("FRAMES", "frames")):
+            text = text.replace(word, str(given[key]))
+        (tmp_path / "s.toml").write_text(text)
+        # a mesh cache of the test's own, but the compiled kernels of everybody
+        home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+        kernels = os.environ.get("WARP_CACHE_PATH") or f"{home}/warp/{version('warp-lang')}"
+        env = {**os.environ, "OMP_NUM_THREADS": "1", "XDG_CACHE_HOME": str(tmp_path / "cache"), "WARP_CACHE_PATH": kernels}
+        return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "press", "s.toml", *words],
+                              capture_output=True, text=True, cwd=tmp_path, env=env, stdin=subprocess.DEVNULL)
+
+    return run
+
+
+def pressed(out):
+    """The JSON of a press that worked: every frame converged, forces balance, the probe is pushed back up."""
+    assert out.returncode == 0, out.stdout + out.stderr
+    result = json.loads(out.stdout)
+    force, reaction = np.array(result["force"]), np.array(result["reaction"])
+    assert all(result["converged"]) and result["depth"] == sorted(result["depth"])
+    # the tolerance of tier fem-coarse, on the sum of unbalanced nodal forces
+    assert np.linalg.norm(force - reaction, axis=1) == pytest.approx(0.0, abs=2e-3 * np.linalg.norm(force, axis=1).max())
+    assert (np.diff([0.0, *force[:, 2]]) > 0.0).all()
+    return result
+
+
+@pytest.mark.parametrize(("probe", "half", "low", "high"), [
+    # bounds from rigid punches on a half-space, E* = 5e4 / (1 - 0.45^2) = 6.3e4 Pa, at 3 mm (Johnson 1985, ch. 3 and 4): sphere 1.4 N;
+    # flat punch of radius a 2 a E* d = 4.5 N for the cylinder and 4.6 N for the box. The block is only 30 mm thick: up to twice as stiff.
+    ("sphere = 0.01", 0.01, 1.2, 2.8), ("capsule = [0.008, 0.01]", 0.013, 1.1, 2.5), ("cylinder = [0.012, 0.02]", 0.01, 4.3, 9.0),
+    ("box = [0.02, 0.024, 0.02]", 0.01, 4.3, 9.2),
+    # a plate on the whole block: free sides E A e = 18 N to confined sides, M = 3.8 E
+    ("plane = true", 0.0, 18.0, 68.0),
+])
+def test_each_probe_presses_a_soft_block(press, probe, half, low, high):
+    result = pressed(press("--json", "-", probe=probe, start=0.03 + half, stop=0.027 + half))
+    assert result["depth"][-1] == pytest.approx(0.003, abs=1e-5)
+    assert low < result["force"][-1][2] < high
+
+
+def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
+    # a dome of 60 x 60 x 30 mm with a flat base, some of its faces missing
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=30.0)
+    ball.vertices[:, 2] = np.maximum(ball.vertices[:, 2], 0.0)
+    ball.update_faces(ball.nondegenerate_faces() & (np.arange(len(ball.faces)) > 3))
+    ball.export(tmp_path / "dome.stl")
+    out = press("--plot", "p.png", "--json", "-", shape='mesh = "dome.stl"', size=0.02, start=0.04, stop=0.037)
+    result = pressed(out)
+    notes = " ".join(result["notes"])
+    assert "read as millimetres" in notes and "Not watertight" in notes and 'fixed = "bottom" holds the lowest 5 %' in notes
+    assert "tip" not in notes and (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    # Hertz for two spheres, R = 7.5 mm: 4/3 E* sqrt(R) d^1.5 = 1.2 N; the dome rests on its base, so it is somewhat softer or stiffer
+    assert 0.6 < result["force"][-1][2] < 2.4
+
+
+def test_a_probe_that_misses_is_said_and_one_inside_is_refused(press):
+    assert "note: The probe never touches the body: it would meet it after 20.0 mm, and goes 10.0 mm." in press(tier="linear", start=0.06, stop=0.05).stdout
+    assert "note: The probe starts 2.0 mm inside the body" in press(tier="linear", start=0.038, stop=0.037).stdout
+    out = press(tier="linear", probe="sphere = 0.005", start=0.015, stop=0.012)
+    assert out.returncode == 2 and out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body")
+    assert out.stdout == "" and "Traceback" not in out.stderr
