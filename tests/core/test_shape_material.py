@@ -89,7 +89,7 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
     field = parse_material({"regions": {"sole": 2e6}}, "x")
     assert field.by_region(["upper", "sole"], np.array([3.0, 4.0]), "x").tolist() == [3.0, 2e6]
     assert parse_material(None, "x").by_region(["upper"], np.array([3.0]), "x").tolist() == [3.0]
-    with pytest.raises(SceneError, match="x: young_modulus names region 'sole', which this object does not have. Allowed: body."):
+    with pytest.raises(SceneError, match=r"x: young_modulus names region 'sole', which this object does not have\. Allowed: body\."):
         field.by_region(["body"], None, "x")
     with pytest.raises(SceneError, match="no value for region 'upper'; add it under regions, or give base"):
         field.by_region(["upper", "sole"], None, "x")

@@ -89,8 +89,9 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
             extent = (2 * radius,) * 3
         case Cylinder(radius, height):
             extent = (2 * radius, 2 * radius, height)
-        case Rod(length, radius):
-            extent = (length, 2 * radius, 2 * radius)
+        case Rod(_, radius):
+            # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its radius
+            return min(10.0 * rung.body * radius, rung.probe * 1.5 * min(sdf.reach(probe), 1e3))
         case MeshFile():
             # scan pulls in trimesh; a box does not need it
             from vsfsim.physics.scan import extents
