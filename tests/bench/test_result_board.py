@@ -61,6 +61,12 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     assert page.startswith("# toy-v1") and "| 1 | " + ranked[0] + " |" in page
 
 
+def test_equal_results_are_one_row(results, task, tmp_path):
+    results[0].save(tmp_path / "here.json")
+    dataclasses.replace(results[0], timing={**results[0].timing, "adapt_s": 9.0}).save(tmp_path / "there.json")
+    assert len(leaderboard.collect(task, [tmp_path]).rows) == 1
+
+
 def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):
     results[0].save(tmp_path / "a.json")
     pinned = dataclasses.replace(task, dataset=dataclasses.replace(task.dataset, sha256="0" * 64))

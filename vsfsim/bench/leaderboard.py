@@ -37,7 +37,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of them).
 
     A result on another dataset (its content's sha256 differs from the task's own, or, if the task names none, from that of
-    most results) or of another text of the task is shown, marked and not ranked: its numbers do not compare.
+    most results) or of another text of the task is shown, marked and not ranked: its numbers do not compare. Equal results are one row.
 
     Raises:
         TaskError: a file that is not a result, or one of another task.
@@ -51,6 +51,12 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     for path, result in results:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
+    # a shipped result that was made again here, to the same numbers, is one row
+    unique: dict[str, tuple[Path, Result]] = {}
+    for path, result in results:
+        same = repr((result.method, result.parameters, result.task_sha256, result.dataset_sha256, result.scores))
+        unique.setdefault(same, (path, result))
+    results = list(unique.values())
     same_task = [result.dataset_sha256 for _, result in results if result.task_sha256 == task.sha256]
     counts = Counter(same_task)
     reference = task.dataset.sha256 or max(sorted(counts), key=counts.__getitem__, default="")
