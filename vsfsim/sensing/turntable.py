@@ -44,8 +44,9 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
         modulus = np.asarray(young_modulus, np.float64)
         if modulus.shape != (len(surface.triangles),) or not (np.isfinite(modulus).all() and (modulus > 0.0).all()):
             raise RenderError(f"turntable: young_modulus has shape {modulus.shape}; give a positive number of pascals a triangle, ({len(surface.triangles)},).")
-        # A body of one modulus still gets a bar with two ends.
-        low, high = modulus.min() / 1.05, modulus.max() * 1.05
+        # A body of one modulus still gets a bar with two ends, and a power of ten on it to read.
+        room = 1.05 if modulus.max() > 10.0 * modulus.min() else 3.5
+        low, high = modulus.min() / room, modulus.max() * room
         scale = matplotlib.cm.ScalarMappable(matplotlib.colors.LogNorm(low, high), "viridis")
         # Little shade, so that a colour can be found again on the bar.
         looks.append((_painted(surface, scale.to_rgba(modulus)[:, :3]), 0.45))
@@ -78,6 +79,7 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
         length = min(4.0, height - head - 0.4)
         axes = figure.add_axes(((width - bar + 0.12) / width, 0.5 - 0.5 * (length + head) / height, 0.16 / width, length / height))
         figure.colorbar(scale, cax=axes).set_label("Young's modulus [Pa]", fontsize=9)
+        axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())  # powers of ten alone leave room for the label
     figure.savefig(out_png, dpi=100)
 
 
