@@ -45,7 +45,8 @@ def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int,
     modules = list({kernel.module.name: kernel.module for kernel in kernels}.values())
     for done, module in enumerate(modules):
         if progress is not None:
-            progress(done, len(modules), module.name.rpartition(".")[2])
+            short = module.name.rpartition(".")[2].removeprefix("vsfsim_").split("__")[0]
+            progress(done, len(modules), f"kernel modules compiled or found, now {short}")
         module.load(wp.get_device(device))
     if progress is not None:
-        progress(len(modules), len(modules), "ready")
+        progress(len(modules), len(modules), "kernel modules ready")
