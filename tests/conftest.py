@@ -16,7 +16,7 @@ def device(request):
 
 
 @pytest.fixture(scope="session")
-def block(device):
+def block():
     """Makes a model of a box: block(size, resolution, young_modulus=..., ...).
 
     young_modulus: [Pa], or a function of the Gauss points (m, 4, 3) [m]. ticks: grid lines along x, y, z [m] instead of an even mesh.
@@ -39,7 +39,7 @@ def block(device):
         at = gauss_points(solid)
         values = young_modulus(at) if callable(young_modulus) else np.full(at.shape[:2], float(young_modulus))
         return build_model(solid, values, poisson_ratio=poisson_ratio, fixed=fixed, bottom_tolerance=1e-6 * size[2],
-                           where="test", device=device, **more)
+                           where="test", **more)
 
     return make
 

@@ -15,10 +15,10 @@ from vsfsim.physics.solver import Solver, SolverOptions
 TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
 
 
-def rollers(model, held, device):
+def rollers(model, held):
     """The same body held in single directions: mask (n, 3)."""
     free = np.where(held, 0.0, 1.0).ravel()
-    return dataclasses.replace(model, free=free, factor=RestFactor(model.mesh, model.mu, model.lam, free, device=device))
+    return dataclasses.replace(model, free=free, factor=RestFactor(model.mesh, model.mu, model.lam, free))
 
 
 def walls(model, *, all_sides):
@@ -57,7 +57,7 @@ def side_stress(axial, side, mu, lam):
 def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confined, nu):
     young_modulus = 1e5
     model = block(SIZE, 0.015, young_modulus=young_modulus, poisson_ratio=nu)
-    model = rollers(model, walls(model, all_sides=confined), device)
+    model = rollers(model, walls(model, all_sides=confined))
     mu, lam = (float(v) for v in lame(young_modulus, nu))
     solver = Solver(model, Plane(), device=device, options=TIGHT)
     frames = solver.run(line([[0, 0, SIZE[2] * s] for s in STRETCHES], Plane()), keep=True)
@@ -84,7 +84,7 @@ def test_two_layers_are_springs_in_series(block, line, device, resolution):
     """Heterogeneous E: at confined sides the law is linear, P = (lambda + 2 mu)(s - 1), so this holds at any depth and on any mesh."""
     size, soft, stiff, nu = (0.04, 0.04, 0.04), 1e4, 1e7, 0.3
     model = block(size, resolution, young_modulus=lambda x: np.where(x[..., 2] > 0.02, soft, stiff), poisson_ratio=nu)
-    model = rollers(model, walls(model, all_sides=True), device)
+    model = rollers(model, walls(model, all_sides=True))
     frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.039], [0, 0, 0.035]], Plane()))
     softness = sum(0.02 / (lambda mu, lam: lam + 2 * mu)(*lame(e, nu)) for e in (soft, stiff))
     for t, depth in enumerate((0.001, 0.005)):
@@ -147,7 +147,7 @@ def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
     for cells in (2, 4, 8):
         model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]), poisson_ratio=nu,
                       density=density, gravity=(0, 0, -g))
-        model = rollers(model, walls(model, all_sides=True), device)
+        model = rollers(model, walls(model, all_sides=True))
         frames = Solver(model, Sphere(0.01), device=device, options=SolverOptions(tolerance=1e-10, cg_tolerance=1e-6)).run(far_away(line, Sphere(0.01)))
         errors.append(abs(frames.energy[0, 0] / exact - 1.0))
     order = np.log2(np.array(errors[:-1]) / errors[1:])

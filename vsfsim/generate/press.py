@@ -93,7 +93,7 @@ def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precisi
     start = np.array(scene.press.start)
     stop = np.array(scene.press.stop)
     axis = (stop - start) / np.linalg.norm(stop - start)
-    model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=tip(scene, stop, axis)[None], device=device)
+    model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=tip(scene, stop, axis)[None])
     built = time.perf_counter() - began
     first = poses[0].copy()
     first[:3, 3] = start

@@ -114,7 +114,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     scene = parse_scene(r.scene_text, job.path).sample(stream(r.seed, _SCENE, job.object_index))
     assert scene.touches is not None
     spec = dataclasses.replace(scene.touches, count=r.touches)
-    model = tiers.build(scene, r.tier, seed=stream(r.seed, _BODY, job.object_index), cache=job.cache, device=device)
+    model = tiers.build(scene, r.tier, seed=stream(r.seed, _BODY, job.object_index), cache=job.cache)
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))

@@ -30,11 +30,9 @@ class RestFactor:
     Args:
         mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
-        device: Warp device. real: `np.float32` or `np.float64`.
     """
 
-    def __init__(self, mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray, free: np.ndarray, *,
-                 device: str = "cpu", real: type = np.float64):
+    def __init__(self, mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray, free: np.ndarray):
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
@@ -43,7 +41,6 @@ class RestFactor:
         mask = sp.diags(free)
         k = (mask @ k @ mask + sp.diags(1.0 - free)).tocoo()
         self.size = k.shape[0]
-        self.real, self.device = real, device
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         self._solver = cholespy.CholeskySolverD(
             self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)

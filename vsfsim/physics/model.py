@@ -58,7 +58,7 @@ def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np
 
 def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float, fixed: str | tuple[float, ...],
                 bottom_tolerance: float, where: str, density: float = 1000.0, gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
-                rotation: np.ndarray | None = None, translation: np.ndarray | None = None, device: str = "cpu") -> Model:
+                rotation: np.ndarray | None = None, translation: np.ndarray | None = None) -> Model:
     """Put a solid into the world, hold it and factorise its rest state.
 
     Args:
@@ -90,4 +90,4 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
-                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(placed, mu, lam, free, device=device))
+                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(placed, mu, lam, free))

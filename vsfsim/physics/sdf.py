@@ -69,10 +69,10 @@ def support(shape: ProbeShape, direction: np.ndarray) -> float:
 
 @functools.cache
 def functions(real: type, module: str) -> Any:
-    """``distance(kind, size, x) -> mat33x5-like vec`` for one scalar type, compiled into the caller's ``module``.
+    """The Warp functions ``gap``, ``normal`` and ``curvature`` of (kind, size, x) for one scalar type, in the caller's ``module``.
 
-    Returns an object with the Warp functions ``gap(kind, size, x)``, ``normal(kind, size, x)`` and
-    ``curvature(kind, size, x)``; x in the probe's frame [m].
+    kind and size are those of `encode`; x is in the probe's frame [m]. They give the signed distance [m], its gradient (unit, outward)
+    and its Hessian (3, 3) [1/m].
     """
     vec2 = wp.types.vector(length=2, dtype=real)
     vec3 = wp.types.vector(length=3, dtype=real)

@@ -180,8 +180,8 @@ def foot_note(solid: Solid, tolerance: float) -> str:
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-          cache: Path | None = None, device: str = "cpu") -> Model:
-    """The model of a scene at a tier, in the world frame; arguments and errors as `body`, and the Warp device."""
+          cache: Path | None = None) -> Model:
+    """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
     spec = scene.object
     where = f"{scene.source} [object]"
     if spec.friction > 0.0:
@@ -193,4 +193,4 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
         solid = dataclasses.replace(solid, notes=(*solid.notes, foot_note(solid, tolerance)))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
-                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift, device=device)
+                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift)
