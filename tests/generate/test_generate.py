@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
@@ -201,3 +202,11 @@ def test_press_prints_one_json_object(scene, tmp_path):
 def test_a_text_table_for_people(scene):
     lines = presses.text(presses.press(scene.sample(0))).splitlines()
     assert len(lines) == 8 and "force N" in lines[0] and "6 of 6 frames converged; tier fem-coarse" in lines[7]
+
+
+def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):
+    path = tmp_path / "blocked.toml"
+    # from the side only the walls are seen, and a ball ten times as high as they are meets the table first
+    path.write_text(SCENE.replace("sphere = 0.01", "sphere = 0.3").replace("[camera]", "[camera]\nelevation = 0.0"))
+    with pytest.raises(SceneError, match="no target of 200 can be reached"):
+        generate(load_scene(path), tmp_path / "data", objects=5, workers=1)

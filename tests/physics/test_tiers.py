@@ -45,9 +45,10 @@ def test_what_is_asked_for_beats_the_scenes_own_and_more_than_enough_is_fine():
 @pytest.mark.parametrize(("given", "asked", "message"), [
     (dict(needs='["large-deformation"]'), "fem-coarse", "t.toml: the scene needs large-deformation, which tier 'fem-coarse' cannot show; use 'fem' or above."),
     (dict(needs='["bulging", "large-deformation"]'), "linear", "needs bulging, large-deformation, which tier 'linear' cannot show; use 'fem' or above."),
+    (dict(), "fem-corse", "unknown tier 'fem-corse'. Did you mean 'fem-coarse'?"),
     (dict(), "spring", "tier 'spring' is not built yet; take one of linear, fem-coarse, fem, fem-fine, or auto."),
     (dict(more='tier = "vsf"'), None, "t.toml [object]: tier 'vsf' is not built yet"),
-    (dict(), "fine", "take one of linear, fem-coarse, fem, fem-fine"),
+    (dict(), "fine", "unknown tier 'fine'. Did you mean 'fem-fine'? Allowed: auto, fem, fem-coarse, fem-fine, linear."),
 ])
 def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked, message):
     with pytest.raises(SceneError, match=re.escape(message)):

@@ -34,10 +34,6 @@ class MethodError(VsfsimError):
     """A method is unknown, does not conform, or returned something that cannot be scored."""
 
 
-class SolverError(VsfsimError):
-    """The solver was asked for something it cannot do (never: that it did not converge)."""
-
-
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     """A sentence that names the nearest allowed word, or lists all of them.
 

@@ -97,6 +97,20 @@ OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane")
 
 
+def extent(shape: Box | Sphere | Cylinder | Rod) -> tuple[float, float, float]:
+    """Edge lengths of an object's bounding box (3,) [m]."""
+    match shape:
+        case Box(size):
+            return size
+        case Sphere(radius):
+            return (2 * radius,) * 3
+        case Cylinder(radius, height):
+            return (2 * radius, 2 * radius, height)
+        case Rod(length, radius):
+            return (length, 2 * radius, 2 * radius)
+    raise AssertionError(shape)
+
+
 def _positive(where: str, name: str, value: Any) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 < float(value) < 1e3:
         raise SceneError(

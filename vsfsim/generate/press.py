@@ -12,9 +12,9 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
+from vsfsim.generate.touch import audit, clearance
 from vsfsim.physics import sdf, tiers
 from vsfsim.physics.device import compile_kernels, solver_kernels
-from vsfsim.physics.frames import Frames
 from vsfsim.physics.model import Model
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path, turn_to
@@ -65,8 +65,6 @@ class PressResult:
 
 def first_contact(model: Model, poses: np.ndarray, probe: Any) -> float:
     """How far along the straight path (T, 4, 4) the probe's surface first meets the body at rest [m], from its first pose."""
-    from vsfsim.generate.touch import clearance
-
     axis = poses[-1, :3, 3] - poses[0, :3, 3]
     length = float(np.linalg.norm(axis))
     if length == 0.0:
@@ -149,11 +147,6 @@ def path_notes(gap: float, way: float, inside: float) -> list[str]:
 def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """The leading point of the probe (3,) [m] when its centre is at ``centre``, moving along ``axis``."""
     return centre + sdf.support(scene.probe, turn_to(axis, scene.probe).T @ axis) * axis
-
-
-def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:
-    """The audit columns of one touch."""
-    return {name: getattr(frames, name)[:, column] for name in ("force_balance", "min_det_f", "energy", "penetration")}
 
 
 def text(result: PressResult) -> str:

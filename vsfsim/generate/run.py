@@ -210,7 +210,9 @@ def _work(jobs: list[Job], workers: int, device: str) -> Any:
             while (item := queue.get()) is not None:
                 yield item
             for future in as_completed(waiting):
-                future.result()
+                # those called off say nothing; the one that failed says why
+                if not future.cancelled():
+                    future.result()
     finally:
         for name, value in kept.items():
             if value is None:

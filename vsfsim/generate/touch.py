@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import ProbeShape
-from vsfsim.data.records import Touch, View
+from vsfsim.data.records import AUDIT_COLUMNS, Touch, View
 from vsfsim.physics import sdf
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
@@ -181,6 +181,11 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], *, o
     return out
 
 
+def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:
+    """The audit columns (T,) of one touch, by the names of the dataset."""
+    return {name: getattr(frames, name)[:, column] for name in AUDIT_COLUMNS}
+
+
 NOT_CONVERGED = "the solver did not reach its tolerance, halved steps included"
 OUT_OF_BALANCE = "force on the probe and reaction of the supports differ by over 0.1 %"
 _BALANCE = 1e-3  # design: the audit's limit
@@ -189,9 +194,8 @@ _BALANCE = 1e-3  # design: the audit's limit
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
     found = frames.converged[:, k] & np.isfinite(frames.force[:, k]).all(axis=1)
     converged = found & (frames.force_balance[:, k] <= _BALANCE)
-    audit = {name: getattr(frames, name)[:, k] for name in ("force_balance", "min_det_f", "energy", "penetration")}
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
-        reason=np.where(converged, 0, np.where(found, 2, 1)), reason_names=(NOT_CONVERGED, OUT_OF_BALANCE), audit=audit)
+        reason=np.where(converged, 0, np.where(found, 2, 1)), reason_names=(NOT_CONVERGED, OUT_OF_BALANCE), audit=audit(frames, k))

@@ -10,7 +10,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.scene import ObjectSpec
-from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, Rod, Sphere
+from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, Rod, Sphere, extent
 from vsfsim.core.shelf import families
 from vsfsim.core.solid import Solid
 from vsfsim.physics import blocks
@@ -69,17 +69,9 @@ def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid
 
 
 def _check_cells(shape: Box | Sphere | Cylinder | Rod, resolution: float) -> None:
-    match shape:
-        case Box(size):
-            extent = size
-        case Sphere(radius):
-            extent = (2 * radius,) * 3
-        case Cylinder(radius, height):
-            extent = (2 * radius, 2 * radius, height)
-        case Rod(length, radius):
-            extent = (length, 2 * radius, 2 * radius)
-    cells = math.prod(math.ceil(edge / resolution) for edge in extent)
+    edges = extent(shape)
+    cells = math.prod(math.ceil(edge / resolution) for edge in edges)
     if cells > MAX_CELLS:
-        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of {' x '.join(f'{e:g}' for e in extent)} m "
+        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of {' x '.join(f'{e:g}' for e in edges)} m "
                          f"into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser resolution, and check "
                          "that both are in metres.")

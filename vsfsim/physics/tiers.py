@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError
+from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
-from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, ProbeShape, Rod, Sphere
+from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.solid import Solid
 from vsfsim.physics import sdf
 from vsfsim.physics.conform import snap_to_inclusions
@@ -67,7 +67,9 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     tier = asked or scene.object.tier
     if tier == "auto":
         return enough
-    if tier in _NOT_BUILT or tier not in TIERS:
+    if tier not in TIERS and tier not in _NOT_BUILT:
+        raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
+    if tier in _NOT_BUILT:
         raise SceneError(f"{scene.source} [object]: tier '{tier}' is not built yet; take one of {', '.join(TIERS)}, or auto.")
     if order.index(tier) < order.index(enough):
         needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
@@ -82,26 +84,19 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
     rung = TIERS[tier]
     if isinstance(spec.shape, Family):
         return rung.family
-    match spec.shape:
-        case Box(size):
-            extent = size
-        case Sphere(radius):
-            extent = (2 * radius,) * 3
-        case Cylinder(radius, height):
-            extent = (2 * radius, 2 * radius, height)
-        case Rod(_, radius):
-            # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its radius
-            return min(10.0 * rung.body * radius, rung.probe * 1.5 * min(sdf.reach(probe), 1e3))
-        case MeshFile():
-            # scan pulls in trimesh; a box does not need it
-            from vsfsim.physics.scan import extents
-            size = extents(spec.shape)
-            # a flat sheet is refused with its reason when it is filled; here it only must not give an edge of 0
-            extent = tuple(np.maximum(size, 1e-3 * size.max()).tolist())
-        case _:
-            raise AssertionError(spec.shape)
-    tip = min(sdf.reach(probe), 1e3) if np.isfinite(sdf.reach(probe)) else 1e3
-    return min(rung.body * float(np.prod(extent)) ** (1 / 3), rung.probe * tip * 1.5, 0.5 * min(extent))
+    tip = rung.probe * 1.5 * min(sdf.reach(probe), 1e3)
+    if isinstance(spec.shape, Rod):
+        # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its radius
+        return min(10.0 * rung.body * spec.shape.radius, tip)
+    if isinstance(spec.shape, MeshFile):
+        # scan pulls in trimesh; a box does not need it
+        from vsfsim.physics.scan import extents
+
+        # a flat sheet is refused with its reason when it is filled; here it only must not give an edge of 0
+        size = np.maximum(extents(spec.shape), 1e-3 * extents(spec.shape).max())
+    else:
+        size = np.array(extent(spec.shape))
+    return min(rung.body * float(np.prod(size)) ** (1 / 3), tip, 0.5 * float(size.min()))
 
 
 def options(tier: str) -> SolverOptions:
