@@ -138,7 +138,7 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     solver._set(np.zeros((len(model.free), 2)))
     state = solver._evaluate(columns, poses[0])
     assert solver.touching.touches(0) and solver.touching.touches(1)
-    solver.elasticity.tangent(columns, solver.u, projected=False)
+    solver.elasticity.tangent(solver._index(columns), solver.u, projected=False)
     direction, steps, negative = solver._newton_direction(columns, state["residual"], near=np.zeros(2, bool))
     assert steps == 1 and not negative.any()
     # and it is the solution of that system

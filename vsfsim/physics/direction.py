@@ -48,7 +48,7 @@ def newton_direction(elasticity: Elasticity, touching: Touching, factor: RestFac
             wp.launch(kernels.patch, dim=(width, count), device=device, inputs=[block, touching.nodes, index, sign, x, y])
 
     def multiply(x: wp.array) -> wp.array:
-        out = elasticity.multiply(columns, index, x)
+        out = elasticity.multiply(index, x)
         patch(stiff_array, 1.0, x, out)
         return out
 

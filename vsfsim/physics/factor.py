@@ -7,18 +7,7 @@ import time
 import numpy as np
 import scipy.sparse as sp
 
-from vsfsim.physics.mesh import QuadraticMesh, rest_stiffness_blocks
-
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
-
-
-def assemble(mesh: QuadraticMesh, blocks: np.ndarray) -> sp.csr_matrix:
-    """Sum element blocks (m, 30, 30) [N/m] into the global stiffness (3 n, 3 n) [N/m]."""
-    dof = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(len(mesh.tets), 30)
-    row = np.repeat(dof, 30, axis=1).ravel()
-    column = np.tile(dof, (1, 30)).ravel()
-    size = 3 * len(mesh.points)
-    return sp.coo_matrix((blocks.ravel(), (row, column)), shape=(size, size)).tocsr()
 
 
 class RestFactor:
@@ -28,24 +17,24 @@ class RestFactor:
     stiffness: the rest stiffness, supports not held (3 n, 3 n) [N/m].
 
     Args:
-        mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
+        stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
+        surface_nodes: nodes (s,) that `compliance` may be asked for.
     """
 
-    def __init__(self, mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray, free: np.ndarray):
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
-        k = assemble(mesh, rest_stiffness_blocks(mesh, mu, lam))
-        self.stiffness = k
+        self.stiffness = stiffness
         mask = sp.diags(free)
-        k = (mask @ k @ mask + sp.diags(1.0 - free)).tocoo()
+        k = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
         self.size = k.shape[0]
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         self._solver = cholespy.CholeskySolverD(
             self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)
-        self._surface = mesh.surface_nodes()
-        self._row_of = np.full(len(mesh.points), -1)
+        self._surface = np.asarray(surface_nodes)
+        self._row_of = np.full(self.size // 3, -1)
         self._row_of[self._surface] = np.arange(len(self._surface))
         self._columns: dict[int, np.ndarray] = {}
         self.seconds = time.perf_counter() - began

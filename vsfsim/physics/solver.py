@@ -113,19 +113,25 @@ class Solver:
             u = whole
         self.u = wp.array(u, dtype=self.real, device=self.device)
 
+    def _index(self, columns: np.ndarray) -> wp.array:
+        return wp.array(columns, dtype=wp.int32, device=self.device)
+
+    def _least_det(self, columns: np.ndarray) -> np.ndarray:
+        return self.elasticity.least_det.numpy()[columns].astype(np.float64)
+
     def _forces(self, columns: np.ndarray) -> list[np.ndarray]:
         return [self.touching.nodal(b) for b in columns]
 
     def _evaluate(self, columns: np.ndarray, pose: np.ndarray) -> State:
         """Forces, potential and residual of ``columns`` at the present displacements."""
-        self.elasticity.forces(columns, self.u)
+        self.elasticity.forces(self._index(columns), self.u)
         self.touching.evaluate(columns, pose, self.u)
-        internal = self.elasticity.internal(columns)
+        internal = self.elasticity.internal.numpy()[:, columns].astype(np.float64)
         pushed = np.zeros_like(internal)
         for k, b in enumerate(columns):
             pushed[self.touching.dof(b), k] = self.touching.nodal(b)
         load = self.model.load[:, None]
-        energy, det = self.elasticity.totals(columns)
+        energy, det = self.elasticity.energy.numpy()[columns], self._least_det(columns)
         potential = energy + self.touching.energy[columns] - (load * self._u()[:, columns]).sum(axis=0)
         residual = (load + pushed - internal) * self.model.free[:, None]
         state = {"internal": internal, "contact": pushed, "potential": potential, "residual": residual,
@@ -252,11 +258,11 @@ class Solver:
             fresh = renew[open_] | (before > 0.05)
             for projected, which in ((True, fresh & far), (False, fresh & ~far)):
                 if which.any():
-                    self.elasticity.tangent(active[which], self.u, projected=projected)
+                    self.elasticity.tangent(self._index(active[which]), self.u, projected=projected)
             direction, steps, negative = self._newton_direction(active, state["residual"][:, open_], near=~far)
             if negative.any():
                 # not a bowl along some direction: take the projected tangent, which always is
-                self.elasticity.tangent(active[negative], self.u, projected=True)
+                self.elasticity.tangent(self._index(active[negative]), self.u, projected=True)
                 bowl, more, _ = self._newton_direction(active[negative], state["residual"][:, open_[negative]],
                                                 near=np.zeros(int(negative.sum()), bool))
                 direction[:, negative] = bowl
@@ -352,14 +358,14 @@ class Solver:
             none = [np.zeros(len(self.touching.dof(b))) for b in columns]
         u = self._u()
         self.touching.evaluate(columns, pose, self.u)
-        self.elasticity.forces(columns, self.u)
+        self.elasticity.forces(self._index(columns), self.u)
         internal = self.model.factor.stiffness @ u
         contact = np.zeros_like(u)
         for k, b in enumerate(columns):
             contact[self.touching.dof(b), k] = pushed[k]
         load = self.model.load[:, None]
         state = {"internal": internal, "contact": contact, "residual": (load + contact - internal) * self.model.free[:, None],
-                 "energy": 0.5 * (u * internal).sum(axis=0), "det": self.elasticity.totals(columns)[1]}
+                 "energy": 0.5 * (u * internal).sum(axis=0), "det": self._least_det(columns)}
         state["measure"] = np.maximum(self._measure(state), error)
         batch = np.zeros(len(columns), int)
         return self._report(columns, state, batch + 1, batch)
