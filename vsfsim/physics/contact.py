@@ -45,7 +45,6 @@ def kernels(given: type) -> Any:
     """
     real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
-    vec4 = wp.types.vector(length=4, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat66 = wp.types.matrix(shape=(6, 6), dtype=real)
     mat63 = wp.types.matrix(shape=(6, 3), dtype=real)
@@ -57,8 +56,7 @@ def kernels(given: type) -> Any:
         # model
         rest: wp.array(dtype=vec3),
         shape: mat66,
-        kind: int,
-        size: vec4,
+        bodies: probe.Bodies,
         columns: wp.array(dtype=wp.int32),
         face_nodes: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
@@ -91,12 +89,12 @@ def kernels(given: type) -> Any:
                     for c in range(3):
                         point[c] += shape[q, a] * x[a, c]
                 local = wp.transpose(rotation) * (point - origin[b])
-                g = probe.gap(kind, size, local)
+                g = probe.gap(bodies, 0, local)
                 gap_out[b, f, q] = g
                 if g < real(0.0):
-                    n = rotation * probe.normal(kind, size, local)
+                    n = rotation * probe.normal(bodies, 0, local)
                     normal_out[b, f, q] = n
-                    curvature_out[b, f, q] = rotation * probe.curvature(kind, size, local) * wp.transpose(rotation)
+                    curvature_out[b, f, q] = rotation * probe.curvature(bodies, 0, local) * wp.transpose(rotation)
                     w = softening[b] * stiffness[b, f, q]
                     energy += real(0.5) * w * g * g
                     for a in range(6):
@@ -110,7 +108,7 @@ def kernels(given: type) -> Any:
         pass
 
     out = Kernels()
-    out.evaluate, out.vec3, out.vec4, out.mat33, out.mat66 = evaluate, vec3, vec4, mat33, mat66
+    out.evaluate, out.vec3, out.mat33, out.mat66, out.probe = evaluate, vec3, mat33, mat66, probe
     return out
 
 

@@ -16,6 +16,7 @@ import warp as wp
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import contact, sdf
 from vsfsim.physics.model import Model
+from vsfsim.physics.rigid import RigidBodies
 
 
 class Touching:
@@ -32,8 +33,7 @@ class Touching:
     def __init__(self, model: Model, probe: ProbeShape, poses: np.ndarray, *, device: str, real: type):
         self.model, self.probe, self.device, self.real = model, probe, device, real
         self.kernels = contact.kernels(real)
-        kind, size = sdf.encode(probe)
-        self._kind, self._size = kind, self.kernels.vec4(size)
+        self._bodies = RigidBodies(probe).upload(self.kernels.probe, device)
         self._shape = self.kernels.mat66(contact.SHAPE)
         self._rest = wp.array(model.mesh.points, dtype=self.kernels.vec3, device=device)
         self.patches = [contact.make_patch(model.mesh, self._reachable(poses[:, b]), model.surface_modulus)
@@ -80,7 +80,7 @@ class Touching:
     def evaluate(self, columns: np.ndarray, pose: np.ndarray, u: wp.array) -> None:
         """Gaps, normals and forces of ``columns`` at ``pose`` (B, 4, 4) for displacements u (3 n, B) [m]."""
         wp.launch(self.kernels.evaluate, dim=(self._faces.shape[1], len(columns)), device=self.device, inputs=[
-            self._rest, self._shape, self._kind, self._size, wp.array(columns, dtype=wp.int32, device=self.device),
+            self._rest, self._shape, self._bodies, wp.array(columns, dtype=wp.int32, device=self.device),
             self._faces, self._stiffness, wp.array(self.softening, dtype=wp.float64, device=self.device), wp.array(pose[:, :3, 3], dtype=self.kernels.vec3, device=self.device),
             wp.array(pose[:, :3, :3], dtype=self.kernels.mat33, device=self.device), u,
             self._gap, self._normal, self._curvature, self._energy, self._force])
