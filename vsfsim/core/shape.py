@@ -91,7 +91,7 @@ class Family:
 
 
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
-ProbeShape = Sphere | Capsule | Cylinder | Plane | Box
+ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile
 
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane")

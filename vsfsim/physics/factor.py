@@ -54,6 +54,7 @@ class RestFactor:
         self._columns: dict[int, np.ndarray] = {}
         self._whole: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
+        self._on = ""
         self.solves, self.solve_seconds = 0, 0.0  # right-hand sides so far, and what they took
         self.seconds = time.perf_counter() - began
 
@@ -127,6 +128,14 @@ class RestFactor:
             free = torch.as_tensor(self.free, device=device)
             self._dense[device] = inverse * free * free[:, None]
         return self._dense[device]
+
+
+    def stiffness_on(self, device: str) -> torch.Tensor:
+        """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
+        if self._on != device:
+            k = self.stiffness.tocsr()
+            self._moved, self._on = torch.sparse_csr_tensor(k.indptr, k.indices, k.data, k.shape, device=device), device
+        return self._moved
 
 
 class Response(Protocol):
