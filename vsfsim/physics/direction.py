@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 import warp as wp
 
-from vsfsim.physics import pcg
+from vsfsim.physics import clock, pcg
 from vsfsim.physics.elasticity import Elasticity
 from vsfsim.physics.factor import spread
 from vsfsim.physics.touching import Touching
@@ -37,15 +37,17 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
         return x.gather(0, at).T.to(torch.float64) * real
 
     def multiply(x: torch.Tensor) -> torch.Tensor:
-        out = wp.to_torch(elasticity.multiply(index, wp.from_torch(x.contiguous())))
+        with clock.measure("products"):
+            out = wp.to_torch(elasticity.multiply(index, wp.from_torch(x.contiguous())))
         if block is not None:
             out = out + spread(dof, (stiffness @ on_patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
         return out
 
     def precondition(r: torch.Tensor) -> torch.Tensor:
-        y = response.solve(r.to(torch.float64))
-        if block is not None:
-            y = y - response.patch(columns, block.apply(on_patch(y)))
+        with clock.measure("back-solves"):
+            y = response.solve(r.to(torch.float64))
+            if block is not None:
+                y = y - response.patch(columns, block.apply(on_patch(y)))
         return y.to(r.dtype)
 
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations)

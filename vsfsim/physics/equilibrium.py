@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics import condensed
+from vsfsim.physics import clock, condensed
 from vsfsim.physics.direction import newton_direction
 from vsfsim.physics.elasticity import Elasticity
 from vsfsim.physics.factor import spread
@@ -46,7 +46,6 @@ class Equilibrium:
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
-        self.tangents = 0
         self.count()
 
     def count(self) -> None:
@@ -59,7 +58,8 @@ class Equilibrium:
     def evaluate(self, columns: torch.Tensor) -> State:
         """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
         index = wp.from_torch(columns.to(torch.int32))
-        self.elasticity.forces(index, wp.from_torch(self.u))
+        with clock.measure("forces"):
+            self.elasticity.forces(index, wp.from_torch(self.u))
         dof = self.touching.dof[columns]
         moved = self.u[:, columns]
         self.touching.evaluate(columns, moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
@@ -143,8 +143,8 @@ class Equilibrium:
         self.reason[balanced] = Reason.NONE
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
-        self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
-        self.tangents += 1
+        with clock.measure("tangents"):
+            self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
                    near: torch.Tensor) -> tuple[torch.Tensor, int, torch.Tensor, torch.Tensor]:
@@ -164,7 +164,8 @@ class Equilibrium:
         change = direction.gather(0, at).T.to(torch.float64) * real
         base = self.u[:, columns].gather(0, at).T.to(torch.float64) * real + change
         pushed = touching.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
-        force, error = condensed.solve(touching, columns, base, pushed, iterations=12, tolerance=1e-3)
+        with clock.measure("contact"):
+            force, error = condensed.solve(touching, columns, base, pushed, iterations=12, tolerance=1e-3)
         useful = (error < 0.1) & (force != 0.0).any(dim=1)
         if bool(useful.any()):
             more = touching.response.patch(columns[useful], force[useful])

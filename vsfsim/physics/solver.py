@@ -18,7 +18,7 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics import condensed, path
+from vsfsim.physics import clock, condensed, path
 from vsfsim.physics.elasticity import Elasticity
 from vsfsim.physics.equilibrium import Equilibrium, State
 from vsfsim.physics.factor import spread
@@ -133,7 +133,7 @@ class Solver:
 
     def _keep(self) -> None:
         u = self._balance.u
-        self.history.append(u.to(torch.float64).cpu().numpy())
+        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         force = np.zeros((len(self.model.mesh.points), 3, u.shape[1]))
         for b, (patch, pushed) in enumerate(zip(self.touching.patches, self._pushed.cpu().numpy(), strict=True)):
             force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)]
@@ -166,7 +166,9 @@ class Solver:
         chosen = now.clone()
         memory = touching.memory()
         for base, pushed in guesses:
-            change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets], iterations=20, tolerance=1e-4)
+            with clock.measure("prediction"):
+                change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets],
+                                            iterations=20, tolerance=1e-4)
             balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
             potential = self._potential(meets, memory)
             better = potential < best
