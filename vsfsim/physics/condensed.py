@@ -83,4 +83,5 @@ def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed:
 
 
 def _times(compliance: torch.Tensor, columns: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
-    return (compliance[columns] @ q[:, :, None])[:, :, 0]
+    own = compliance if len(columns) == len(compliance) else compliance[columns]
+    return (own @ q[:, :, None])[:, :, 0]

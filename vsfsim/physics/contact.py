@@ -64,6 +64,14 @@ def kernels() -> Any:
             out += shape[q, a] * x[b, local[b, f, a]]
         return out
 
+    @wp.func(module=module)
+    def axis_across(m: vec3):
+        # a unit vector across m
+        out = wp.cross(m, vec3(real(0.0), real(0.0), real(1.0)))
+        if wp.abs(m[2]) > real(0.9):
+            out = wp.cross(m, vec3(real(1.0), real(0.0), real(0.0)))
+        return wp.normalize(out)
+
     @wp.kernel(module=module, enable_backward=False)
     def evaluate(
         # model
@@ -87,7 +95,7 @@ def kernels() -> Any:
         body_out: wp.array3d(dtype=wp.int32),
         normal_out: wp.array3d(dtype=vec3),
         force_out: wp.array3d(dtype=vec3),
-        stiff_out: wp.array3d(dtype=mat33),
+        rows_out: wp.array3d(dtype=mat33),
         bend_out: wp.array3d(dtype=mat33),
         slips_out: wp.array3d(dtype=wp.int32),
         energy_out: wp.array2d(dtype=real),
@@ -97,14 +105,14 @@ def kernels() -> Any:
         energy = real(0.0)
         for q in range(6):
             force = vec3()
-            stiff = mat33()
+            rows = mat33()
             bend = mat33()
             gap = real(1e30)
-            slips = int(0)
+            slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
             w = softening[b] * stiffness[b, f, q]
             if w > real(0.0):
                 p = place(shape, q, b, f, local, x_in)
-                near = int(0)
+                near = int(0)  # noqa: UP018, RUF046
                 for j in range(count):
                     g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
                     if g < gap:
@@ -117,7 +125,9 @@ def kernels() -> Any:
                     n = r * probe.normal(bodies, near, spot)
                     normal_out[b, f, q] = n
                     force = -w * gap * n
-                    stiff = w * wp.outer(n, n)
+                    root = wp.sqrt(w)
+                    for c in range(3):
+                        rows[0, c] = root * n[c]
                     bend = w * gap * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
                     energy += real(0.5) * w * gap * gap
                     owner = owner_in[b, f, q]
@@ -129,22 +139,27 @@ def kernels() -> Any:
                         d = p - (origin[b, near] + r * anchor_in[b, f, q])
                         d = d - wp.dot(d, m) * m
                         way = wp.length(d)
-                        plane = -wp.outer(m, m)
-                        for c in range(3):
-                            plane[c, c] += real(1.0)
+                        # two directions across m: along the slip, if there is one, and across it
+                        e = axis_across(m)
+                        if way > real(0.0):
+                            e = d / way
+                        side = wp.cross(m, e)
                         if w * way <= limit:
                             force -= w * d
-                            stiff += w * plane
                             energy += real(0.5) * w * way * way
+                            for c in range(3):
+                                rows[1, c] = root * e[c]
+                                rows[2, c] = root * side[c]
                         else:
-                            e = d / way
                             force -= limit * e
-                            stiff += (limit / way) * (plane - wp.outer(e, e))
                             energy += limit * way - real(0.5) * limit * limit / w
                             slips = 1
+                            # along the slip the force is constant
+                            for c in range(3):
+                                rows[2, c] = wp.sqrt(limit / way) * side[c]
             gap_out[b, f, q] = gap
             force_out[b, f, q] = force
-            stiff_out[b, f, q] = stiff
+            rows_out[b, f, q] = rows
             bend_out[b, f, q] = bend
             slips_out[b, f, q] = slips
         energy_out[b, f] = energy

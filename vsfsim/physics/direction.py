@@ -12,7 +12,7 @@ from vsfsim.physics.touching import Touching
 
 
 def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *, near: torch.Tensor,
-                     tolerance: torch.Tensor, iterations: int) -> tuple[torch.Tensor, int, torch.Tensor, torch.Tensor]:
+                     tolerance: torch.Tensor, iterations: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
@@ -22,32 +22,50 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
         tolerance: relative residual of each column (k,). iterations: limit.
 
     Returns:
-        Directions (3 n, k) [m]; iterations; who met negative curvature (k,) bool; the contact stiffness used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness used (k, 3 s, 3 s) [N/m].
     """
-    index = wp.from_torch(columns.to(torch.int32))
     response = touching.response
     stiffness = touching.stiffness(columns, near)
-    has_contact = bool(touching.touches(columns).any())
-    block = touching.block(columns) if has_contact else None
-    dof, real = touching.dof[columns], touching.real[columns]
-    at = dof.clamp(min=0).T
+    block = touching.block(columns) if bool(touching.touches(columns).any()) else None
     size = len(residual)
 
-    def on_patch(x: torch.Tensor) -> torch.Tensor:
-        return x.gather(0, at).T.to(torch.float64) * real
+    class Part:
+        """What the products need of the columns ``which``."""
 
-    def multiply(x: torch.Tensor) -> torch.Tensor:
+        def __init__(self, which: torch.Tensor | None):
+            own = columns if which is None else columns[which]
+            self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
+            self.dof, self.real = touching.dof[own], touching.real[own]
+            self.at = self.dof.clamp(min=0).T
+            if block is not None:
+                self.stiffness = stiffness if which is None else stiffness[which]
+                self.block = block if which is None else block.pick(which)
+
+        def patch(self, x: torch.Tensor) -> torch.Tensor:
+            return x.gather(0, self.at).T.to(torch.float64) * self.real
+
+    parts: dict[int, Part] = {}
+
+    def part(which: torch.Tensor | None) -> Part:
+        key = len(columns) if which is None else len(which)  # the columns that are left only get fewer
+        if key not in parts:
+            parts[key] = Part(which)
+        return parts[key]
+
+    def multiply(x: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
+        own = part(which)
         with clock.measure("products"):
-            out = wp.to_torch(elasticity.multiply(index, wp.from_torch(x.contiguous())))
+            out = wp.to_torch(elasticity.multiply(own.index, wp.from_torch(x.contiguous())))
         if block is not None:
-            out = out + spread(dof, (stiffness @ on_patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
+            out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
         return out
 
-    def precondition(r: torch.Tensor) -> torch.Tensor:
+    def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
+        own = part(which)
         with clock.measure("back-solves"):
             y = response.solve(r.to(torch.float64))
             if block is not None:
-                y = y - response.patch(columns, block.apply(on_patch(y)))
+                y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
         return y.to(r.dtype)
 
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations)

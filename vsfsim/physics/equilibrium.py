@@ -124,9 +124,9 @@ class Equilibrium:
                 bowl, more, _, stiffness[negative] = self._direction(
                     active[negative], state["residual"][:, open_[negative]], torch.zeros_like(negative[negative]))
                 direction[:, negative] = bowl
-                steps += more
+                steps[negative] += more
             self.newton[host] += 1
-            self.cg[host] += steps
+            self.cg[host] += steps.cpu().numpy()
             moved = self._step(active, open_, self._correct(active, direction, stiffness), state)
             still = (~moved).nonzero()[:, 0]
             if len(still):
@@ -147,7 +147,7 @@ class Equilibrium:
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
-                   near: torch.Tensor) -> tuple[torch.Tensor, int, torch.Tensor, torch.Tensor]:
+                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         return newton_direction(self.elasticity, self.touching, columns, residual.to(self.real), near=near, iterations=opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance)

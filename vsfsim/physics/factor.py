@@ -200,15 +200,21 @@ class _Sparse:
 
 
 class _Dense:
-    """Products with the dense inverse on the GPU."""
+    """Products with the dense inverse on the GPU; forces on patches meet only the columns of all patches together."""
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
-        self._inverse, self._dof, self._size = factor.dense(device), dof, factor.size
+        self._inverse = factor.dense(device)
+        self._dof = dof
+        together = torch.unique(dof[dof >= 0])
+        self._columns = self._inverse[:, together].contiguous()
+        place = torch.zeros(factor.size, dtype=torch.int64, device=dof.device)
+        place[together] = torch.arange(len(together), device=dof.device)
+        self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
 
     def compliance(self) -> torch.Tensor:
         real = (self._dof >= 0).to(torch.float64)
         index = self._dof.clamp(min=0)
-        table = torch.stack([self._inverse[i][:, i] for i in index])
+        table = torch.stack([self._inverse[i[:, None], i[None, :]] for i in index])
         table = table * real[:, :, None] * real[:, None, :]
         return 0.5 * (table + table.mT)
 
@@ -216,4 +222,4 @@ class _Dense:
         return self._inverse @ right
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        return self._inverse @ spread(self._dof[touches], force, self._size)
+        return self._columns @ spread(self._place[touches], force, self._columns.shape[1])

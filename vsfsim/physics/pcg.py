@@ -14,7 +14,8 @@ from collections.abc import Callable
 
 import torch
 
-Operator = Callable[[torch.Tensor], torch.Tensor]
+Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
+_SHRINK = 0.7  # of the columns still run: then the others are left behind
 
 
 def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -23,45 +24,62 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int) -> tuple[torch.Tensor, int, torch.Tensor]:
+          iterations: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0.
 
     Args:
-        multiply, precondition: A p and M^-1 r, on (3 n, k) tensors.
+        multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument says which columns of ``right`` those are (j,),
+            None for all.
         right: (3 n, k). tolerance: relative residual in the preconditioner's norm, per column (k,). iterations: the limit.
 
     Returns:
-        x (3 n, k), iterations done, and which columns met negative curvature (k,) bool: those keep what they have so far
+        x (3 n, k), iterations of every column (k,), and which columns met negative curvature (k,) bool: those keep what they have so far
         (their first direction at the least).
     """
-    x = torch.zeros_like(right)
+    which: torch.Tensor | None = None
+    out = torch.zeros_like(right)
+    x = out
     r = right.clone()
-    z = precondition(r)
+    z = precondition(r, None)
     p = z.clone()
     rz = column_dots(r, z)
     start = rz.clamp(min=1e-300)
     running = rz > 0.0
     negative = torch.zeros_like(running)
-    done = 0
+    steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
     for step in range(iterations):
-        ap = multiply(p)
+        ap = multiply(p, which)
         pap = column_dots(p, ap)
         bad = running & ~(pap > 0.0)
-        negative = negative | bad
+        if which is None:
+            negative |= bad
+            steps += running
+        else:
+            negative[which] |= bad
+            steps[which] += running
         if step == 0:
-            x = x + p * bad
+            x += p * bad
         running = running & ~bad
         alpha = torch.where(running, rz / torch.where(pap > 0.0, pap, 1.0), 0.0).to(right.dtype)
         x += alpha * p
         r -= alpha * ap
-        z = precondition(r)
+        z = precondition(r, which)
         fresh = column_dots(r, z)
-        done = step + 1
         goes_on = running & (fresh > tolerance**2 * start)
-        if not bool(goes_on.any()):
+        left = int(goes_on.sum())
+        if left == 0:
             break
         beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0).to(right.dtype)
         p = z + beta * p
         rz = torch.where(running, fresh, rz)
         running = goes_on
-    return x, done, negative
+        if left < _SHRINK * len(running):
+            if which is not None:
+                out[:, which] = x
+            keep = running.nonzero()[:, 0]
+            which = keep if which is None else which[keep]
+            x, r, p, rz, start, tolerance = x[:, keep], r[:, keep], p[:, keep], rz[keep], start[keep], tolerance[keep]
+            running = torch.ones_like(keep, dtype=torch.bool)
+    if which is not None:
+        out[:, which] = x
+    return out, steps, negative

@@ -32,6 +32,7 @@ Rows = dict[str, np.ndarray]
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
+_KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
 
@@ -111,7 +112,7 @@ class Solver:
                     self._advance(every, previous, pose, begin, deadline, self.options.halvings)
                     self.touching.settle(every)
                     previous = pose
-                    self._remember(pose)
+                    self._remember(pose, self.touching.nodal(every))
                 out = self._report(self._balance.evaluate(every))
             previous = poses[t]
             if keep:
@@ -124,11 +125,12 @@ class Solver:
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
 
-    def _remember(self, pose: np.ndarray) -> None:
+    def _remember(self, pose: np.ndarray, pushed: torch.Tensor) -> None:
         """Equilibria that later frames may begin from: all of them without friction, the last two with it."""
-        self._pushed = self.touching.nodal(self._balance.every)
+        self._pushed = pushed
         self._known.append((pose, self._balance.u.clone(), self._pushed))
-        if self.touching.rubs or self._known[0][1].numel() * len(self._known) > 2e8:
+        most = _KEPT_BYTES["cpu" if self.device == "cpu" else "cuda"]
+        if self.touching.rubs or self._known[0][1].nbytes * len(self._known) > most:
             del self._known[:-2]
 
     def _keep(self) -> None:
@@ -247,16 +249,16 @@ class Solver:
         every = balance.every
         touching.begin(before, balance.u)
         touching.move(pose)
+        start = self._guess(pose)
         for _ in range(4):
             sag = touching.gather(self._sag)
-            pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100, tolerance=self.options.tolerance,
-                                            start=self._pushed)
-            self._pushed = pushed
+            with clock.measure("contact"):
+                pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100,
+                                                tolerance=self.options.tolerance, start=start)
             balance.u.copy_(self._sag + touching.response.patch(every, pushed))
             if not touching.grow(every, pose, balance.u):
                 break
-            self._pushed = torch.zeros_like(touching.rest)
-        touching.evaluate(every, touching.gather(balance.u))
+            start = torch.zeros_like(touching.rest)
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)
@@ -265,10 +267,23 @@ class Solver:
                      energy=0.5 * (u * internal).sum(dim=0))
         state["measure"] = torch.maximum(balance.measure(state["residual"], contact), error)
         touching.settle(every)
+        self._remember(pose, pushed)
         balance.count()
         balance.newton += 1
         balance.reason[(state["measure"] > self._accept).cpu().numpy()] = Reason.ITERATIONS
         return self._report(state)
+
+    def _guess(self, pose: np.ndarray) -> torch.Tensor:
+        """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn on."""
+        known = [(seen, pushed) for seen, _, pushed in self._known if pushed.shape == self._pushed.shape]
+        if not self.touching.rubs:
+            for seen, pushed in reversed(known):
+                if np.array_equal(seen, pose):
+                    return pushed
+        if len(known) < 2:
+            return self._pushed
+        (p0, f0), (p1, f1) = known[-2:]
+        return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)[:, None] * (f1 - f0)
 
     def _times_stiffness(self, u: torch.Tensor) -> torch.Tensor:
         """Rest stiffness times u (3 n, B)."""

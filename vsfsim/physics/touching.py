@@ -6,6 +6,7 @@ touches on the device, padded to the largest patch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,8 +17,6 @@ from vsfsim.physics import contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
-
-_JITTER = 1e-9  # relative extra compliance of every patch node in the preconditioner only: keeps the Cholesky factor of near-rigid spots real
 
 
 class Touching:
@@ -98,7 +97,7 @@ class Touching:
         self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
-        self._stiff, self._bend = zeros(*size, 3, 3), zeros(*size, 3, 3)
+        self._rows, self._bend = zeros(*size, 3, 3), zeros(*size, 3, 3)
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         # friction's memory: anchors in the frame of their body, their owners, the limit and the tangent plane
         self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(*size)
@@ -108,7 +107,7 @@ class Touching:
         self._w = {
             "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)), "slips": wp.from_torch(self.slips.view(cut)),
             "normal": wp.from_torch(self.normal.view(*cut, 3), **view), "force": wp.from_torch(self.force.view(*cut, 3), **view),
-            "stiff": wp.from_torch(self._stiff.view(*cut, 3, 3), dtype=k.mat33), "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
+            "rows": wp.from_torch(self._rows.view(*cut, 3, 3), dtype=k.mat33), "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
             "energy": wp.from_torch(self.energy_of_face), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
             "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view), "across": wp.from_torch(self._across.view(*cut, 3), **view),
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
@@ -149,7 +148,7 @@ class Touching:
         wp.launch(self.kernels.evaluate, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
             self._shape, self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"],
             *self._pose, w["x"], w["anchor"], w["owner"], w["limit"], w["across"],
-            w["gap"], w["body"], w["normal"], w["force"], w["stiff"], w["bend"], w["slips"], w["energy"]])
+            w["gap"], w["body"], w["normal"], w["force"], w["rows"], w["bend"], w["slips"], w["energy"]])
 
     def lag(self, columns: torch.Tensor) -> None:
         """Renew friction's limit and tangent plane from what `evaluate` found last."""
@@ -212,50 +211,44 @@ class Touching:
         Args:
             columns: touches (k,). bend: whose counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
         """
-        at = columns if bend is None else columns[bend]
-        out = torch.zeros((len(columns), self.free.shape[1], self.free.shape[1]), dtype=torch.float64, device=self.device)
-        points, _, stiff = self._active(columns)
-        block = _assemble(points, stiff)
-        out += block
+        rows = self.rows(columns)
+        out = rows.mT @ rows
         if bend is not None and bool(bend.any()):
-            points, _, curved = self._active(at, self._bend)
-            out[bend] += _assemble(points, curved)
-        return out * self.free[columns][:, :, None] * self.free[columns][:, None, :]
+            points, which = self._active(columns[bend])
+            out[bend] += _assemble(points, which(self._bend)) * self.free[columns[bend]][:, :, None] * self.free[columns[bend]][:, None, :]
+        return out
 
-    def _active(self, columns: torch.Tensor, values: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Of the points in contact, padded: shape values (k, a, s), activity (k, a), stiffness (k, a, 3, 3)."""
+    def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
+        """Of the points in contact, padded to the most: shape values (k, a, s), 0 where padded, and what picks them from a table (B, 6 f, ...)."""
         active = self.gap[columns] < 0.0
-        most = max(1, int(active.sum(dim=1).amax())) if len(columns) else 1
-        order = torch.argsort(active.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
-        row = torch.arange(len(columns), device=self.device)[:, None]
-        on = active[row, order]
-        points = self._points[columns[:, None], order] * on[:, :, None]
-        stiff = (self._stiff if values is None else values)[columns[:, None], order]
-        return points, on, stiff
+        most = max(1, int(active.sum(dim=1).amax()))
+        on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
+        order = order[:, :most]
+        return (self._points[columns[:, None], order] * on[:, :most, None], lambda table: table[columns[:, None], order])
+
+    def rows(self, columns: torch.Tensor) -> torch.Tensor:
+        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness."""
+        points, which = self._active(columns)
+        roots = which(self._rows)
+        if not self.rubs:
+            roots = roots[:, :, :1]
+        k, a, s = points.shape
+        rows = (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)
+        return rows * self.free[columns][:, None, :]
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """The contact of ``columns``, ready to be inverted together with the body at rest."""
-        points, _, stiff = self._active(columns)
-        used = (points != 0.0).any(dim=1)
+        rows = self.rows(columns)
+        # of the patch only the nodes that touch count
+        used = (rows != 0.0).any(dim=1).view(len(columns), -1, 3).any(dim=2)
         most = max(1, int(used.sum(dim=1).amax()))
-        nodes = torch.argsort(used.to(torch.int8), dim=1, descending=True, stable=True)[:, :most]
+        nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
         dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
-        width = self.free.shape[1]
-        free = self.free[columns].gather(1, dof)
-        stiffness = _assemble(points.gather(2, nodes[:, None, :].expand(-1, points.shape[1], -1)), stiff) * free[:, :, None] * free[:, None, :]
-        if len(columns) == len(self.patches):
-            own = self.compliance.gather(1, dof[:, :, None].expand(-1, -1, width)).gather(2, dof[:, None, :].expand(-1, dof.shape[1], -1))
-        else:
-            own = self.compliance[columns[:, None, None], dof[:, :, None], dof[:, None, :]]
-        diagonal = own.diagonal(dim1=1, dim2=2)
-        diagonal += torch.where(diagonal > 0.0, _JITTER * diagonal, 1.0)
-        lower, failed = torch.linalg.cholesky_ex(own)
-        if bool(failed.any()):
-            diagonal *= 1.0 + 1e4 * _JITTER
-            lower = torch.linalg.cholesky(own)
-        inner = lower.mT @ (stiffness @ lower)
+        rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
+        own = self.compliance[columns[:, None, None], dof[:, :, None], dof[:, None, :]]
+        inner = rows @ own @ rows.mT
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
-        return ContactBlock(dof, stiffness, lower, torch.linalg.cholesky(inner), width)
+        return ContactBlock(dof, rows, torch.linalg.cholesky(inner), self.free.shape[1])
 
     # ------------------------------------------------------------------------------------------ nothing slips through
 
@@ -302,20 +295,23 @@ def _assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class ContactBlock:
-    """The contact stiffness C of k touches on the nodes that touch, and the compliance A = L L^T of the body there.
+    """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
 
-    ``apply`` gives T v with T = (C^-1 + A)^-1 = C - C L (1 + L^T C L)^-1 L^T C (Woodbury), for displacements v of the patches: the contact
+    ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches: the contact
     forces that answer v when the body gives way as at rest.
     """
 
     dof: torch.Tensor
-    stiffness: torch.Tensor
-    lower: torch.Tensor
+    rows: torch.Tensor
     inner: torch.Tensor
     width: int
 
+    def pick(self, which: torch.Tensor) -> ContactBlock:
+        """That of some of the touches (j,)."""
+        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width)
+
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
-        own = v.gather(1, self.dof)[:, :, None]
-        left = own - self.lower @ torch.cholesky_solve(self.lower.mT @ (self.stiffness @ own), self.inner)
-        return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, (self.stiffness @ left)[:, :, 0])
+        own = self.rows @ v.gather(1, self.dof)[:, :, None]
+        force = self.rows.mT @ torch.cholesky_solve(own, self.inner)
+        return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
