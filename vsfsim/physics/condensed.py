@@ -14,6 +14,8 @@ import torch
 
 from vsfsim.physics.touching import Touching
 
+_SHRINK = 0.6  # of the touches still run: then the others are left behind
+
 
 def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int, tolerance: float,
           start: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
@@ -27,61 +29,62 @@ def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed:
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
-    compliance = touching.compliance
-    count = len(columns)
-
-    def full(value: float) -> torch.Tensor:
-        return torch.full((count,), value, dtype=torch.float64, device=base.device)
-
+    compliance = touching.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
-    trial = base + _times(compliance, columns, q) if start is not None else base.clone()
+    trial = base + _times(compliance, q) if start is not None else base.clone()
+    best, best_error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
+    live = None  # which of the touches are still looked at, None for all; left behind in crowds, since picking costs more than idling
     dq, move = torch.zeros_like(q), torch.zeros_like(q)
-    level, slope, step = full(float("inf")), full(0.0), full(1.0)
-    best_error, best = full(float("inf")), q.clone()
-    running = torch.ones(count, dtype=torch.bool, device=base.device)
+    level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
+    error = best_error.clone()
+    answer = best.clone()
+    running = torch.ones_like(best_error, dtype=torch.bool)
+    # friction's potential changes with its limit: there a step is good if it does not raise the energy much
+    slack, least = (1e-2, 0.1) if touching.rubs else (1e-12, 1e-4)
     for _ in range(iterations):
-        run = running.nonzero()[:, 0]
-        at = columns[run]
-        touching.evaluate(at, trial[run])
+        touching.evaluate(columns, trial)
         if touching.rubs:
-            touching.lag(at)
-            touching.evaluate(at, trial[run])
-        energy = ((0.5 * q[run] + pushed[run]) * (trial[run] - base[run])).sum(dim=1) + touching.energy(at)
-        # friction's potential changes with its limit: there a step is good if it does not raise the energy much
-        slack, least = (1e-2, 0.1) if touching.rubs else (1e-12, 1e-4)
-        far = (energy > level[run] - 1e-4 * step[run] * slope[run] + slack * level[run].abs()) & (step[run] > least)
-        if bool(far.any()):  # too far: back half of what is left of this step
-            back = run[far]
-            step[back] *= 0.5
-            q[back] -= step[back, None] * dq[back]
-            trial[back] -= step[back, None] * move[back]
-            run, energy = run[~far], energy[~far]
-            if not len(run):
-                continue
-            at = columns[run]
-        nodal = touching.nodal(at)
-        rho = nodal - pushed[run] - q[run]
-        miss = _times(compliance, at, rho)
-        error = miss.abs().amax(dim=1) / trial[run].abs().amax(dim=1).clamp(min=1e-9)
-        better = error < best_error[run]
-        best[run[better]] = (nodal - pushed[run])[better]
-        best_error[run] = torch.minimum(error, best_error[run])
-        going = error >= tolerance
-        running[run] = going
-        if not bool(going.all()):
-            if not bool(running.any()):
-                break
-            run, at, rho, miss, energy = run[going], at[going], rho[going], miss[going], energy[going]
-            if not len(run):
-                continue
-        dq[run] = rho - touching.block(at).apply(miss)
-        move[run] = _times(compliance, at, dq[run])
-        level[run], slope[run], step[run] = energy, (dq[run] * miss).sum(dim=1), 1.0
-        q[run] += dq[run]
-        trial[run] += move[run]
+            touching.lag(columns)
+            touching.evaluate(columns, trial)
+        energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + touching.energy(columns)
+        far = running & (energy > level - 1e-4 * step * slope + slack * level.abs()) & (step > least)
+        # too far: back half of what is left of this step
+        step = torch.where(far, 0.5 * step, step)
+        back = torch.where(far, step, 0.0)[:, None]
+        nodal = touching.nodal(columns)
+        rho = nodal - pushed - q
+        miss = _times(compliance, rho)
+        size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
+        fresh = running & ~far
+        better = fresh & (size < error)
+        answer = torch.where(better[:, None], nodal - pushed, answer)
+        error = torch.where(better, size, error)
+        running = running & (far | (size >= tolerance))
+        left = int(running.sum())
+        if left == 0:
+            break
+        ahead = running & ~far
+        if bool(ahead.any()):
+            new = rho - touching.block(columns).apply(miss)
+            dq = torch.where(ahead[:, None], new, dq)
+            move = torch.where(ahead[:, None], _times(compliance, new), move)
+            level, slope = torch.where(ahead, energy, level), torch.where(ahead, (new * miss).sum(dim=1), slope)
+            step = torch.where(ahead, 1.0, step)
+        go = torch.where(ahead, 1.0, 0.0)[:, None] - back
+        q = q + go * dq
+        trial = trial + go * move
+        if left < _SHRINK * len(columns):
+            keep = running.nonzero()[:, 0]
+            where = slice(None) if live is None else live
+            best[where], best_error[where] = answer, error
+            live = keep if live is None else live[keep]
+            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer = (
+                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer))
+            running = torch.ones_like(keep, dtype=torch.bool)
+    where = slice(None) if live is None else live
+    best[where], best_error[where] = answer, error
     return best, best_error
 
 
-def _times(compliance: torch.Tensor, columns: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
-    own = compliance if len(columns) == len(compliance) else compliance[columns]
-    return (own @ q[:, :, None])[:, :, 0]
+def _times(compliance: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
+    return (compliance @ q[:, :, None])[:, :, 0]

@@ -214,7 +214,7 @@ class _Dense:
     def compliance(self) -> torch.Tensor:
         real = (self._dof >= 0).to(torch.float64)
         index = self._dof.clamp(min=0)
-        table = torch.stack([self._inverse[i[:, None], i[None, :]] for i in index])
+        table = self._inverse[index[:, :, None], index[:, None, :]]
         table = table * real[:, :, None] * real[:, None, :]
         return 0.5 * (table + table.mT)
 
