@@ -129,7 +129,8 @@ def test_the_ball_against_the_exact_sphere(ball, device):
     # chords of 2.2 mm edges on R 20 mm lie edge^2 / (8 R) = 3e-5 m under the sphere, 1.5e-3 R; facets tilt by edge / (2 R) = 0.05
     assert np.abs(gap - (r - RADIUS)).max() < 1.6e-3 * RADIUS
     length = np.linalg.norm(normal, axis=1)
-    assert np.abs(length - 1.0).max() < 0.01
+    # neighbouring facets are turned by 0.11: a spline over that kink is off by a share of it
+    assert np.abs(length - 1.0).max() < 0.02
     assert np.abs(normal - x / r[:, None]).max() < 0.06
 
 
@@ -225,7 +226,7 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), cache=tmp_path / "cache")
     assert any(word in note for note in grid.notes), grid.notes
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
-    x = shell(2000, 0.0, 0.035)[0]
+    x = shell(4000, 0.0, 0.035)[0]
     world = x + centre
     exact = np.linalg.norm(world, axis=1) - RADIUS
     if kind == "overlap":
@@ -235,9 +236,9 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
         x, exact = x[cut], exact[cut]
     far = np.abs(exact) > 0.05 * RADIUS
     assert ((grid.distance(x) < 0) == (exact < 0))[far].all()
-    outer = (exact > -0.2 * RADIUS) & (exact < 0.3 * RADIUS)
-    # facets of a level-3 ball, 6e-3 R, and fTetWild's envelope; min() of two balls is a bound inside only
-    assert np.abs(grid.distance(x) - exact)[outer & (exact > 0)].max() < 0.02 * RADIUS
+    near = (exact > 0) & (exact < 0.1 * RADIUS)
+    # facets of a level-3 ball 6e-3 R, fTetWild 0.1 % of the diagonal, 3.5e-3 R; inside, min() of two balls is only a bound
+    assert near.sum() > 100 and np.abs(grid.distance(x) - exact)[near].max() < 0.012 * RADIUS
 
 
 def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):

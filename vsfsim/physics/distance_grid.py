@@ -31,7 +31,7 @@ LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of t
 MAX_NODES = 2_000_000
 PAD = 4  # cells of distance kept around the bounding box
 _RIM = 4  # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
-_CLOSED_EDGE = 1 / 40  # edge of the tetrahedra that close a broken surface, over the longest edge of its bounding box
+_CLOSED_EDGE = 1 / 8  # edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the size, and 1 / 40 takes minutes
 _SLOW = 1.0  # a bake that took longer is kept on disk [s]
 _RECIPE = 1  # part of the cache key: raise it when the bake changes
 
@@ -114,12 +114,11 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
         notes = [note for note in notes if not note.startswith("Not watertight")]
         broken = _fault(surface, vertices, faces)
         if broken:
-            longest = float(surface.extents.max())
-            filled, tets, more = scan.fill(surface, _CLOSED_EDGE * longest, path)
-            vertices, faces = _boundary(filled, tets)
+            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()), path))
+            if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
+                raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. Close it or give it thickness.")
             notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to 0.1 % of its diagonal, {1e3 * 1e-3 * np.linalg.norm(surface.extents):.2g} mm.")
-            notes.extend(note for note in more if not note.startswith("Moved"))
-        grid = bake(vertices, faces, spacing=spacing, notes=tuple(notes))
+        grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]), notes=tuple(notes))
         if broken or time.perf_counter() - began > _SLOW:
             _write(stored, grid)
             # another worker may have been first; fTetWild never gives the same surface twice, so that one counts
@@ -127,21 +126,23 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
     return grid
 
 
-def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None, notes: tuple[str, ...] = ()) -> DistanceGrid:
+def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None, centre: np.ndarray | None = None,
+         notes: tuple[str, ...] = ()) -> DistanceGrid:
     """The grid of a closed surface.
 
     Args:
-        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. notes: put before our own.
+        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. centre: becomes the origin (3,) [m], by default
+            that of the bounding box. notes: put before our own.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre = 0.5 * (low + high)
+    centre = 0.5 * (low + high) if centre is None else centre
     vertices, low, high = vertices - centre, low - centre, high - centre
     h = spacing_rule(high - low) if spacing is None else spacing
     cells = np.ceil((high - low) / h).astype(int) + 2 * (PAD + 1)
     nodes = cells + 1 + 2 * _RIM
     if np.prod(cells + 1) > 8 * MAX_NODES:
         raise MeshError(f"a distance grid of spacing {h:g} m would have {np.prod(cells + 1):.1e} nodes; {8 * MAX_NODES:.1e} are allowed. Use a coarser one.")
-    first = -0.5 * h * (nodes - 1)
+    first = 0.5 * (low + high) - 0.5 * h * (nodes - 1)
     axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
     at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     distance = exact_distance(vertices, faces, at).reshape(nodes)
@@ -202,11 +203,19 @@ def _fault(surface, vertices: np.ndarray, faces: np.ndarray) -> str:
 
 def _boundary(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Boundary triangles of tetrahedra, wound outwards, and their corners only."""
+    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
+    turned = np.linalg.det(edges) < 0.0
+    tets = np.where(turned[:, None], tets[:, [1, 0, 2, 3]], tets)
     faces = np.concatenate([tets[:, k] for k in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     faces = faces[first[count == 1]]
     used, local = np.unique(faces, return_inverse=True)
     return vertices[used], local.reshape(-1, 3)
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6.0)
 
 
 @functools.cache
