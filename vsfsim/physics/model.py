@@ -10,7 +10,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.mesh import QuadraticMesh, quadratic_mesh
+from vsfsim.physics.mesh import QuadraticMesh, assemble, quadratic_mesh, rest_stiffness_blocks
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces, mesh.owner)
     mu, lam = lame(young_modulus, poisson_ratio)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
+    stiffness = assemble(len(placed.points), placed.tets, rest_stiffness_blocks(placed, mu, lam))
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
-                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(placed, mu, lam, free))
+                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor.of(stiffness, free, placed.surface_nodes()))
