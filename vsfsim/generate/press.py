@@ -42,7 +42,8 @@ class PressResult:
     """What `vsfsim press` prints.
 
     depth: way of the probe past first contact, along the first part of its path (T,) [m]; 0 before contact.
-    force: on the probe and its parts (T, 3) [N]. reaction: of the supports on the body (T, 3) [N]. pressure: (T,) [Pa] or None without gas.
+    force: on the probe and its parts together (T, 3) [N]. body_force: on each rigid body (T, K, 3) [N]. bodies: their names (K,).
+    friction: Coulomb coefficient of each (K,) [-]. slipping: share of the points in contact that slip (T,) [-]. reaction: of the supports on the body (T, 3) [N]. pressure: (T,) [Pa] or None without gas.
     converged: (T,) bool. residual: (T,) [-]. iterations: Newton (T,). seconds: of each frame (T,) [s].
     audit: force_balance [-], min_det_f [-], energy [J], penetration [m], each (T,).
     build_seconds: meshing and factorisation [s]. tets, nodes, tier, device, precision: of the model.
@@ -54,6 +55,10 @@ class PressResult:
 
     depth: np.ndarray
     force: np.ndarray
+    body_force: np.ndarray
+    bodies: tuple[str, ...]
+    friction: tuple[float, ...]
+    slipping: np.ndarray
     reaction: np.ndarray
     pressure: np.ndarray | None
     converged: np.ndarray
@@ -114,8 +119,6 @@ def prepare(scene: Scene, *, tier: str | None, seed: int, cache: Path | None) ->
     chosen = tiers.choose(scene, tier)
     scene, notes = with_probe(scene)
     notes += RigidBodies(scene.bodies).notes  # a broken probe is refused before the object is meshed
-    if len(scene.bodies) > 1:
-        raise SceneError(f"{scene.source}: several rigid bodies at once are read but not solved yet; take out [[probe.parts]] and [[obstacles]].")
     focus = None if scene.press is None else tip(scene, np.array(scene.press.stop), direction(scene))[None]
     model = tiers.build(scene, chosen, seed=seed, cache=cache, focus=focus)
     scene, more = with_press(scene, model)
@@ -134,47 +137,33 @@ def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float,
     inside = overlap(model, scene.probe, first, str(scene.source))
     compile_kernels(solver_kernels(precision), device, progress=progress)
     axis = direction(scene)
-    gap = clearance(model, scene.probe, first, axis)
-    solver = Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(chosen), linear=not tiers.TIERS[chosen].nonlinear)
-    recorder = _Recorder(solver, keep, None if progress is None else lambda done: progress(done, len(poses), "frames"))
-    frames = solver.run(poses[:, None], keep=keep, progress=recorder)
+    gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:1 + len(scene.parts)], body_poses(scene, first[None])[0], strict=False))
+    linear = not tiers.TIERS[chosen].nonlinear
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=device, precision=precision, options=tiers.options(chosen), linear=linear)
+    every = body_poses(scene, poses)
+    frames = solver.run(every[:, None], keep=keep, progress=None if progress is None else lambda done: progress(done, len(poses), "frames"))
+    moving = frames.body_force[:, 0, :1 + len(scene.parts)]
     way = (poses[:, :3, 3] - np.array(spec.start)) @ axis
     values: dict[str, Any] = dict(
-        depth=np.maximum(way - gap, 0.0), force=frames.force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
+        depth=np.maximum(way - gap, 0.0), force=moving.sum(axis=1), body_force=frames.body_force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
         converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0],
+        slipping=frames.slipping[:, 0], bodies=names(scene), friction=scene.frictions,
         seconds=frames.seconds, audit=audit(frames, 0), build_seconds=built, tets=len(model.mesh.tets),
         nodes=len(model.mesh.points), tier=chosen, device=device, precision=precision,
         element_size=tiers.element_size(scene.object, chosen, scene.probe), edge=model.element_size,
         edge_at_contact=edge_at(model, tip(scene, np.array(spec.stop), axis)), volume=float(model.mesh.volume.sum()),
         tolerance=tiers.options(chosen).tolerance, inward=spec.inward,
         notes=(*notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside)))
-    state = recorder.state(body_poses(scene, poses), RigidBodies(scene.bodies)) if keep else None
-    return PressResult(**values, statement=statement(frames, 0, edge=model.element_size, tolerance=values["tolerance"], linear=not tiers.TIERS[chosen].nonlinear), state=state)
+    state = None
+    if keep:
+        displacement = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
+        state = PressState(model, solver.bodies, every, displacement, np.stack([force[..., 0] for force in solver.surface_force]))
+    return PressResult(**values, statement=statement(frames, 0, edge=model.element_size, tolerance=values["tolerance"], linear=linear), state=state)
 
 
-class _Recorder:
-    """Takes the contact forces of every frame while the solver runs."""
-
-    def __init__(self, solver: Solver, keep: bool, then: Callable[[int], None] | None):
-        self.solver, self.keep, self.then = solver, keep, then
-        self.place = np.full(len(solver.model.mesh.points), -1)
-        nodes = solver.model.mesh.surface_nodes()
-        self.place[nodes] = np.arange(len(nodes))
-        self.forces: list[np.ndarray] = []
-
-    def __call__(self, done: int) -> None:
-        if self.keep:
-            touching = self.solver.touching
-            force = np.zeros((int(self.place.max()) + 1, 3))
-            force[self.place[touching.patches[0].nodes]] = touching.nodal(0).reshape(-1, 3)
-            self.forces.append(force)
-        if self.then is not None:
-            self.then(done)
-
-    def state(self, poses: np.ndarray, bodies: RigidBodies) -> PressState:
-        """What was recorded, once the solver is done."""
-        displacement = np.stack([u[:, 0].reshape(-1, 3) for u in self.solver.history])
-        return PressState(self.solver.model, bodies, poses, displacement, np.stack(self.forces))
+def names(scene: Scene) -> tuple[str, ...]:
+    """What the K rigid bodies of a scene are called in tables."""
+    return ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))), *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
 
 
 def edge_at(model: Model, point: np.ndarray) -> float:

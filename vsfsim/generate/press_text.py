@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vsfsim.physics.frames import Frames
+from vsfsim.physics.frames import Frames, Reason
 
 if TYPE_CHECKING:
     from vsfsim.generate.press import PressResult
@@ -28,9 +28,12 @@ def statement(frames: Frames, column: int, *, edge: float, tolerance: float, lin
     if good.all():
         head = f"All {total} frames converged." if total > 1 else "The frame converged."
     else:
-        bad = np.flatnonzero(~good) + 1
-        listing = ", ".join(map(str, bad[:10])) + (", .." if len(bad) > 10 else "")
-        head = (f"{len(bad)} of {total} frames did NOT converge ({listing}): their forces are not those of an equilibrium. "
+        bad = np.flatnonzero(~good)
+        why = {}
+        for t in bad:
+            why.setdefault(Reason(int(frames.reason[t, column])).text or "out of tolerance", []).append(str(t + 1))
+        listing = "; ".join(f"{', '.join(at[:10])}{', ..' if len(at) > 10 else ''}: {reason}" for reason, at in why.items())
+        head = (f"{len(bad)} of {total} frames did NOT converge ({listing}). Their forces are not those of an equilibrium. "
                 "Take more frames, a finer mesh (a lower resolution in [object]), or a shallower press.")
     balance = float(frames.force_balance[:, column].max())
     deepest = float(frames.penetration[:, column].max()) + 0.0  # no minus zero
@@ -54,6 +57,11 @@ def text(result: PressResult) -> str:
         rows.append(f"{1e3 * result.depth[t]:10.3f} {np.linalg.norm(f):10.4f} {f[0]:8.4f} {f[1]:8.4f} {f[2]:8.4f}  {result.audit['force_balance'][t]:8.1e}"
                     f" {result.audit['min_det_f'][t]:10.3f} {result.audit['energy'][t]:10.2e} {100 * result.audit['penetration'][t] / result.edge:10.2g}"
                     f"  {result.residual[t]:8.1e} {result.iterations[t]:11d} {result.seconds[t]:5.2f}{mark}")
+    if len(result.bodies) > 1 or max(result.friction) > 0.0:
+        t = result.inward - 1
+        rows.append("At full depth: " + "; ".join(f"{name}{f' (friction {mu:g})' if mu else ''} ({', '.join(f'{v:.4f}' for v in force + 0.0)}) N"
+                                                  for name, mu, force in zip(result.bodies, result.friction, result.body_force[t], strict=True))
+                    + (f"; {100 * result.slipping[t]:.0f} % of the points in contact slip." if max(result.friction) > 0.0 else "."))
     rows.append(result.statement)
     rows.append(f"Tier {result.tier}, {result.tets} quadratic tetrahedra, {result.nodes} nodes, element size {1e3 * result.element_size:.1f} mm, "
                 f"{result.precision} on {result.device}; built in {result.build_seconds:.1f} s, solved in {result.seconds.sum():.1f} s.")
