@@ -39,7 +39,7 @@ BY_NAME = {"physics": {"scenes"}}
 HEAVY = {
     "core": {"numpy"},
     "data": {"numpy", "h5py"},
-    "physics": {"numpy", "scipy", "warp", "trimesh", "pytetwild", "cholespy"},
+    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild", "cholespy"},
     "robot": {"numpy", "mujoco"},
     "sensing": {"numpy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch"},

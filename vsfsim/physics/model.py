@@ -91,4 +91,4 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     stiffness = assemble(len(placed.points), placed.tets, rest_stiffness_blocks(placed, mu, lam))
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
-                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(stiffness, free, placed.surface_nodes()))
+                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor.of(stiffness, free, placed.surface_nodes()))
