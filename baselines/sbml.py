@@ -17,7 +17,7 @@ from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSe
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.composition import STRUCTURES, Composition
+from vsfsim.vsf.composition import STRUCTURES, Composition, GaussianPrior
 from vsfsim.vsf.features import NAMES, Normaliser, particle_features
 
 
@@ -56,7 +56,8 @@ class Sbml:
         self.validation, self.fit_std, self.device = validation, fit_std, device
         self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
         self._shelf = ObjectShelf(self._settings)
-        self._raw: dict[int, np.ndarray] = {}
+        self._raw: dict[int, np.ndarray] = {}  # by object on the shelf, which keeps them alive
+        self._priors: dict[int, GaussianPrior] = {}
         self._normaliser: Normaliser | None = None
         self._network = None
 
@@ -66,6 +67,7 @@ class Sbml:
         Raises:
             MethodError: no training object, or none of their touches reached a particle.
         """
+        self._priors.clear()
         if self.prior:
             self.load(Path(self.prior))
             return
@@ -89,9 +91,10 @@ class Sbml:
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior yet; call meta_fit or load first.")
         model = self._shelf.get(view)
-        features = self._normaliser(self._features(model, view))
-        prior = self._network.of(features, Composition.of(self.structure, features))
-        self._posterior = Posterior.under(model, support, prior)
+        if id(model) not in self._priors:
+            features = self._normaliser(self._features(model, view))
+            self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
+        self._posterior = Posterior.under(model, support, self._priors[id(model)])
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet."""
@@ -129,6 +132,7 @@ class Sbml:
         for key in ("structure", "features", "output"):
             if table.get(key) != getattr(self, key):
                 raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not '{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
+        self._priors.clear()
         self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
         self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
         self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name, value in arrays.items()})

@@ -158,7 +158,7 @@ class ObjectShelf:
 
     def get(self, view: View) -> VsfObject:
         """The object behind ``view``."""
-        key = _digest(view.depth, view.mask, view.intrinsics, view.camera_pose)
+        key = _digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
         if key not in self.objects:
             self.objects[key] = VsfObject.behind(view, self.settings)
         return self.objects[key]

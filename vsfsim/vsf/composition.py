@@ -24,7 +24,7 @@ STRUCTURES = ("HE", "HE+HO", "HE+SEG")
 SEGMENTS = 10
 """Segments of HE+SEG (SBML appendix C.5)."""
 
-_ITERATIONS, _RESTARTS = 60, 4
+_ITERATIONS, _RESTARTS = 60, 2
 # Features a mixture sees at most: the leading principal components; more would be noise to a clustering.
 _COMPONENTS = 12
 # Particles on which the mixture is fitted; all of them are then assigned.
@@ -112,9 +112,9 @@ def segment(features: np.ndarray, count: int, *, seed: int = 0) -> np.ndarray:
     """
     values = np.asarray(features, np.float64)
     values = values - values.mean(axis=0)
-    _, size, axes = np.linalg.svd(values[:: max(1, len(values) // _SAMPLE)], full_matrices=False)
-    keep = max(1, min(_COMPONENTS, int(np.count_nonzero(size > 1e-6 * max(size[0], 1e-300)))))
-    values = values @ axes[:keep].T
+    size, axes = np.linalg.eigh(values.T @ values)
+    keep = max(1, min(_COMPONENTS, int(np.count_nonzero(size > 1e-12 * max(size[-1], 1e-300)))))
+    values = values @ axes[:, ::-1][:, :keep]
     count = min(count, len(np.unique(values, axis=0)))
     if count <= 1:
         return np.zeros(len(values), int)
@@ -157,8 +157,8 @@ def _log_joint(values: np.ndarray, log_weight: np.ndarray, mean: np.ndarray, fac
     """log of weight times density (n, k), without the constant."""
     out = np.empty((len(values), len(mean)))
     for k in range(len(mean)):
-        white = np.linalg.solve(factor[k], (values - mean[k]).T)
-        out[:, k] = log_weight[k] - 0.5 * np.einsum("ij,ij->j", white, white) - np.log(np.diag(factor[k])).sum()
+        white = (values - mean[k]) @ np.linalg.inv(factor[k]).T
+        out[:, k] = log_weight[k] - 0.5 * np.einsum("ij,ij->i", white, white) - np.log(np.diag(factor[k])).sum()
     return out
 
 
