@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from vsfsim.cli_bench import app as bench_app
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
@@ -32,6 +33,8 @@ Make data, score two methods, see the table:
   vsfsim leaderboard --task fewshot-shoes-mini-v1
 """, epilog="Exit codes: 0 fine, 1 a bug of ours, 2 a mistake in what was given, 3 a press that did not converge.")
 
+app.add_typer(bench_app, name="bench")
+
 TaskName = Annotated[str, typer.Option("--task", help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
 DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS.")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method; may be given again.")]
@@ -42,7 +45,7 @@ def main() -> None:
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
-    commands = [name for name in (c.name or c.callback.__name__ for c in app.registered_commands)]
+    commands = [name for name in (c.name or c.callback.__name__ for c in (*app.registered_commands, *app.registered_groups))]
     word = next((w for w in sys.argv[1:] if not w.startswith("-")), None)
     try:
         if word is not None and word == sys.argv[1] and word not in commands:
