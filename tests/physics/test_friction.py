@@ -9,7 +9,8 @@ from vsfsim.physics.solver import Solver
 
 SIZE = (0.04, 0.04, 0.02)
 E, NU = 1e5, 0.3
-TIGHT = SolverOptions(tolerance=1e-6, cg_tolerance=1e-4)
+TIGHT = SolverOptions(tolerance=1e-5, cg_tolerance=1e-3)
+USUAL = SolverOptions(tolerance=5e-4)  # the fem tier's
 
 
 @pytest.fixture(scope="module")
@@ -34,8 +35,9 @@ def test_a_dragged_plate_slides_at_mu_times_the_normal_force(model, line, device
     assert frames.converged.all()
     along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
     # every point slips the same way, so the sum of the limits is the limit of the sum
-    assert -along[-2:] / normal[-2:] == pytest.approx([mu, mu], rel=1e-4)
-    assert frames.slipping[-1, 0] == 1.0
+    assert -along[-1] / normal[-1] == pytest.approx(mu, rel=1e-4)
+    # and nowhere is it passed: sums of forces on a flat plate are bounded by the sum of the limits
+    assert (np.abs(along) <= mu * normal * (1.0 + 1e-4) + 1e-6).all()
     assert (frames.force_balance < 1e-3).all()
     assert np.abs(frames.force[:4, 0, :2]).max() < 1e-3 * normal[3], "pressed straight down: the sum of the friction is nil"
 
@@ -56,7 +58,7 @@ def test_with_much_friction_the_top_is_glued(model, line, device):
 def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line, device):
     mu = 0.4
     sideways = [0.0003, 0.0006, 0.001, 0.002, 0.003, 0.002, 0.001, 0.0, -0.001, -0.002]
-    frames = Solver(model, Sphere(0.015), friction=mu, device=device, options=TIGHT).run(
+    frames = Solver(model, Sphere(0.015), friction=mu, device=device, options=USUAL).run(
         drag(line, Sphere(0.015), (-0.0, 0.0, SIZE[2] + 0.015), 0.003, sideways))
     assert frames.converged.all()
     along, normal = frames.force[4:, 0, 0], frames.force[4:, 0, 2]
@@ -75,17 +77,17 @@ def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(mo
 
 
 def test_holding_still_changes_nothing(model, line, device):
-    frames = Solver(model, Plane(), friction=0.3, device=device, options=TIGHT).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
+    frames = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
     # points that slip sit exactly on their limit: the step that holds still finds them in balance within the tolerance
-    assert frames.force[-1] == pytest.approx(frames.force[-3], rel=1e-4, abs=1e-5)
+    assert frames.force[-1] == pytest.approx(frames.force[-3], rel=2e-3, abs=1e-4)
     assert (frames.iterations[-2:] <= 1).all()
 
 
 def test_small_steps_and_large_ones_agree_where_everything_slips(model, line, device):
-    few = Solver(model, Plane(), friction=0.3, device=device, options=TIGHT).run(plate(line, 0.001, [0.006]))
-    many = Solver(model, Plane(), friction=0.3, device=device, options=TIGHT).run(plate(line, 0.001, np.linspace(0.0005, 0.006, 12)))
+    few = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.006]))
+    many = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, np.linspace(0.001, 0.006, 6)))
     # the normal force depends on the way in the corners; the quotient does not
-    assert few.force[-1, 0, 0] / few.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 0] / many.force[-1, 0, 2], rel=1e-3)
+    assert few.force[-1, 0, 0] / few.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 0] / many.force[-1, 0, 2], rel=2e-3)
 
 
 def test_two_fingers_pinch_and_lift(block, line, device):
