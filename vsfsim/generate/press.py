@@ -142,10 +142,11 @@ def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float,
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=device, precision=precision, options=tiers.options(chosen), linear=linear)
     every = body_poses(scene, poses)
     frames = solver.run(every[:, None], keep=keep, progress=None if progress is None else lambda done: progress(done, len(poses), "frames"))
-    moving = frames.body_force[:, 0, :1 + len(scene.parts)]
+    # what the audit balances, less the obstacles' share
+    force = frames.force[:, 0] - frames.body_force[:, 0, 1 + len(scene.parts):].sum(axis=1)
     way = (poses[:, :3, 3] - np.array(spec.start)) @ axis
     values: dict[str, Any] = dict(
-        depth=np.maximum(way - gap, 0.0), force=moving.sum(axis=1), body_force=frames.body_force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
+        depth=np.maximum(way - gap, 0.0), force=force, body_force=frames.body_force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
         converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0],
         slipping=frames.slipping[:, 0], bodies=names(scene), friction=scene.frictions,
         seconds=frames.seconds, audit=audit(frames, 0), build_seconds=built, tets=len(model.mesh.tets),

@@ -38,10 +38,13 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
     vertices, triangles, owner, values = deformed_surface(mesh, state.displacement[t])
     pressure = face_pressure(mesh, state.surface_force[t])[owner]
     size = float(np.ptp(vertices, axis=0).max())
-    rigid = [tessellate(shape, 2.0 * size) for shape in state.bodies.shapes]
+    rigid = [tessellate(shape, 1.2 * size) for shape in state.bodies.shapes]
     placed = [v @ pose[:3, :3].T + pose[:3, 3] for (v, _), pose in zip(rigid, state.poses[t], strict=True)]
     looks = [(1e3 * values, "displacement [mm]", "viridis", True), (pressure / 1e3, "contact pressure [kPa]", "inferno_r", False)]
     intrinsics, pose = _camera(vertices, np.concatenate(placed))
+    # a wall or a plate between the camera and the body would hide all there is to see: it is left out
+    hides = [isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0 for shape, p in zip(state.bodies.shapes, state.poses[t], strict=True)]
+    placed, faces = ([x for x, h in zip(every, hides, strict=True) if not h] for every in (placed, [f for _, f in rigid]))
     figure = Figure(figsize=(2 * (SIZE / 100 + 0.9), TALL / 100 + 0.7), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     width, height = figure.get_size_inches()
@@ -52,7 +55,7 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
             colour[value <= 0.0] = 0.82  # free surface
         shown = _coloured(vertices, triangles, colour)
         if with_bodies:
-            shown = _with(shown, placed, [f for _, f in rigid])
+            shown = shown if not placed else _with(shown, placed, faces)
         image = render(shown, intrinsics, pose, SIZE, TALL, device=device, shading=0.55, background=(255, 255, 255)).rgb
         left = k * 0.5
         axes = figure.add_axes((left, 0.08, SIZE / 100 / width, TALL / 100 / height))

@@ -68,13 +68,15 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
         error = max(spread, tolerance * size)
         return Convergence(h, f, None, None, error, f"The last three meshes agree to {share}, the solver's own tolerance: no order can be observed; the force is "
                            f"{f[-1]:.5g} N, error about {error:.1g} N ({100 * error / size:.2g} %).")
-    if e21 * e32 <= 0.0 or abs(e21) >= abs(e32):
-        why = "goes up and down" if e21 * e32 < 0.0 else "does not change less from mesh to mesh"
+    r21, r32 = h[-2] / h[-1], h[-3] / h[-2]
+    # the least ratio of two steps that an order above 0 can give; 1 for equal ratios of the edges
+    if e21 * e32 <= 0.0 or e32 / e21 <= np.log(r32) / np.log(r21):
+        why = "goes up and down" if e21 * e32 < 0.0 else "does not change less and less from mesh to mesh"
         return Convergence(h, f, None, None, spread, f"No order of convergence is observed: the force {why}. It is {f[-1]:.5g} N on the finest mesh, and the spread of the "
                            f"last three, {spread:.2g} N ({share}), stands for its error. More meshes, or a finer start, may tell more.")
-    order = _order(h[-2] / h[-1], h[-3] / h[-2], float(e32 / e21))
+    order = _order(r21, r32, float(e32 / e21))
     used = min(order, STEEP)
-    gain = (h[-2] / h[-1]) ** used - 1.0
+    gain = r21**used - 1.0
     value = float(f[-1] - e21 / gain)
     error = SAFETY * abs(float(e21)) / gain
     text = (f"Observed order of convergence {order:.2f}; extrapolated force {value:.5g} N, error {error:.2g} N ({100 * error / max(abs(value), 1e-300):.2g} %); "
@@ -89,14 +91,12 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
 def _order(r21: float, r32: float, ratio: float) -> float:
     """Solve p ln r21 = ln(ratio) + ln((r21^p - 1) / (r32^p - 1)) for p > 0; ratio > 1, the sequence is monotone.
 
-    (r32^p - 1) r21^p / (r21^p - 1) grows with p from ln r32 / ln r21; a ratio below that has no solution and gives 0.
+    (r32^p - 1) r21^p / (r21^p - 1) grows with p from ln r32 / ln r21, which is under the ratio.
     """
     def steps(p: float) -> float:
         return (r32**p - 1.0) * r21**p / (r21**p - 1.0)
 
     low, high = 1e-6, 60.0
-    if steps(low) >= ratio:
-        return 0.0
     for _ in range(200):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if steps(middle) < ratio else (low, middle)
