@@ -1,0 +1,137 @@
+"""Kinova Gen3 (7 joints) and the Punyo on its flange, in figures: every number of the arm stands here, with its source.
+
+Frames, masses, inertias, joint ranges, flange and torque limits [table]: the maker's public description of the arm (ros_kortex,
+GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`, as collected in the project's `data/kinova_gen3.md`
+(`tests/robot/kinova_gen3.md` is that table, and a test compares it with this file).
+Girths [mesh]: read off the maker's public surface meshes, in the link frames; the capsules are fitted by us, see `CAPSULES`.
+Punyo [openvsf]: its mount and the frame of its bubble as openvsf has them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+Vector = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+
+CONTINUOUS = (-math.inf, math.inf)
+GRAVITY = 9.81  # m/s^2, along -z of the base
+JOINTS = 7
+
+
+@dataclass(frozen=True)
+class Link:
+    """A body of the arm, in its parent's frame; its joint turns about its own +z.
+
+    name, parent: names of the body and of the one it hangs on. position: of its frame (3,) [m]. quaternion: w x y z (4,), unnormalised.
+    joint_range: least and largest angle (2,) [rad], infinite for a continuous joint; None: no joint. mass: [kg]. com: centre of mass (3,) [m].
+    inertia_quaternion: w x y z of the principal axes (4,). inertia: principal moments about the centre of mass (3,) [kg m^2].
+    """
+
+    name: str
+    parent: str
+    position: Vector
+    quaternion: Quaternion
+    joint_range: tuple[float, float] | None
+    mass: float
+    com: Vector
+    inertia_quaternion: Quaternion
+    inertia: Vector
+
+
+LINKS = (  # [table]
+    Link("base_link", "world", (0, 0, 0), (1, 0, 0, 0), None, 1.697,
+         (-0.000648, -0.000166, 0.084487), (0.999294, 0.00139618, -0.0118387, 0.035636), (0.00462407, 0.00449437, 0.00207755)),
+    Link("shoulder_link", "base_link", (0, 0, 0.15643), (0, 1, 0, 0), CONTINUOUS, 1.3773,
+         (-2.3e-05, -0.010364, -0.07336), (0.707051, 0.0451246, -0.0453544, 0.704263), (0.00488868, 0.00457, 0.00135132)),
+    Link("half_arm_1_link", "shoulder_link", (0, 0.005375, -0.12838), (1, 1, 0, 0), (-2.24, 2.24), 1.1636,
+         (-4.4e-05, -0.09958, -0.013278), (0.482348, 0.516286, -0.516862, 0.483366), (0.0113017, 0.011088, 0.00102532)),
+    Link("half_arm_2_link", "half_arm_1_link", (0, -0.21038, -0.006375), (1, -1, 0, 0), CONTINUOUS, 1.1636,
+         (-4.4e-05, -0.006641, -0.117892), (0.706144, 0.0213722, -0.0209128, 0.707437), (0.0111633, 0.010932, 0.00100671)),
+    Link("forearm_link", "half_arm_2_link", (0, 0.006375, -0.21038), (1, 1, 0, 0), (-2.57, 2.57), 0.9302,
+         (-1.8e-05, -0.075478, -0.015006), (0.483678, 0.515961, -0.515859, 0.483455), (0.00834839, 0.008147, 0.000598606)),
+    Link("spherical_wrist_1_link", "forearm_link", (0, -0.20843, -0.006375), (1, -1, 0, 0), CONTINUOUS, 0.6781,
+         (1e-06, -0.009432, -0.063883), (0.703558, 0.0707492, -0.0707492, 0.703558), (0.00165901, 0.001596, 0.000346988)),
+    Link("spherical_wrist_2_link", "spherical_wrist_1_link", (0, 0.00017505, -0.10593), (1, 1, 0, 0), (-2.09, 2.09), 0.6781,
+         (1e-06, -0.045483, -0.00965), (0.44426, 0.550121, -0.550121, 0.44426), (0.00170087, 0.001641, 0.00035013)),
+    Link("bracelet_link", "spherical_wrist_2_link", (0, -0.10593, -0.00017505), (1, -1, 0, 0), CONTINUOUS, 0.5,
+         (0.000281, 0.011402, -0.029798), (0.394358, 0.596779, -0.577293, 0.393789), (0.000657336, 0.000587019, 0.000320645)),
+)
+MOVING = tuple(link.name for link in LINKS if link.joint_range is not None)
+
+FLANGE_LINK = "bracelet_link"
+FLANGE_POSITION: Vector = (0.0, 0.0, -0.061525)  # [table] the "pinch site"; its z points out of the flange
+FLANGE_QUATERNION: Quaternion = (0.0, 1.0, 0.0, 0.0)
+PEAK_TORQUE = (105.0,) * 4 + (52.0,) * 3  # N m [table]
+CONTINUOUS_TORQUE = (39.0,) * 4 + (9.0,) * 3  # N m [table]
+HOME = (0.0, 0.2618, 3.1416, -2.2689, 0.0, 0.9599, 1.5708)  # rad [table]
+
+
+@dataclass(frozen=True)
+class LinkCapsule:
+    """A capsule fixed to a link.
+
+    link: name of the body. start, stop: centres of its half-spheres in the link's frame (3,) [m]. radius: [m].
+    """
+
+    link: str
+    start: Vector
+    stop: Vector
+    radius: float
+
+
+LARGE = 0.046  # [mesh] radius of the housings of joints 1 to 4 [m]
+SMALL = 0.035  # [mesh] radius of the housings of joints 5 to 7 [m]
+UPPER_WAIST = 0.029  # [mesh] 72 x 39 mm at the thinnest of the two half arms; the ellipse of equal perimeter [m]
+FOREARM_WAIST = 0.026  # [mesh] 61 x 42 mm at the thinnest of the forearm [m]
+
+CAPSULES = (
+    # How they are fitted. [mesh] gives: the housings are round, of radius LARGE or SMALL, and their flat faces lie 0.0555 m (large) and about
+    # 0.045 m (small) from the link's frame along the joint's axis; between two housings a link narrows on the inner side of the elbow, while
+    # its back stays straight. So each housing is a capsule of its radius whose cap touches the flat face, and each waist one of equal girth
+    # that touches the back. Rounding a housing's rim by a cap takes up to 19 mm off its edge, never off its girth.
+    # The base has panel and clamp; it does not move, so contact on it is no joint torque, and one capsule about its column will do.
+    LinkCapsule("base_link", (0.0, 0.0, 0.050), (0.0, 0.0, 0.115), 0.050),
+    LinkCapsule("shoulder_link", (0.0, 0.0, -0.020), (0.0, -0.003, -0.128375), LARGE),
+    LinkCapsule("half_arm_1_link", (0.0, 0.0, -0.0095), (0.0, -0.020, -0.0095), LARGE),
+    LinkCapsule("half_arm_1_link", (0.0, -0.030, -0.024), (0.0, -0.140, -0.020), UPPER_WAIST),
+    LinkCapsule("half_arm_1_link", (0.0, -0.160, -0.006375), (0.0, -0.194, -0.006375), LARGE),
+    LinkCapsule("half_arm_2_link", (0.0, 0.0, -0.016), (0.0, 0.0, -0.050), LARGE),
+    LinkCapsule("half_arm_2_link", (0.0, -0.017, -0.070), (0.0, -0.020, -0.180), UPPER_WAIST),
+    LinkCapsule("half_arm_2_link", (0.0, -0.003, -0.190), (0.0, -0.003, -0.21038), LARGE),
+    LinkCapsule("forearm_link", (0.0, 0.0, -0.0095), (0.0, -0.020, -0.0095), LARGE),
+    LinkCapsule("forearm_link", (0.0, -0.045, -0.0235), (0.0, -0.135, -0.0165), FOREARM_WAIST),
+    LinkCapsule("forearm_link", (0.0, -0.150, -0.0080), (0.0, -0.194, -0.006375), SMALL),
+    LinkCapsule("spherical_wrist_1_link", (0.0, 0.0, -0.0145), (0.0, 0.0, -0.040), SMALL),
+    LinkCapsule("spherical_wrist_1_link", (0.0, -0.010, -0.070), (0.0, -0.010, -0.105925), SMALL),
+    LinkCapsule("spherical_wrist_2_link", (0.0, 0.0, -0.010), (0.0, -0.035, -0.010), SMALL),
+    LinkCapsule("spherical_wrist_2_link", (0.0, -0.060, -0.000175), (0.0, -0.0915, -0.000175), SMALL),
+    LinkCapsule("bracelet_link", (0.0, 0.0, -0.0145), (0.0, 0.0, -0.0265), SMALL),
+    # the housing of the camera: 91 x 27 x 14 mm across the bracelet
+    LinkCapsule("bracelet_link", (-0.032, -0.0608, -0.0495), (0.032, -0.0608, -0.0495), 0.0135),
+)
+
+# The Punyo in its own frame, that of the camera inside [openvsf]: rim centre, and the dome's axis
+PUNYO_ROTATION = ((0.0, -1.0, 0.0), (0.34202, 0.0, -0.93969), (0.93969, 0.0, 0.34202))  # rows, in the flange's frame; design.md, section 7
+PUNYO_POSITION: Vector = (0.0, 0.02111, 0.096142)  # m, in the flange's frame
+PUNYO_RIM_CENTRE: Vector = (0.0157, 0.0, 0.0655)  # m
+PUNYO_AXIS: Vector = (-0.39394, 0.0, 0.91914)
+PUNYO_LONG_AXIS: Vector = (0.91914, 0.0, 0.39394)  # of the rim's ellipse, 57.25 mm; the short one, 40 mm, is y
+PUNYO_MASS = 0.4  # kg, an assumption: neither the housing's drawing nor its weight is published; a tare takes it off
+PUNYO_COM: Vector = (0.0, 0.0, 0.035)  # m, an assumption: the middle of the chamber
+PUNYO_INERTIA: Vector = (5e-4, 7e-4, 7e-4)  # kg m^2, that of a block of 0.11 x 0.08 x 0.09 m of the mass
+_DOME = 0.038  # m: 30.5 mm above the rim's plane, and 37 x 56 mm wide in it, where the rim has 40 x 57
+_DEEP, _HALF = 0.0305 - _DOME, 0.05725 - _DOME
+
+
+def _on_dome(side: float) -> Vector:
+    return tuple(c + _DEEP * a + side * _HALF * e for c, a, e in zip(PUNYO_RIM_CENTRE, PUNYO_AXIS, PUNYO_LONG_AXIS, strict=True))  # type: ignore[return-value]
+
+
+PUNYO_CAPSULES = (
+    # a rigid stand-in for the free dome: what presses deforms it in the bubble's own model, not here
+    LinkCapsule("punyo", _on_dome(-1.0), _on_dome(1.0), _DOME),
+    # the chamber behind it, from the flange: an assumption, see PUNYO_MASS
+    LinkCapsule("punyo", (-0.072, 0.0, -0.008), (0.010, 0.0, 0.030), 0.032),
+)
