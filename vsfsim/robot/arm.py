@@ -1,0 +1,185 @@
+"""The arm: joint angles in, poses of links, capsules and tool out, and its gravity torques. MuJoCo computes, numpy carries.
+
+The capsules are rigid bodies for `vsfsim.physics.solver.Solver(model, arm.shapes).run(arm.body_poses(q))`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.shape import Capsule
+from vsfsim.robot import gen3, mjcf
+
+if TYPE_CHECKING:
+    import mujoco
+
+ARMS = ("gen3", "menagerie")
+TOOLS = ("flange", "punyo")
+
+
+class ArmError(VsfsimError):
+    """Something asked of the arm that it does not have or cannot take."""
+
+
+@dataclass(frozen=True)
+class Postures:
+    """The arm at T sets of joint angles, in the frame of its base.
+
+    links: poses of the bodies of the chain, the base first (T, L, 4, 4) [m]. tool: pose of the tool (T, 4, 4) [m].
+    anchors: a point on each joint's axis (T, 7, 3) [m]. axes: unit direction of each joint's axis (T, 7, 3) [-].
+    """
+
+    links: np.ndarray
+    tool: np.ndarray
+    anchors: np.ndarray
+    axes: np.ndarray
+
+
+class Arm:
+    """A Kinova Gen3 on its base at the origin, z up.
+
+    model: MuJoCo's model. punyo: whether it carries one. tool: "flange" or "punyo", what `Postures.tool` follows (the flange with its z
+    outwards, or the apex of the dome with its z along the dome's axis). links: names of the bodies of the chain. capsules: K of them.
+    shapes: theirs (K,), as the solver takes them. lower, upper: joint limits (7,) [rad], infinite for a continuous joint.
+
+    Raises:
+        ArmError: an unknown tool, the tool "punyo" without one, or a model that is no Gen3.
+    """
+
+    def __init__(self, spec: mujoco.MjSpec, *, punyo: bool = False, tool: str | None = None):
+        import mujoco
+
+        self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
+        if self.tool not in TOOLS:
+            raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
+        if self.tool == "punyo" and not punyo:
+            raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the tool 'flange'.")
+        if punyo:
+            mjcf.add_punyo(spec)
+        self._mujoco, self.model = mujoco, spec.compile()
+        self._data = mujoco.MjData(self.model)
+        self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
+        self._bodies = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
+        self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
+        if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
+            raise ArmError(f"the model has {self.model.nq} joint coordinates; a Gen3 arm has {gen3.JOINTS}.")
+        limited = self.model.jnt_limited.astype(bool)
+        self.lower = np.where(limited, self.model.jnt_range[:, 0], -np.inf)
+        self.upper = np.where(limited, self.model.jnt_range[:, 1], np.inf)
+        self.capsules = gen3.CAPSULES + (gen3.PUNYO_CAPSULES if punyo else ())
+        self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))) for c in self.capsules)
+        self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
+        self._capsule_poses = np.stack([_capsule_pose(c) for c in self.capsules])
+        self.reach = self._reach()
+
+    def _id(self, kind: int, name: str) -> int:
+        number = self._mujoco.mj_name2id(self.model, kind, name)
+        if number < 0:
+            raise ArmError(f"the arm's model has no {'body' if kind == self._mujoco.mjtObj.mjOBJ_BODY else 'site'} '{name}'; is it a Kinova Gen3?")
+        return number
+
+    def _reach(self) -> float:
+        """Longest distance from joint 2 to the tool that the link lengths allow [m]: an upper bound."""
+        at = self.postures(np.zeros((1, gen3.JOINTS)))
+        chain = np.concatenate([at.anchors[0, 1:], at.tool[0, None, :3, 3]])
+        return float(np.linalg.norm(np.diff(chain, axis=0), axis=1).sum())
+
+    def postures(self, q: np.ndarray) -> Postures:
+        """Forward kinematics of joint angles ``q`` (T, 7) [rad].
+
+        Raises:
+            ArmError: another shape, or angles that are not finite.
+        """
+        q = self.check(q)
+        links, tool = (np.tile(np.eye(4), (len(q), *n, 1, 1)) for n in ((len(self.links),), ()))
+        anchors, axes = np.empty((len(q), gen3.JOINTS, 3)), np.empty((len(q), gen3.JOINTS, 3))
+        data = self._data
+        for t, angles in enumerate(q):
+            data.qpos[:] = angles
+            self._mujoco.mj_kinematics(self.model, data)
+            links[t, :, :3, 3] = data.xpos[self._bodies]
+            links[t, :, :3, :3] = data.xmat[self._bodies].reshape(-1, 3, 3)
+            tool[t, :3, 3], tool[t, :3, :3] = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+            anchors[t], axes[t] = data.xanchor, data.xaxis
+        return Postures(links, tool, anchors, axes)
+
+    def tool_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and MuJoCo's Jacobian (6, 7) of its position [m/rad] and turn [rad/rad]."""
+        data, out, pose = self._data, np.empty((6, gen3.JOINTS)), np.eye(4)
+        data.qpos[:] = q
+        self._mujoco.mj_kinematics(self.model, data)
+        self._mujoco.mj_comPos(self.model, data)
+        self._mujoco.mj_jacSite(self.model, data, out[:3], out[3:], self._site)
+        pose[:3, 3], pose[:3, :3] = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+        return pose, out
+
+    def body_poses(self, q: np.ndarray) -> np.ndarray:
+        """Poses (T, K, 4, 4) [m] of the capsules at ``q`` (T, 7) [rad]: centre of the capsule, its axis along z."""
+        return self.capsule_poses(self.postures(q))
+
+    def capsule_poses(self, at: Postures) -> np.ndarray:
+        """As `body_poses`, of postures at hand."""
+        return at.links[:, self.capsule_links] @ self._capsule_poses
+
+    def gravity_torque(self, q: np.ndarray) -> np.ndarray:
+        """Torques (T, 7) [N m] that the motors need to hold the arm against its weight at ``q`` (T, 7) [rad]."""
+        q = self.check(q)
+        out = np.empty((len(q), gen3.JOINTS))
+        self._data.qvel[:] = 0.0
+        for t, angles in enumerate(q):
+            self._data.qpos[:] = angles
+            self._mujoco.mj_kinematics(self.model, self._data)
+            self._mujoco.mj_comPos(self.model, self._data)
+            self._mujoco.mj_comVel(self.model, self._data)
+            self._mujoco.mj_rne(self.model, self._data, 0, out[t])
+        return out
+
+    def check(self, q: np.ndarray) -> np.ndarray:
+        """``q`` as an array (T, 7) of finite angles [rad].
+
+        Raises:
+            ArmError: it is not one.
+        """
+        q = np.asarray(q, float)
+        if q.ndim != 2 or q.shape[1] != gen3.JOINTS:
+            raise ArmError(f"joint angles have the shape {q.shape}; give (frames, {gen3.JOINTS}) in radians.")
+        if not np.isfinite(q).all():
+            raise ArmError(f"joint angles of frame {int(np.argmin(np.isfinite(q).all(axis=1)))} are not finite.")
+        return q
+
+
+def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None, joints: mjcf.JointFigures | None = None) -> Arm:
+    """An arm by name.
+
+    Args:
+        name: "gen3", our own model, or "menagerie": MuJoCo Menagerie's with its meshes, which the package `mujoco-menagerie` downloads.
+        punyo: with a Punyo on its flange. tool: see `Arm`. joints: friction, damping and armature of the joints.
+
+    Raises:
+        ArmError: an unknown name, or Menagerie's model cannot be had.
+    """
+    if name == "gen3":
+        import mujoco
+
+        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), punyo=punyo, tool=tool)
+    if name == "menagerie":
+        from vsfsim.robot.menagerie import menagerie_spec
+
+        return Arm(menagerie_spec(joints), punyo=punyo, tool=tool)
+    raise ArmError(f"unknown arm '{name}'. {did_you_mean(name, ARMS)}")
+
+
+def _capsule_pose(capsule: gen3.LinkCapsule) -> np.ndarray:
+    """Pose (4, 4) of a capsule in its link's frame: its middle, z from start to stop."""
+    start, stop = np.array(capsule.start), np.array(capsule.stop)
+    z = (stop - start) / np.linalg.norm(stop - start)
+    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)  # any axis across will do, it is round
+    x /= np.linalg.norm(x)
+    out = np.eye(4)
+    out[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    out[:3, 3] = (start + stop) / 2
+    return out

@@ -1,0 +1,184 @@
+"""A touch of the arm: the tool along a straight line, or any path of poses, or the reason why it cannot be had."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from enum import Enum
+
+import numpy as np
+
+from vsfsim.core.rotation import between, rotation_vector
+from vsfsim.robot import clearance, gen3
+from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot.inverse_kinematics import solve
+
+STRIDE, TURN = 0.005, 0.05  # m, rad: the longest step of the tool from one solution to the next
+JUMP = 0.25  # rad: joints that move further in one such step pass a singular posture; at 1 cm/s that is 0.5 rad/s, past half of what the arm can
+LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # m, rad: what is promised of every pose
+
+
+class Reason(Enum):
+    """Why a touch cannot be had; a generator draws another one."""
+
+    TOO_FAR = "out of the arm's reach"
+    POSE = "no joint angles give this pose"
+    LIMITS = "a joint is at its limit"
+    SELF_COLLISION = "the arm would touch itself"
+    TABLE = "the arm would touch the table"
+    SINGULAR = "the arm would pass a singular posture"
+
+
+class Unreachable(ArmError):
+    """A touch that the arm cannot make. reason: why, of the attempt that came furthest. progress: how far that came, as a fraction of the path."""
+
+    def __init__(self, message: str, reason: Reason, progress: float):
+        super().__init__(message)
+        self.reason, self.progress = reason, progress
+
+
+def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.ndarray, *, frames: int, **limits: object) -> np.ndarray:
+    """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, turned by ``rotation`` (3, 3) all the way.
+
+    The keywords ``limits`` and the errors are those of `follow`.
+    """
+    if frames < 2:
+        raise ArmError(f"frames is {frames}; a line needs its two ends, so at least 2.")
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, :3, :3] = rotation
+    poses[:, :3, 3] = np.asarray(start, float) + np.linspace(0.0, 1.0, frames)[:, None] * (np.asarray(stop, float) - np.asarray(start, float))
+    return follow(arm, poses, **limits)  # type: ignore[arg-type]
+
+
+def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0, self_clearance: float = 0.005,
+           table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
+    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the base's frame, one after the other.
+
+    Every pose is met to 1e-5 m and 1e-4 rad; between two poses the tool is led in steps of 5 mm and 0.05 rad at most, so that the joints
+    move without a jump and obstacles between them are seen. A pose that comes again gets the same angles again.
+
+    Args:
+        near: joint angles (7,) [rad] to begin the search at. table: height of the table [m], None for none; base and shoulder may stand on it.
+        self_clearance, table_clearance: least gap [m] between links that are no neighbours, and above the table.
+        restarts: random postures that the search begins at, besides a few that face the target. seed: of these.
+
+    Raises:
+        Unreachable: no posture leads along the whole path; with the reason.
+        ArmError: poses that are none.
+    """
+    poses = _checked(poses)
+    dense, number = _refined(poses)
+    best: tuple[float, Reason, str] | None = None
+    for q0 in _beginnings(arm, poses[0], near, restarts, seed):
+        found, reason, detail = _track(arm, dense, q0, table, self_clearance, table_clearance)
+        if reason is None:
+            q = found[number]
+            _promise(arm, q, poses)
+            return q
+        progress = len(found) / len(dense)
+        if best is None or progress > best[0]:
+            best = progress, reason, detail
+    assert best is not None
+    progress, reason, detail = best
+    shoulder = arm.postures(np.zeros((1, gen3.JOINTS))).anchors[0, 1]
+    away = float(np.linalg.norm(dense[round(progress * len(dense)) if progress < 1 else -1, :3, 3] - shoulder))
+    if away > arm.reach:
+        reason, detail = Reason.TOO_FAR, f"{away:.3f} m from joint 2, and the arm reaches {arm.reach:.3f} m"
+    x, y, z = poses[0, :3, 3]
+    raise Unreachable(f"the touch from [{x:.4f}, {y:.4f}, {z:.4f}] m cannot be made: {reason.value}, {100 * progress:.0f} % along its path ({detail}). "
+                      "Choose another start, target or orientation, or move the object.", reason, progress)
+
+
+def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, self_clearance: float,
+           table_clearance: float) -> tuple[np.ndarray, Reason | None, str]:
+    """The angles (n, 7) found until the path ends or something is in the way, and what."""
+    out: list[np.ndarray] = []
+    seen: dict[bytes, np.ndarray] = {}
+    reason, detail = None, ""
+    for pose in dense:
+        known = seen.get(pose.tobytes())
+        if known is None:
+            s = solve(arm, pose, out[-1] if out else q0)
+            if not s.found:
+                reason = Reason.LIMITS if s.at_limit else Reason.POSE
+                detail = f"the tool stays {s.position:.2g} m and {s.angle:.2g} rad away"
+                break
+            known = s.q
+            if out and np.abs(known - out[-1]).max() > JUMP:
+                reason, detail = Reason.SINGULAR, f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by {np.abs(known - out[-1]).max():.2g} rad"
+                break
+            seen[pose.tobytes()] = known
+        out.append(known)
+    if not out:
+        return np.empty((0, gen3.JOINTS)), reason, detail
+    q = np.stack(out)
+    blocked = _blocked(arm, q, table, self_clearance, table_clearance)
+    return (q[:blocked[0]], *blocked[1:]) if blocked else (q, reason, detail)
+
+
+def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float, table_clearance: float) -> tuple[int, Reason, str] | None:
+    """The first of the postures ``q`` (T, 7) that is too close to itself or the table."""
+    at, hits = arm.postures(q), []
+    gaps, pairs = clearance.self_gaps(arm, at)
+    if (gaps < self_clearance).any():
+        frame = int((gaps < self_clearance).any(axis=1).argmax())
+        i, j = (arm.capsules[k].link for k in pairs[gaps[frame].argmin()])
+        hits.append((frame, Reason.SELF_COLLISION, f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {self_clearance:g} is wanted"))
+    if table is not None:
+        gaps, moving = clearance.table_gaps(arm, at, table)
+        if (gaps < table_clearance).any():
+            frame = int((gaps < table_clearance).any(axis=1).argmax())
+            link = arm.capsules[moving[gaps[frame].argmin()]].link
+            hits.append((frame, Reason.TABLE, f"{link} is {gaps[frame].min():.3g} m above it, at least {table_clearance:g} is wanted"))
+    return min(hits, key=lambda h: h[0]) if hits else None
+
+
+def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts: int, seed: int) -> Iterator[np.ndarray]:
+    """Joint angles to begin the search at: the given ones, the home posture turned towards the target, random ones."""
+    if near is not None:
+        yield arm.check(np.asarray(near, float)[None])[0]
+    home = np.array(gen3.HOME)
+    # joint 1 turns about -z of the base, see the table
+    home[0] = -np.arctan2(target[1, 3], target[0, 3])
+    yield home
+    for flip in ((1, -1), (3, -1), (5, -1)):  # the elbow or the wrist the other way
+        other = home.copy()
+        other[flip[0]] *= flip[1]
+        yield other
+    rng = np.random.default_rng(seed)
+    low, high = np.where(np.isfinite(arm.lower), arm.lower, -np.pi), np.where(np.isfinite(arm.upper), arm.upper, np.pi)
+    for _ in range(restarts):
+        yield rng.uniform(low, high)
+
+
+def _refined(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The path with steps of STRIDE and TURN at most (N, 4, 4) [m], and where in it each of ``poses`` (T,) stands."""
+    out, number = [poses[0]], [0]
+    for a, b in itertools.pairwise(poses):
+        turn = np.linalg.norm(rotation_vector(a[:3, :3].T @ b[:3, :3]))
+        n = max(1, int(np.ceil(max(np.linalg.norm(b[:3, 3] - a[:3, 3]) / STRIDE, turn / TURN) - 1e-9)))
+        for k in range(1, n):
+            step = np.eye(4)
+            step[:3, 3] = a[:3, 3] + k / n * (b[:3, 3] - a[:3, 3])
+            step[:3, :3] = between(a[:3, :3], b[:3, :3], k / n)
+            out.append(step)
+        out.append(b)
+        number.append(len(out) - 1)
+    return np.stack(out), np.array(number)
+
+
+def _checked(poses: np.ndarray) -> np.ndarray:
+    poses = np.ascontiguousarray(poses, float)
+    if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
+        raise ArmError(f"poses have the shape {poses.shape}; give (frames, 4, 4) in metres.")
+    turn = poses[:, :3, :3]
+    if not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or (np.linalg.det(turn) < 0).any():
+        raise ArmError("the poses hold a rotation that is none (its columns must be orthogonal unit vectors, right-handed) or a number that is not finite.")
+    return poses
+
+
+def _promise(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:
+    tool = arm.postures(q).tool
+    assert np.linalg.norm(tool[:, :3, 3] - poses[:, :3, 3], axis=1).max() <= LINE_POSITION
+    # |R - R'| in the Frobenius norm is sqrt(2) times a small angle
+    assert np.linalg.norm(tool[:, :3, :3] - poses[:, :3, :3], axis=(1, 2)).max() <= np.sqrt(2.0) * LINE_ANGLE
