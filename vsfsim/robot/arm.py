@@ -50,8 +50,10 @@ class Arm:
         ArmError: an unknown tool, the tool "punyo" without one, or a model that is no Gen3.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, *, punyo: bool = False, tool: str | None = None):
+    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False, tool: str | None = None):
         import mujoco
+
+        self.joints = joints or mjcf.JointFigures()
 
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
         if self.tool not in TOOLS:
@@ -165,11 +167,11 @@ def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None
     if name == "gen3":
         import mujoco
 
-        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), punyo=punyo, tool=tool)
+        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), joints=joints, punyo=punyo, tool=tool)
     if name == "menagerie":
         from vsfsim.robot.menagerie import menagerie_spec
 
-        return Arm(menagerie_spec(joints), punyo=punyo, tool=tool)
+        return Arm(menagerie_spec(joints), joints=joints, punyo=punyo, tool=tool)
     raise ArmError(f"unknown arm '{name}'. {did_you_mean(name, ARMS)}")
 
 

@@ -19,16 +19,24 @@ Seven = tuple[float, ...]
 class JointFigures:
     """What the joints resist a motion with; one value a joint (7,).
 
-    coulomb: friction torque [N m]. viscous: damping [N m s/rad]. armature: inertia of rotor and reducer, seen from the link [kg m^2].
+    coulomb: friction torque (7,) [N m]. viscous: damping (7,) [N m s/rad]. armature: inertia of rotor and reducer, seen from the link (7,) [kg m^2].
+    seen: share of the friction that the torque sensor sees, as a fraction: that of the bearings on the link's side of it [-].
 
     The maker publishes none of them. The defaults are the starting values of a public identification set-up for a Gen3 (FIGAROH:
     friction 3.5 and 1.5 N m, damping 2 N m s/rad, rotors of 0.4e-4 and 0.22e-4 kg m^2 behind a reducer of 100:1), large joints and small.
-    Published identifications spread over a factor of ten, so a study of friction should vary them.
+    Published identifications spread over a factor of ten, so a study of friction should vary them. ``seen`` is an assumption: the sensor
+    sits behind the reducer, so it sees little of the friction, but a real Gen3 reads another wrench going forth than going back
+    (Kinova-kortex2_Gen3_G3L, issue 145).
     """
 
     coulomb: Seven = (3.5,) * 4 + (1.5,) * 3
     viscous: Seven = (2.0,) * 7
     armature: Seven = (0.40,) * 4 + (0.22,) * 3
+    seen: float = 0.1
+
+    def seen_friction(self, rate: np.ndarray) -> np.ndarray:
+        """Friction torque (T, 7) [N m] that the sensors see at joint rates (T, 7) [rad/s]; 0 at rest, where it may be anything up to Coulomb's."""
+        return -self.seen * (np.array(self.coulomb) * np.sign(rate) + np.array(self.viscous) * rate)
 
 
 def arm_xml(joints: JointFigures | None = None, *, timestep: float = 1e-3) -> str:

@@ -1,0 +1,171 @@
+"""The dynamic arm: MuJoCo steps it under a joint controller while contact forces act on it, and its torque sensors are read.
+
+    M(q) q'' + c(q, q') + g(q) = motor + friction - armature q'' + J^T f
+    motor = stiffness (q_d - q) + damping (q_d' - q') + g + c           the controller, with the model's weight and Coriolis torques
+
+The sensor sits between reducer and link: it reads what goes through there, motor - armature q'' + (1 - seen) friction. Weight taken off, with
+the sign of the kinematic arm, the reading is
+
+    g(q) - sensor = J^T f - M q'' - c + seen friction
+
+so at rest it is the kinematic arm's J^T f, and what moves it away are inertia, friction, and that the arm gives way (q is not q_d).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.robot import gen3
+from vsfsim.robot.arm import Arm, ArmError
+from vsfsim.robot.mjcf import Seven
+
+Contact = Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]
+"""Time [s] and poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about their origins (K, 3) [N m]."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The joint controller. stiffness: (7,) [N m/rad]. damping: (7,) [N m s/rad]. settle: rest at the first posture before the readings begin [s]."""
+
+    stiffness: Seven
+    damping: Seven
+    settle: float = 0.5
+
+
+POSITION = Drive((2000.0,) * 4 + (500.0,) * 3, (100.0,) * 4 + (50.0,) * 3)
+"""Position control: the gains of MuJoCo Menagerie's `kinova_gen3`; the real ones are not published."""
+
+IMPEDANCE = Drive((200.0,) * 4 + (50.0,) * 3, (30.0,) * 4 + (15.0,) * 3)
+"""Joint impedance, ten times softer: an assumption. Friction holds such an arm up to 1 degree away from where it should be."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """What the arm did and read at T times.
+
+    times: [s] (T,). q: joint angles (T, 7) [rad]. rate: joint rates (T, 7) [rad/s]. acceleration: (T, 7) [rad/s^2].
+    motor: torques of the motors (T, 7) [N m]. torque: the reading, weight taken off, in the sense of J^T f (T, 7) [N m].
+    saturated: whether a motor stood at its limit at any step up to the frame (T,) bool.
+    """
+
+    times: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    motor: np.ndarray
+    torque: np.ndarray
+    saturated: np.ndarray
+
+
+def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None = None, *, drive: Drive = POSITION) -> Motion:
+    """Leads the arm along ``q`` (T, 7) [rad] at ``times`` (T,) [s], and reads its torques at each of them.
+
+    Between the times the wanted angles follow a cubic curve (Hermite, at rest at both ends); before the first the arm settles there,
+    under the contact of the first time.
+
+    Raises:
+        ArmError: shapes that do not fit, times that do not grow, or a state that is no longer finite (gains too high for the time step).
+    """
+    q, times = arm.check(q), np.asarray(times, float)
+    if times.shape != (len(q),) or len(q) < 2 or not (np.diff(times) > 0.0).all():
+        raise ArmError(f"times have the shape {times.shape} for {len(q)} postures; give one growing time [s] each, at least two.")
+    mj, model = arm._mujoco, arm.model
+    data = mj.MjData(model)
+    data.qpos[:] = q[0]
+    step, settle = model.opt.timestep, int(np.ceil(drive.settle / model.opt.timestep))
+    # readings fall on whole steps: at most half a step from the wanted time
+    read_at = settle + np.rint((times - times[0]) / step).astype(int)
+    if (np.diff(read_at) < 1).any():
+        raise ArmError(f"times are closer than the arm's time step of {step:g} s.")
+    wanted = _hermite(times - times[0], q)
+    kp, kd = np.array(drive.stiffness), np.array(drive.damping)
+    peak = np.array(gen3.PEAK_TORQUE)
+    capsules = _Capsules(arm)
+    rows: list[tuple[np.ndarray, ...]] = []
+    saturated = False
+    for n in range(read_at[-1] + 1):
+        time = max(0.0, (n - settle) * step)
+        mj.mj_step1(model, data)
+        angle, rate = wanted(time)
+        data.ctrl[:] = np.clip(kp * (angle - data.qpos) + kd * (rate - data.qvel) + data.qfrc_bias, -peak, peak)
+        saturated |= bool((np.abs(data.ctrl) >= peak).any())
+        if contact is not None:
+            poses = capsules.poses(data)
+            capsules.apply(data, poses, *contact(times[0] + time, poses))
+        before = data.qpos.copy(), data.qvel.copy()
+        mj.mj_step2(model, data)
+        if n == read_at[len(rows)]:
+            friction = data.qfrc_damper + _coulomb(mj, data)
+            sensor = data.qfrc_actuator - model.dof_armature * data.qacc + (1.0 - arm.joints.seen) * friction
+            rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated)))
+    angles, rates, accelerations, motor, sensor, full = (np.array(column) for column in zip(*rows, strict=True))
+    if not all(np.isfinite(a).all() for a in (angles, rates, sensor)):
+        raise ArmError("the simulated arm did not stay finite; its gains are too high for its time step, or the contact forces are.")
+    return Motion(times.copy(), angles, rates, accelerations, motor, arm.gravity_torque(angles) - sensor, full)
+
+
+def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:
+    """A contact whose forces and moments (T, K, 3) [N, N m] on the capsules are given at ``times`` (T,) [s], straight lines in between.
+
+    So the frames of the quasi-static solver drive the dynamic arm: the object does not feel that the arm gives way.
+    """
+    times, both = np.asarray(times, float), np.stack([force, moment]).astype(float)
+
+    def contact(time: float, _: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        k = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2))
+        share = np.clip((time - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
+        now = (1.0 - share) * both[:, k] + share * both[:, k + 1]
+        return now[0], now[1]
+
+    return contact
+
+
+class _Capsules:
+    """The capsules during a simulation: where they are, and their forces on MuJoCo's bodies."""
+
+    def __init__(self, arm: Arm):
+        self.bodies = arm._bodies[arm.capsule_links]
+        self.local = arm._capsule_poses
+        self.frames = np.tile(np.eye(4), (len(self.bodies), 1, 1))
+
+    def poses(self, data: object) -> np.ndarray:
+        out = self.frames
+        out[:, :3, :3], out[:, :3, 3] = data.xmat[self.bodies].reshape(-1, 3, 3), data.xpos[self.bodies]  # type: ignore[attr-defined]
+        return out @ self.local
+
+    def apply(self, data: object, poses: np.ndarray, force: np.ndarray, moment: np.ndarray) -> None:
+        # xfrc_applied is a force at the body's centre of mass and a torque about it
+        lever = poses[:, :3, 3] - data.xipos[self.bodies]  # type: ignore[attr-defined]
+        data.xfrc_applied[:] = 0.0  # type: ignore[attr-defined]
+        np.add.at(data.xfrc_applied, self.bodies, np.concatenate([force, moment + np.cross(lever, force)], axis=1))  # type: ignore[attr-defined]
+
+
+def _coulomb(mj: object, data: object) -> np.ndarray:
+    """Coulomb's friction torques (7,) [N m], which MuJoCo keeps among its constraints, apart from those of joint limits."""
+    out = np.zeros(gen3.JOINTS)
+    rows = data.efc_type == mj.mjtConstraint.mjCNSTR_FRICTION_DOF  # type: ignore[attr-defined]
+    out[data.efc_id[rows]] = data.efc_force[rows]  # type: ignore[attr-defined]
+    return out
+
+
+def _hermite(times: np.ndarray, q: np.ndarray) -> Callable[[float], tuple[np.ndarray, np.ndarray]]:
+    """Angle and rate at a time, on a cubic through ``q`` with the slopes of central differences, 0 at both ends."""
+    slope = np.gradient(q, times, axis=0) if len(q) > 2 else np.zeros_like(q)
+    slope[[0, -1]] = 0.0
+    # where neighbours stand still the arm does too: no overshoot at a hold
+    still = (np.diff(q, axis=0) == 0.0).all(axis=1)
+    slope[:-1][still] = slope[1:][still] = 0.0
+
+    def at(time: float) -> tuple[np.ndarray, np.ndarray]:
+        k = int(np.clip(np.searchsorted(times, time, side="right") - 1, 0, len(times) - 2))
+        h = times[k + 1] - times[k]
+        s = min(1.0, (time - times[k]) / h)
+        a, b, u, v = q[k], q[k + 1], h * slope[k], h * slope[k + 1]
+        angle = (1 + 2 * s) * (1 - s) ** 2 * a + s * (1 - s) ** 2 * u + s * s * (3 - 2 * s) * b + s * s * (s - 1) * v
+        rate = 6 * s * (s - 1) * (a - b) + (1 - s) * (1 - 3 * s) * u + s * (3 * s - 2) * v
+        return angle, rate / h
+
+    return at
