@@ -108,7 +108,8 @@ CAPSULES = (
     LinkCapsule("spherical_wrist_2_link", (0.0, 0.0, -0.010), (0.0, -0.035, -0.010), SMALL),
     LinkCapsule("spherical_wrist_2_link", (0.0, -0.060, -0.000175), (0.0, -0.0915, -0.000175), SMALL),
     LinkCapsule("bracelet_link", (0.0, 0.0, -0.0145), (0.0, 0.0, -0.0265), SMALL),
-    # the housing of the camera: 91 x 27 x 14 mm across the bracelet
+    # the housing of the camera, 91 x 27 x 14 mm across the bracelet, and the neck that carries it
+    LinkCapsule("bracelet_link", (0.0, -0.020, -0.0480), (0.0, -0.050, -0.0480), 0.0135),
     LinkCapsule("bracelet_link", (-0.032, -0.0608, -0.0495), (0.032, -0.0608, -0.0495), 0.0135),
 )
 
