@@ -52,7 +52,7 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
     end = time.perf_counter()
     there = body_torque(arm, motion.q, force, moment=moment)
     # the sign of a rate that is rounding says nothing: what is left over after J^T f and inertia is the friction, whatever it is at rest
-    inertial = _inertial(arm, motion)
+    inertial = inertial_torque(arm, motion)
     gap = motion.torque - kinematic
     away = arm.postures(motion.q).tool[:, :3, 3] - arm.postures(q).tool[:, :3, 3]
     return Difference(kinematic, motion.torque, _rms(gap), np.abs(gap).max(axis=0), float(np.abs(kinematic).max()), _rms(inertial),
@@ -60,7 +60,7 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
                       (middle - begin, end - middle))
 
 
-def _inertial(arm: Arm, motion: Motion) -> np.ndarray:
+def inertial_torque(arm: Arm, motion: Motion) -> np.ndarray:
     """-M q'' - c (T, 7) [N m], without the armatures, which are on the motor's side of the sensors."""
     mj, data = arm._mujoco, arm._mujoco.MjData(arm.model)
     out = np.empty_like(motion.q)

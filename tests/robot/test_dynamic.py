@@ -1,0 +1,177 @@
+"""The dynamic arm: its balance of torques, its slow limit, what speed and friction change, and the errors of its sensors."""
+
+import numpy as np
+import pytest
+
+from vsfsim.core.rotation import rotation_matrix
+from vsfsim.robot.arm import ArmError, load_arm
+from vsfsim.robot.arm_modes import difference, inertial_torque
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, series, simulate
+from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.mjcf import JointFigures
+from vsfsim.robot.reach import straight_touch
+from vsfsim.robot.torque_sensor import IDEAL, TorqueSensor, read
+
+FRAMES = 21
+
+
+def smooth(n):
+    """0 to 1 with no jump of speed (n, 1)."""
+    t = np.linspace(0.0, 1.0, n)[:, None]
+    return t**3 * (10 - 15 * t + 6 * t * t)
+
+
+@pytest.fixture(scope="module")
+def blind():
+    """An arm whose sensors see no friction."""
+    return load_arm(joints=JointFigures(seen=0.0))
+
+
+@pytest.fixture(scope="module")
+def touch(blind):
+    """6 cm with growing forces on forearm and wrist, slow at both ends: angles, forces, moments."""
+    fine = straight_touch(blind, [0.45, 0.05, 0.35], [0.51, 0.05, 0.35], rotation_matrix((0.0, np.pi / 2, 0.0)), frames=201)
+    q = fine[np.rint(200 * smooth(FRAMES)[:, 0]).astype(int)]
+    force, moment = np.zeros((2, FRAMES, len(blind.shapes), 3))
+    force[:, 9], force[:, 14], moment[:, 14] = smooth(FRAMES) * [-3, 1, 0], smooth(FRAMES) * [-8, 0, 2], smooth(FRAMES) * [0, 0.2, 0.1]
+    return q, force, moment
+
+
+@pytest.fixture(scope="module")
+def slow(blind, touch):
+    q, force, moment = touch
+    return difference(blind, q, np.linspace(0.0, 6.0, FRAMES), force, moment)
+
+
+def test_in_the_slow_limit_both_arms_read_the_same(slow):
+    """6 cm in 6 s: what is left is inertia and that the arm gives way by friction over stiffness. 2 % of the largest torque holds both."""
+    assert slow.scale > 1.5
+    assert slow.largest.max() < 0.02 * slow.scale
+    assert slow.tool < 2.5e-3, "3.5 N m of friction over 2000 N m/rad is 1.75 mrad, in two or three joints of an arm half a metre long"
+    assert not slow.motion.saturated.any()
+
+
+def test_the_difference_grows_with_speed_and_is_inertia(blind, touch, slow):
+    q, force, moment = touch
+    parts = [difference(blind, q, np.linspace(0.0, seconds, FRAMES), force, moment) for seconds in (2.0, 0.5)]
+    rms = [d.rms.max() for d in (slow, *parts)]
+    assert rms[0] < 0.2 * rms[1] < 0.05 * rms[2], "inertia goes with the square of the speed"
+    fast = parts[-1]
+    assert fast.rms.max() > 0.05 * fast.scale, "at 12 cm/s the two arms are visibly apart"
+    assert fast.inertia.max() == pytest.approx(fast.rms.max(), rel=0.05)
+    # readings fall on whole steps of the arm, here half a step off at most: the force has gone on by then
+    assert fast.friction.max() < 0.01
+
+
+def test_the_balance_of_torques_closes(blind, touch):
+    """Reading = J^T f - M q'' - c: with times on whole steps nothing is left over but rounding."""
+    q, force, moment = touch
+    d = difference(blind, q, np.arange(FRAMES) * 0.1, force, moment)
+    assert d.friction.max() < 1e-7
+    assert d.inertia.max() > 1e-3 and d.lag.max() > 1e-5, "there is something to close"
+
+
+def test_friction_shows_in_the_reading_by_the_share_that_is_seen(touch):
+    q, force, moment = touch
+    arm = load_arm(joints=JointFigures(seen=0.2))
+    times = np.linspace(0.0, 4.0, FRAMES)
+    d = difference(arm, q, times, force, moment)
+    middle = slice(7, 14)
+    moving = np.abs(d.motion.rate[middle]).min(axis=0) > 5e-3
+    assert moving.sum() >= 3
+    there = body_torque(arm, d.motion.q, force, moment=moment)
+    want = arm.joints.seen_friction(d.motion.rate)
+    # inertia is a few hundredths of a newton metre here, Coulomb's friction 0.7 of it
+    assert (d.dynamic - there)[middle][:, moving] == pytest.approx(want[middle][:, moving], abs=0.06)
+
+
+def test_a_soft_arm_gives_way_by_torque_over_stiffness():
+    """Held without friction against a force, every joint turns by J^T f over its stiffness."""
+    arm = load_arm(joints=JointFigures(coulomb=(0.0,) * 7))
+    q = np.tile(np.array([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]), (3, 1))
+    force, moment = np.zeros((2, 3, len(arm.shapes), 3))
+    force[:, 15] = [5.0, -3.0, 2.0]
+    soft = Drive(IMPEDANCE.stiffness, IMPEDANCE.damping, settle=3.0)
+    motion = simulate(arm, q, np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), force, moment), drive=soft)
+    torque = body_torque(arm, motion.q, force, moment=moment)
+    assert (motion.q - q)[-1] * soft.stiffness == pytest.approx(torque[-1], abs=1e-3)
+    assert motion.torque[-1] == pytest.approx(torque[-1], abs=1e-3) and np.abs(torque).max() > 1.0
+    stiff = simulate(arm, q, np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), force, moment), drive=POSITION)
+    assert np.abs(stiff.q - q).max() < 0.2 * np.abs(motion.q - q).max()
+
+
+def test_a_wall_that_feels_the_arm(blind, touch):
+    """Two-way contact: a spring between wall and wrist; force and reading belong to where the arm is, not to where it was sent."""
+    q, _, _ = touch
+    wall, stiffness, k = blind.body_poses(q)[-1, 14, 0, 3] - 0.01, 2000.0, 14
+
+    def contact(_, poses):
+        force, moment = np.zeros((2, len(poses), 3))
+        force[k, 0] = -stiffness * max(0.0, poses[k, 0, 3] - wall)
+        return force, moment
+
+    motion = simulate(blind, q, np.arange(FRAMES) * 0.2, contact, drive=IMPEDANCE)
+    force = np.zeros((FRAMES, len(blind.shapes), 3))
+    force[:, k, 0] = -stiffness * np.maximum(0.0, blind.body_poses(motion.q)[:, k, 0, 3] - wall)
+    at_rest = motion.torque - inertial_torque(blind, motion)
+    assert at_rest == pytest.approx(body_torque(blind, motion.q, force, moment=np.zeros_like(force)), abs=1e-6)
+    assert force.min() < -2.0 and np.abs(motion.q - q)[-1].max() > 1e-3
+
+
+def test_a_motor_at_its_limit_is_marked(blind, touch):
+    q, force, moment = touch
+    motion = simulate(blind, q[:3], np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), 100 * force[-3:], moment[-3:]))
+    assert motion.saturated.all()
+
+
+def test_what_cannot_be_run_is_refused(blind, touch):
+    q, _, _ = touch
+    with pytest.raises(ArmError, match="growing time"):
+        simulate(blind, q, np.zeros(FRAMES))
+    with pytest.raises(ArmError, match="closer than"):
+        simulate(blind, q, np.linspace(0.0, 1e-3, FRAMES))
+
+
+# ---- sensors
+
+
+@pytest.fixture(scope="module")
+def reading():
+    rng = np.random.default_rng(1)
+    return rng.normal(size=(4000, 7)), 10.0 * rng.normal(size=(4000, 7)), np.arange(4000) / 100.0
+
+
+def test_an_ideal_sensor_adds_nothing_and_a_seed_gives_its_bits(reading):
+    assert np.array_equal(read(*reading, 0, sensor=IDEAL), reading[0])
+    key = np.random.SeedSequence(5, spawn_key=(1, 2))
+    first = read(*reading, key)
+    assert np.array_equal(first, read(*reading, key)) and np.array_equal(first, read(*reading, np.random.SeedSequence(5, spawn_key=(1, 2))))
+    assert not np.array_equal(first, read(*reading, 6)) and np.array_equal(read(*reading, 6), read(*reading, 6))
+
+
+def test_every_error_has_its_size(reading):
+    torque, weight, times = reading
+    zero = (0.0,) * 7
+    noise = TorqueSensor((0.3,) * 7, zero, zero, 0.0, 0)
+    assert (read(*reading, 1, sensor=noise) - torque).std() == pytest.approx(0.3, rel=0.02)  # 28,000 draws: 0.4 %
+    walk = TorqueSensor(zero, zero, (0.2,) * 7, 0.0, 0)
+    many = np.stack([read(torque[:101], weight[:101], times[:101], s, sensor=walk) - torque[:101] for s in range(300)])
+    assert (many[:, 0] == 0.0).all() and many[:, 100].std() == pytest.approx(0.2, rel=0.06)  # after one second; 2,100 draws
+    assert many[:, 25].std() == pytest.approx(0.1, rel=0.06), "grows with the root of time"
+    still = TorqueSensor(zero, (0.5,) * 7, zero, 0.0, 0)
+    offsets = np.stack([read(torque[:3], weight[:3], times[:3], s, sensor=still) - torque[:3] for s in range(300)])
+    assert np.ptp(offsets, axis=1).max() < 1e-12 and offsets.std() == pytest.approx(0.5, rel=0.06)
+    heavy = TorqueSensor(zero, zero, zero, 0.05, 0)
+    share = (read(*reading, 2, sensor=heavy) - torque) / weight
+    assert np.ptp(share, axis=0).max() < 1e-9 and 0.01 < share.std() < 0.15
+
+
+def test_the_tare_takes_off_what_stands_still(reading):
+    torque, weight, times = (v[:50].copy() for v in reading)
+    torque[:10], weight[:] = 0.0, weight[0]
+    sensor = TorqueSensor((0.0,) * 7, (0.5,) * 7, (0.0,) * 7, 0.05, 10)
+    assert read(torque, weight, times, 3, sensor=sensor) == pytest.approx(torque, abs=1e-12)
+    with pytest.raises(ArmError, match="tare is 10"):
+        read(torque[:5], weight[:5], times[:5], 3, sensor=sensor)
+    with pytest.raises(ArmError, match="shapes"):
+        read(torque, weight[:, :6], times, 3)

@@ -1,0 +1,77 @@
+"""Menagerie's arm: an error that helps where it cannot be had, and the same arm as ours where it can.
+
+No test downloads. The model that the made-up package gives is ours in Menagerie's dress: servos, a key frame, meshes' contact, another site.
+"""
+
+import sys
+import types
+
+import mujoco
+import numpy as np
+import pytest
+
+from vsfsim.robot import gen3, mjcf
+from vsfsim.robot.arm import ArmError, load_arm
+from vsfsim.robot.dynamic import simulate
+
+
+def dressed():
+    spec = mujoco.MjSpec.from_string(mjcf.arm_xml())
+    for old in (*spec.actuators, *spec.sites):
+        spec.delete(old)
+    for geom in spec.geoms:
+        geom.contype = geom.conaffinity = 1
+    for j in range(7):
+        servo = spec.add_actuator(name=f"joint_{j + 1}", target=f"joint_{j + 1}", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        servo.set_to_position(kp=2000.0)
+    spec.body("bracelet_link").add_site(name="pinch_site")
+    spec.add_key(name="home", qpos=list(gen3.HOME), ctrl=list(gen3.HOME))
+    spec.option.timestep, spec.option.gravity = 0.002, [0, 0, -9.8]
+    return spec
+
+
+@pytest.fixture
+def package(monkeypatch):
+    made_up = types.ModuleType("mujoco_menagerie")
+    made_up.MenagerieError = type("MenagerieError", (Exception,), {})
+    made_up.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=lambda entry: dressed())
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", made_up)
+    return made_up
+
+
+def test_it_is_the_same_arm_as_ours(package):
+    q = np.random.default_rng(2).uniform(-2, 2, (5, 7))
+    theirs, ours = load_arm("menagerie", punyo=True), load_arm(punyo=True)
+    assert np.abs(theirs.body_poses(q) - ours.body_poses(q)).max() < 1e-12
+    assert np.abs(theirs.gravity_torque(q) - ours.gravity_torque(q)).max() < 1e-9
+    assert np.array_equal(theirs.lower, ours.lower) and theirs.shapes == ours.shapes
+    path = np.array([gen3.HOME, gen3.HOME]) + np.array([[0.0], [0.02]])
+    a, b = (simulate(arm, path, np.array([0.0, 0.2])) for arm in (theirs, ours))
+    assert a.torque == pytest.approx(b.torque, abs=1e-9) and a.q == pytest.approx(b.q, abs=1e-12)
+
+
+def test_friction_reaches_it(package):
+    figures = mjcf.JointFigures(coulomb=(1.0,) * 7, viscous=(3.0,) * 7, armature=(0.1,) * 7)
+    model = load_arm("menagerie", joints=figures).model
+    assert (model.dof_frictionloss == 1.0).all() and (model.dof_damping == 3.0).all() and (model.dof_armature == 0.1).all()
+
+
+def test_without_the_package_the_error_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
+    with pytest.raises(ArmError, match=r"pip install mujoco-menagerie.*or use the arm 'gen3'"):
+        load_arm("menagerie")
+
+
+def test_without_the_network_the_error_says_what_to_do(package):
+    def fail(entry):
+        raise package.MenagerieError("name or service not known")
+
+    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=fail)
+    with pytest.raises(ArmError, match=r"cannot be had: name or service not known.*github.com.*or use the arm 'gen3'"):
+        load_arm("menagerie")
+
+
+def test_another_model_is_refused(package):
+    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=lambda e: mujoco.MjSpec.from_string("<mujoco><worldbody><body name='a'/></worldbody></mujoco>"))
+    with pytest.raises(ArmError, match="not the Gen3 that we know: it has no base_link"):
+        load_arm("menagerie")

@@ -1,0 +1,108 @@
+"""Straight touches: met along the whole line, or refused with the reason."""
+
+import numpy as np
+import pytest
+
+from vsfsim.core.rotation import rotation_matrix, rotation_vector
+from vsfsim.robot import clearance
+from vsfsim.robot.arm import ArmError, load_arm
+from vsfsim.robot.gen3 import HOME
+from vsfsim.robot.inverse_kinematics import solve
+from vsfsim.robot.reach import Reason, Unreachable, follow, straight_touch
+
+FORWARD = rotation_matrix((0.0, np.pi / 2, 0.0))  # the flange looks along x
+START, STOP = np.array([0.45, 0.05, 0.35]), np.array([0.57, -0.02, 0.30])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return load_arm()
+
+
+def off(arm, q, start, stop, rotation):
+    """Largest distance [m] of the tool from the line, and angle [rad] from the orientation, over postures (T, 7)."""
+    tool = arm.postures(q).tool
+    along = (stop - start) / np.linalg.norm(stop - start)
+    away = tool[:, :3, 3] - start
+    away = np.linalg.norm(away - (away @ along)[:, None] * along, axis=1)
+    return away.max(), max(np.linalg.norm(rotation_vector(t[:3, :3] @ rotation.T)) for t in tool)
+
+
+@pytest.mark.parametrize("punyo", [False, True])
+def test_the_whole_line_is_met(punyo):
+    arm = load_arm(punyo=punyo)
+    home = arm.postures(np.array([HOME])).tool[0]  # there the dome looks down, along its way
+    start, turn = (home[:3, 3], home[:3, :3]) if punyo else (START, FORWARD)
+    stop = start + 0.1 * turn[:, 2] if punyo else STOP
+    q = straight_touch(arm, start, stop, turn, frames=60)
+    tool = arm.postures(q).tool
+    want = start + np.linspace(0, 1, 60)[:, None] * (stop - start)
+    assert np.linalg.norm(tool[:, :3, 3] - want, axis=1).max() < 1e-5
+    assert max(np.linalg.norm(rotation_vector(t[:3, :3] @ turn.T)) for t in tool) < 1e-4
+    # 2.4 mm between the frames: joints that turn evenly leave the line by h^2 / 8 R, microns
+    between = (q[1:] + q[:-1]) / 2
+    assert all(a < b for a, b in zip(off(arm, between, start, stop, turn), (1e-5, 1e-4), strict=True))
+    assert np.abs(np.diff(q, axis=0)).max() < 0.05
+    assert (q >= arm.lower).all() and (q <= arm.upper).all()
+    at = arm.postures(q)
+    assert clearance.self_gaps(arm, at)[0].min() >= 0.005 and clearance.table_gaps(arm, at, 0.0)[0].min() >= 0.005
+    assert np.array_equal(q, straight_touch(arm, start, stop, turn, frames=60)), "the same bits again"
+
+
+def test_every_pose_that_the_arm_can_take_is_found(arm):
+    """Poses made from random joint angles can be had; one start of five is enough for each."""
+    rng = np.random.default_rng(11)
+    low, high = np.where(np.isfinite(arm.lower), arm.lower, -np.pi), np.where(np.isfinite(arm.upper), arm.upper, np.pi)
+    for _ in range(60):
+        target, _ = arm.tool_jacobian(rng.uniform(low, high))
+        tries = [solve(arm, target, rng.uniform(low, high)) for _ in range(5)]
+        best = min(tries, key=lambda s: s.position + s.angle)
+        assert best.found
+        pose, _ = arm.tool_jacobian(best.q)
+        assert np.abs(pose - target).max() < 2e-6
+        assert (best.q >= arm.lower).all() and (best.q <= arm.upper).all()
+
+
+@pytest.mark.parametrize(("start", "stop", "turn", "limits", "reason"), [
+    ([0.7, 0.0, 0.4], [1.2, 0.0, 0.4], FORWARD, {}, Reason.TOO_FAR),
+    ([2.0, 0.0, 0.4], [2.1, 0.0, 0.4], FORWARD, {}, Reason.TOO_FAR),
+    ([0.5, 0.0, 0.2], [0.5, 0.0, -0.1], FORWARD, {}, Reason.TABLE),
+    ([0.5, 0.0, 0.3], [0.5, 0.0, 0.25], FORWARD, {"table": 0.26}, Reason.TABLE),
+    ([0.4, 0.0, 0.10], [0.0, 0.0, 0.10], rotation_matrix((0.0, -np.pi / 2, 0.0)), {"table": None}, Reason.SELF_COLLISION),
+    ([0.35, 0.0, 0.3], [0.18, 0.0, 0.3], FORWARD, {}, Reason.LIMITS),
+])
+def test_what_cannot_be_had_is_refused_with_its_reason(arm, start, stop, turn, limits, reason):
+    with pytest.raises(Unreachable, match="cannot be made") as error:
+        straight_touch(arm, start, stop, turn, frames=20, **limits)
+    assert error.value.reason is reason and reason.value in str(error.value)
+    assert 0.0 <= error.value.progress < 1.0
+
+
+def test_how_far_it_came_is_where_the_arm_ends(arm):
+    """Straight ahead at the height of joint 2 the wrist's reach ends the line: the flange gets to 0.902 m there, less the bends of the links."""
+    with pytest.raises(Unreachable) as error:
+        straight_touch(arm, [0.6, 0.0, 0.2848], [1.1, 0.0, 0.2848], FORWARD, frames=11)
+    assert 0.6 + 0.5 * error.value.progress == pytest.approx(0.9025, abs=0.006), "to a step of 5 mm"
+
+
+def test_the_way_back_takes_the_angles_of_the_way_in(arm):
+    forth = np.tile(np.eye(4), (12, 1, 1))
+    forth[:, :3, :3] = FORWARD
+    forth[:, :3, 3] = START + np.linspace(0, 1, 12)[:, None] * (STOP - START)
+    q = follow(arm, np.concatenate([forth[:1], forth, forth[::-1]]))
+    assert np.array_equal(q[1:13], q[:12:-1]) and np.array_equal(q[0], q[1])
+
+
+def test_the_given_posture_is_kept_near(arm):
+    q = straight_touch(arm, START, STOP, FORWARD, frames=10)
+    other = q[0] + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.0])
+    near = straight_touch(arm, START, STOP, FORWARD, frames=10, near=other)
+    assert np.abs(near[0] - other).max() < 0.6 and np.abs(near[0] - q[0]).max() > 1e-3
+
+
+@pytest.mark.parametrize("poses", [np.zeros((0, 4, 4)), np.eye(4), np.full((2, 4, 4), np.nan), np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1))])
+def test_poses_that_are_none_are_refused(arm, poses):
+    with pytest.raises(ArmError, match="poses"):
+        follow(arm, poses)
+    with pytest.raises(ArmError, match="two ends"):
+        straight_touch(arm, START, STOP, FORWARD, frames=1)
