@@ -155,7 +155,18 @@ def test_the_punyo_weighs_on_the_joints():
     assert (carrying.gravity_torque(q) - plain.gravity_torque(q))[0] == pytest.approx(want, abs=1e-9)
 
 
+def test_a_base_elsewhere_carries_everything_along(angles):
+    base = transform((0.3, -0.5, 0.2), (0.9, 0.0, 0.0, 0.4))
+    here, there = load_arm(), load_arm(base=base)
+    assert np.abs(there.body_poses(angles) - base @ here.body_poses(angles)).max() < 1e-12
+    assert np.abs(there.postures(angles).tool - base @ here.postures(angles).tool).max() < 1e-12
+    assert np.abs(there.gravity_torque(angles) - here.gravity_torque(angles)).max() < 1e-9, "turned about the vertical it weighs the same"
+    wall = load_arm(base=transform((0, 0, 1), (1, 1, 0, 0)))
+    assert np.abs(wall.gravity_torque(angles[1:2])[0, 0]) > 1.0 > np.abs(here.gravity_torque(angles[1:2])[0, 0]), "on a wall joint 1 carries weight"
+
+
 @pytest.mark.parametrize(("call", "said"), [
+    (lambda a: load_arm(base=np.diag([1.0, 1.0, -1.0, 1.0])), "base is"),
     (lambda a: load_arm("gen4"), "Did you mean 'gen3'"),
     (lambda a: load_arm(tool="hand"), "unknown tool 'hand'"),
     (lambda a: load_arm(tool="punyo"), "punyo=True"),

@@ -93,6 +93,14 @@ def test_the_way_back_takes_the_angles_of_the_way_in(arm):
     assert np.array_equal(q[1:13], q[:12:-1]) and np.array_equal(q[0], q[1])
 
 
+def test_a_base_elsewhere_makes_the_same_touch(arm):
+    base = np.eye(4)
+    base[:3, :3], base[:3, 3] = rotation_matrix((0.0, 0.0, 2.0)), [-0.4, 0.3, 0.0]
+    there = load_arm(base=base)
+    q = straight_touch(there, base[:3, :3] @ START + base[:3, 3], base[:3, :3] @ STOP + base[:3, 3], base[:3, :3] @ FORWARD, frames=10)
+    assert q == pytest.approx(straight_touch(arm, START, STOP, FORWARD, frames=10), abs=1e-5)
+
+
 def test_the_given_posture_is_kept_near(arm):
     q = straight_touch(arm, START, STOP, FORWARD, frames=10)
     other = q[0] + np.array([0.3, -0.2, 0.4, 0.1, -0.3, 0.2, 0.0])

@@ -27,7 +27,7 @@ class ArmError(VsfsimError):
 
 @dataclass(frozen=True)
 class Postures:
-    """The arm at T sets of joint angles, in the frame of its base.
+    """The arm at T sets of joint angles, in the world.
 
     links: poses of the bodies of the chain, the base first (T, L, 4, 4) [m]. tool: pose of the tool (T, 4, 4) [m].
     anchors: a point on each joint's axis (T, 7, 3) [m]. axes: unit direction of each joint's axis (T, 7, 3) [-].
@@ -40,17 +40,18 @@ class Postures:
 
 
 class Arm:
-    """A Kinova Gen3 on its base at the origin, z up.
+    """A Kinova Gen3. Everything is in the world's frame, whose z is up.
 
-    model: MuJoCo's model. punyo: whether it carries one. tool: "flange" or "punyo", what `Postures.tool` follows (the flange with its z
+    base: pose of its base in the world (4, 4) [m]. model: MuJoCo's model. punyo: whether it carries one. tool: "flange" or "punyo", what `Postures.tool` follows (the flange with its z
     outwards, or the apex of the dome with its z along the dome's axis). links: names of the bodies of the chain. capsules: K of them.
     shapes: theirs (K,), as the solver takes them. lower, upper: joint limits (7,) [rad], infinite for a continuous joint.
 
     Raises:
-        ArmError: an unknown tool, the tool "punyo" without one, or a model that is no Gen3.
+        ArmError: an unknown tool, the tool "punyo" without one, a base that is no pose, or a model that is no Gen3.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False, tool: str | None = None):
+    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False, tool: str | None = None,
+                 base: np.ndarray | None = None):
         import mujoco
 
         self.joints = joints or mjcf.JointFigures()
@@ -62,6 +63,10 @@ class Arm:
             raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the tool 'flange'.")
         if punyo:
             mjcf.add_punyo(spec)
+        self.base = _checked_base(base)
+        root = spec.body(gen3.LINKS[0].name)
+        if root is not None:  # else the model is no Gen3, and the look for its bodies says so
+            root.pos, root.quat = self.base[:3, 3], mjcf.quaternion(self.base[:3, :3])
         self._mujoco, self.model = mujoco, spec.compile()
         self._data = mujoco.MjData(self.model)
         self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
@@ -154,12 +159,14 @@ class Arm:
         return q
 
 
-def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None, joints: mjcf.JointFigures | None = None) -> Arm:
+def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None,
+             joints: mjcf.JointFigures | None = None) -> Arm:
     """An arm by name.
 
     Args:
         name: "gen3", our own model, or "menagerie": MuJoCo Menagerie's with its meshes, which the package `mujoco-menagerie` downloads.
-        punyo: with a Punyo on its flange. tool: see `Arm`. joints: friction, damping and armature of the joints.
+        punyo: with a Punyo on its flange. tool: see `Arm`.
+        base: pose of its base in the world (4, 4) [m], at the origin by default; a scene's object has its own base there. joints: friction, damping and armature of the joints.
 
     Raises:
         ArmError: an unknown name, or Menagerie's model cannot be had.
@@ -167,12 +174,21 @@ def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None
     if name == "gen3":
         import mujoco
 
-        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), joints=joints, punyo=punyo, tool=tool)
+        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), joints=joints, punyo=punyo, tool=tool, base=base)
     if name == "menagerie":
         from vsfsim.robot.menagerie import menagerie_spec
 
-        return Arm(menagerie_spec(joints), joints=joints, punyo=punyo, tool=tool)
+        return Arm(menagerie_spec(joints), joints=joints, punyo=punyo, tool=tool, base=base)
     raise ArmError(f"unknown arm '{name}'. {did_you_mean(name, ARMS)}")
+
+
+def _checked_base(base: np.ndarray | None) -> np.ndarray:
+    if base is None:
+        return np.eye(4)
+    base = np.asarray(base, float)
+    if base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(base[:3, :3] @ base[:3, :3].T - np.eye(3)).max() > 1e-9 or np.linalg.det(base[:3, :3]) < 0:
+        raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a position in metres.")
+    return base
 
 
 def _capsule_pose(capsule: gen3.LinkCapsule) -> np.ndarray:

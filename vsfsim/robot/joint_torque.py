@@ -20,9 +20,9 @@ def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, momen
 
     Args:
         at: postures, or joint angles (T, 7) [rad].
-        force: on each capsule (T, K, 3) [N], in the base's frame.
+        force: on each capsule (T, K, 3) [N], in the world.
         moment: on each (T, K, 3) [N m], about the ``point``s; None: the forces act through them.
-        point: (T, K, 3) [m], in the base's frame; None: the capsules' origins, their centres.
+        point: (T, K, 3) [m], in the world; None: the capsules' origins, their centres.
 
     Raises:
         ArmError: neither moment nor point is given (a force alone does not say what it turns), or a shape that does not fit.
@@ -43,7 +43,7 @@ def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points:
     Args:
         at: postures, or joint angles (T, 7) [rad].
         links: number in ``arm.links`` of the body that each contact is on (T, n) or (n,); negative: none, its row is 0.
-        points: where (T, n, 3) [m]. vectors: forces on the arm (T, n, 3) [N], or displacements [m]; both in the base's frame.
+        points: where (T, n, 3) [m]. vectors: forces on the arm (T, n, 3) [N], or displacements [m]; both in the world.
     """
     at = _postures(arm, at)
     points = np.asarray(points, float)

@@ -81,7 +81,7 @@ def add_punyo(spec: mujoco.MjSpec) -> None:
 
     flange = _pose(gen3.FLANGE_POSITION, _rotation(gen3.FLANGE_QUATERNION))
     pose = flange @ _pose(gen3.PUNYO_POSITION, np.array(gen3.PUNYO_ROTATION))
-    body = spec.body(gen3.FLANGE_LINK).add_body(name="punyo", pos=pose[:3, 3], quat=_quaternion(pose[:3, :3]), mass=gen3.PUNYO_MASS,
+    body = spec.body(gen3.FLANGE_LINK).add_body(name="punyo", pos=pose[:3, 3], quat=quaternion(pose[:3, :3]), mass=gen3.PUNYO_MASS,
                                                 ipos=gen3.PUNYO_COM, inertia=gen3.PUNYO_INERTIA, explicitinertial=True)
     for i, c in enumerate(gen3.PUNYO_CAPSULES):
         body.add_geom(name=f"punyo_{i}", type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*c.start, *c.stop], size=[c.radius, 0.0, 0.0],
@@ -90,7 +90,7 @@ def add_punyo(spec: mujoco.MjSpec) -> None:
     x = np.array(gen3.PUNYO_LONG_AXIS) - z * (z @ np.array(gen3.PUNYO_LONG_AXIS))
     x /= np.linalg.norm(x)
     apex = np.array(gen3.PUNYO_RIM_CENTRE) + 0.0305 * z
-    body.add_site(name="punyo", pos=apex, quat=_quaternion(np.stack([x, np.cross(z, x), z], axis=1)))
+    body.add_site(name="punyo", pos=apex, quat=quaternion(np.stack([x, np.cross(z, x), z], axis=1)))
 
 
 def _q(value: Any) -> str:
@@ -112,7 +112,8 @@ def _rotation(quaternion: gen3.Quaternion) -> np.ndarray:
     return out.reshape(3, 3)
 
 
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """w x y z (4,) of a rotation (3, 3), of the nearest one if it is rounded."""
     import mujoco
 
     # the published rows are orthogonal to five digits only

@@ -52,13 +52,13 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
 
 def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0, self_clearance: float = 0.005,
            table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
-    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the base's frame, one after the other.
+    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the other.
 
     Every pose is met to 1e-5 m and 1e-4 rad; between two poses the tool is led in steps of 5 mm and 0.05 rad at most, so that the joints
     move without a jump and obstacles between them are seen. A pose that comes again gets the same angles again.
 
     Args:
-        near: joint angles (7,) [rad] to begin the search at. table: height of the table [m], None for none; base and shoulder may stand on it.
+        near: joint angles (7,) [rad] to begin the search at. table: height of the table in the world [m], None for none; base and shoulder may stand on it.
         self_clearance, table_clearance: least gap [m] between links that are no neighbours, and above the table.
         restarts: random postures that the search begins at, besides a few that face the target. seed: of these.
 
@@ -139,7 +139,8 @@ def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts:
         yield arm.check(np.asarray(near, float)[None])[0]
     home = np.array(gen3.HOME)
     # joint 1 turns about -z of the base, see the table
-    home[0] = -np.arctan2(target[1, 3], target[0, 3])
+    x, y, _ = arm.base[:3, :3].T @ (target[:3, 3] - arm.base[:3, 3])
+    home[0] = -np.arctan2(y, x)
     yield home
     for flip in ((1, -1), (3, -1), (5, -1)):  # the elbow or the wrist the other way
         other = home.copy()
