@@ -44,7 +44,9 @@ class Arm:
 
     base: pose of its base in the world (4, 4) [m]. model: MuJoCo's model. punyo: whether it carries one. tool: "flange" or "punyo", what `Postures.tool` follows (the flange with its z
     outwards, or the apex of the dome with its z along the dome's axis). links: names of the bodies of the chain. capsules: K of them.
-    shapes: theirs (K,), as the solver takes them. lower, upper: joint limits (7,) [rad], infinite for a continuous joint.
+    shapes: theirs (K,), as the solver takes them.
+    capsule_links: number in ``links`` of the body that each is fixed to (K,). capsule_offsets: their poses in its frame (K, 4, 4) [m].
+    body_ids: of the links in MuJoCo's model. reach: longest distance from joint 2 to the tool [m]. lower, upper: joint limits (7,) [rad], infinite for a continuous joint.
 
     Raises:
         ArmError: an unknown tool, the tool "punyo" without one, a base that is no pose, or a model that is no Gen3.
@@ -70,7 +72,7 @@ class Arm:
         self._mujoco, self.model = mujoco, spec.compile()
         self._data = mujoco.MjData(self.model)
         self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
-        self._bodies = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
+        self.body_ids = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
         self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
         if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
             raise ArmError(f"the model has {self.model.nq} joint coordinates; a Gen3 arm has {gen3.JOINTS}.")
@@ -80,7 +82,7 @@ class Arm:
         self.capsules = gen3.CAPSULES + (gen3.PUNYO_CAPSULES if punyo else ())
         self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))) for c in self.capsules)
         self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
-        self._capsule_poses = np.stack([_capsule_pose(c) for c in self.capsules])
+        self.capsule_offsets = np.stack([_capsule_pose(c) for c in self.capsules])
         self.reach = self._reach()
 
     def _id(self, kind: int, name: str) -> int:
@@ -108,8 +110,8 @@ class Arm:
         for t, angles in enumerate(q):
             data.qpos[:] = angles
             self._mujoco.mj_kinematics(self.model, data)
-            links[t, :, :3, 3] = data.xpos[self._bodies]
-            links[t, :, :3, :3] = data.xmat[self._bodies].reshape(-1, 3, 3)
+            links[t, :, :3, 3] = data.xpos[self.body_ids]
+            links[t, :, :3, :3] = data.xmat[self.body_ids].reshape(-1, 3, 3)
             tool[t, :3, 3], tool[t, :3, :3] = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
             anchors[t], axes[t] = data.xanchor, data.xaxis
         return Postures(links, tool, anchors, axes)
@@ -130,7 +132,7 @@ class Arm:
 
     def capsule_poses(self, at: Postures) -> np.ndarray:
         """As `body_poses`, of postures at hand."""
-        return at.links[:, self.capsule_links] @ self._capsule_poses
+        return at.links[:, self.capsule_links] @ self.capsule_offsets
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
         """Torques (T, 7) [N m] that the motors need to hold the arm against its weight at ``q`` (T, 7) [rad]."""

@@ -62,7 +62,9 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
 
 def inertial_torque(arm: Arm, motion: Motion) -> np.ndarray:
     """-M q'' - c (T, 7) [N m], without the armatures, which are on the motor's side of the sensors."""
-    mj, data = arm._mujoco, arm._mujoco.MjData(arm.model)
+    import mujoco as mj
+
+    data = mj.MjData(arm.model)
     out = np.empty_like(motion.q)
     for t in range(len(out)):
         data.qpos[:], data.qvel[:], data.qacc[:] = motion.q[t], motion.rate[t], motion.acceleration[t]

@@ -15,12 +15,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.mjcf import Seven
+
+if TYPE_CHECKING:
+    import mujoco
 
 Contact = Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]
 """Time [s] and poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about their origins (K, 3) [N m]."""
@@ -72,7 +76,9 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
     q, times = arm.check(q), np.asarray(times, float)
     if times.shape != (len(q),) or len(q) < 2 or not (np.diff(times) > 0.0).all():
         raise ArmError(f"times have the shape {times.shape} for {len(q)} postures; give one growing time [s] each, at least two.")
-    mj, model = arm._mujoco, arm.model
+    import mujoco as mj
+
+    model = arm.model
     data = mj.MjData(model)
     data.qpos[:] = q[0]
     step, settle = model.opt.timestep, int(np.ceil(drive.settle / model.opt.timestep))
@@ -98,7 +104,7 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
         before = data.qpos.copy(), data.qvel.copy()
         mj.mj_step2(model, data)
         if n == read_at[len(rows)]:
-            friction = data.qfrc_damper + _coulomb(mj, data)
+            friction = data.qfrc_damper + _coulomb(data)
             sensor = data.qfrc_actuator - model.dof_armature * data.qacc + (1.0 - arm.joints.seen) * friction
             rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated)))
     angles, rates, accelerations, motor, sensor, full = (np.array(column) for column in zip(*rows, strict=True))
@@ -127,27 +133,29 @@ class _Capsules:
     """The capsules during a simulation: where they are, and their forces on MuJoCo's bodies."""
 
     def __init__(self, arm: Arm):
-        self.bodies = arm._bodies[arm.capsule_links]
-        self.local = arm._capsule_poses
+        self.bodies = arm.body_ids[arm.capsule_links]
+        self.local = arm.capsule_offsets
         self.frames = np.tile(np.eye(4), (len(self.bodies), 1, 1))
 
-    def poses(self, data: object) -> np.ndarray:
+    def poses(self, data: mujoco.MjData) -> np.ndarray:
         out = self.frames
-        out[:, :3, :3], out[:, :3, 3] = data.xmat[self.bodies].reshape(-1, 3, 3), data.xpos[self.bodies]  # type: ignore[attr-defined]
+        out[:, :3, :3], out[:, :3, 3] = data.xmat[self.bodies].reshape(-1, 3, 3), data.xpos[self.bodies]
         return out @ self.local
 
-    def apply(self, data: object, poses: np.ndarray, force: np.ndarray, moment: np.ndarray) -> None:
+    def apply(self, data: mujoco.MjData, poses: np.ndarray, force: np.ndarray, moment: np.ndarray) -> None:
         # xfrc_applied is a force at the body's centre of mass and a torque about it
-        lever = poses[:, :3, 3] - data.xipos[self.bodies]  # type: ignore[attr-defined]
-        data.xfrc_applied[:] = 0.0  # type: ignore[attr-defined]
-        np.add.at(data.xfrc_applied, self.bodies, np.concatenate([force, moment + np.cross(lever, force)], axis=1))  # type: ignore[attr-defined]
+        lever = poses[:, :3, 3] - data.xipos[self.bodies]
+        data.xfrc_applied[:] = 0.0
+        np.add.at(data.xfrc_applied, self.bodies, np.concatenate([force, moment + np.cross(lever, force)], axis=1))
 
 
-def _coulomb(mj: object, data: object) -> np.ndarray:
+def _coulomb(data: mujoco.MjData) -> np.ndarray:
     """Coulomb's friction torques (7,) [N m], which MuJoCo keeps among its constraints, apart from those of joint limits."""
+    import mujoco as mj
+
     out = np.zeros(gen3.JOINTS)
-    rows = data.efc_type == mj.mjtConstraint.mjCNSTR_FRICTION_DOF  # type: ignore[attr-defined]
-    out[data.efc_id[rows]] = data.efc_force[rows]  # type: ignore[attr-defined]
+    rows = data.efc_type == mj.mjtConstraint.mjCNSTR_FRICTION_DOF
+    out[data.efc_id[rows]] = data.efc_force[rows]
     return out
 
 
