@@ -78,6 +78,22 @@ def test_what_cannot_be_had_is_refused_with_its_reason(arm, start, stop, turn, l
     assert 0.0 <= error.value.progress < 1.0
 
 
+def test_no_path_jumps_from_one_posture_to_another(arm):
+    """Long lines from random poses pass singular postures; what is returned moves every joint by 0.25 rad at most in a step of 5 mm."""
+    rng, met = np.random.default_rng(0), []
+    low, high = np.where(np.isfinite(arm.lower), arm.lower, -np.pi), np.where(np.isfinite(arm.upper), arm.upper, np.pi)
+    for _ in range(12):
+        poses = np.tile(arm.tool_jacobian(rng.uniform(low, high))[0], (81, 1, 1))
+        way = rng.normal(size=3)
+        poses[:, :3, 3] += np.linspace(0.0, 0.4, 81)[:, None] * way / np.linalg.norm(way)
+        try:
+            q = follow(arm, poses, table=None, restarts=3)
+        except Unreachable:
+            continue
+        met.append(np.abs(np.diff(q, axis=0)).max())
+    assert len(met) >= 4 and max(met) <= 0.25
+
+
 def test_how_far_it_came_is_where_the_arm_ends(arm):
     """Straight ahead at the height of joint 2 the wrist's reach ends the line: the flange gets to 0.902 m there, less the bends of the links."""
     with pytest.raises(Unreachable) as error:
