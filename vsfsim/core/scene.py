@@ -28,7 +28,7 @@ from vsfsim.core.shape import (
 )
 
 TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
-NEEDS = ("normal-force", "bulging", "large-deformation", "appearance")
+NEEDS = ("appearance", "contact", "coupling", "normal-force", "bulging", "large-deformation")
 _DISTRIBUTIONS = ("uniform", "loguniform", "choice")
 
 

@@ -96,7 +96,7 @@ def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precisi
     first = poses[0].copy()
     first[:3, 3] = start
     inside = overlap(model, scene.probe, first, str(scene.source))
-    compile_kernels(solver_kernels(precision), device, progress=progress)
+    compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
     gap = first_contact(model, np.stack([first, poses[scene.press.frames - 1]]), scene.probe)
     solver = Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(chosen),
                     linear=not tiers.TIERS[chosen].nonlinear)

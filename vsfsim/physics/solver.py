@@ -54,6 +54,7 @@ class Solver:
         self.device, self.precision, self.linear = device, precision, linear
         self.real = wp.float64 if precision == "float64" else wp.float32
         self.elasticity = Elasticity(model, device=device, real=self.real)
+        self._grounding = model.grounding()
         weight = np.abs(model.load).sum()
         # forces under this are zero: a billionth of the softest modulus on one element face
         self._floor = max(1e-9 * float(model.young_modulus.min()) * model.element_size**2, 1e-6 * weight)
@@ -377,6 +378,8 @@ class Solver:
         shape3 = (-1, 3, len(columns))
         on_body = state["contact"].reshape(shape3).sum(axis=0).T
         held = ((state["internal"] - self.model.load[:, None] - state["contact"]) * (1.0 - self.model.free[:, None])).reshape(shape3).sum(axis=0).T
+        # anchors tie the body to the ground: what they pull is a reaction of the supports
+        held = held - (self._grounding[:, None] * self._u()[:, columns]).reshape(shape3).sum(axis=0).T
         weight = self.model.load.reshape(-1, 3).sum(axis=0)
         unbalanced = np.linalg.norm(held + on_body + weight, axis=1)
         largest = np.maximum(np.maximum(np.linalg.norm(held, axis=1), np.linalg.norm(on_body, axis=1)), self._floor)
