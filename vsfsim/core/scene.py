@@ -28,7 +28,7 @@ from vsfsim.core.shape import (
 )
 
 TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
-NEEDS = ("appearance", "contact", "coupling", "normal-force", "bulging", "large-deformation")
+NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 _DISTRIBUTIONS = ("uniform", "loguniform", "choice")
 
 

@@ -51,7 +51,7 @@ def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.n
         volume: (m,) [m^3]. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa]. pointwise: how much of lambda acts at the Gauss points, in units of mu.
     """
     local = np.minimum(lam, pointwise * mu)
-    over = lam - local
+    over = np.where(lam - local > 1e-9 * lam, lam - local, 0.0)  # not what rounding leaves
     mean = np.where((over > 0.0).all(axis=1), 4.0 / (1.0 / np.maximum(over, 1e-300)).sum(axis=1), 0.0)
     return Block("tet10", np.asarray(nodes, np.int32), {
         "gradients": gradients, "volume": volume, "mu": mu, "lam": local, "mean_lam": mean})
