@@ -1,6 +1,5 @@
 """The solver against closed forms: homogeneous states, layers, beams, order of convergence, symmetry."""
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from scipy.optimize import brentq
 
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.solver import Solver, SolverOptions
 
 TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
@@ -18,7 +16,7 @@ TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
 def rollers(model, held):
     """The same body held in single directions: mask (n, 3)."""
     free = np.where(held, 0.0, 1.0).ravel()
-    return dataclasses.replace(model, free=free, factor=RestFactor(model.factor.stiffness, free, model.mesh.surface_nodes()))
+    return model.hold(free)
 
 
 def walls(model, *, all_sides):

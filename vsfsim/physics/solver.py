@@ -59,6 +59,7 @@ class Solver:
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
         self.device, self.precision, self.linear = device, precision, linear
         self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
+        self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         weight = np.abs(model.load).sum()
         # forces under this are zero: a billionth of the softest modulus on one element face
         self._floor = max(1e-9 * float(model.young_modulus.min()) * model.element_size**2, 1e-6 * weight)
@@ -296,7 +297,9 @@ class Solver:
         batch = len(every)
         contact, internal = state["contact"], state["internal"]
         on_object = contact.view(-1, 3, batch).sum(dim=0).T
-        held = ((internal - balance.load - contact) * (1.0 - balance.free)).view(-1, 3, batch).sum(dim=0).T
+        held = (internal - balance.load - contact) * (1.0 - balance.free)
+        # anchors tie the object to the ground: what they pull is a reaction of the supports
+        held = (held - self._grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
         weight = balance.load.view(-1, 3).sum(dim=0)
         unbalanced = (held + on_object + weight).norm(dim=1)
         largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)
