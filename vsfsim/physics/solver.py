@@ -87,7 +87,7 @@ class Solver:
     def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
-        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device)
+        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
         self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
         every = self._balance.every
         previous = path.outside(self.bodies, self.model, poses[0])

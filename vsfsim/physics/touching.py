@@ -29,10 +29,12 @@ class Touching:
     Args:
         model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,) [-].
         poses: bodies to world (T, B, K, 4, 4), to find what is in reach. device: Warp device.
+        exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
-    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str):
-        self.model, self.bodies, self.device = model, bodies, device
+    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
+                 exact: bool = True):
+        self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
         self.kernels = contact.kernels()
         self.rubs = bool((friction > 0.0).any())
         self.stick = contact.STICK
@@ -115,7 +117,7 @@ class Touching:
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
             "softening": wp.from_torch(self.softening),
         }
-        self.response: Response = response(self.model.factor, self.dof, device=self.device)
+        self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
         self.compliance = self.response.compliance()
 
     # ------------------------------------------------------------------------------------------ poses and history
