@@ -21,7 +21,7 @@ S1_CURVE = np.array([0.281, 0.803, 1.489, 2.332, 3.314, 4.383, 5.574, 6.865, 8.2
 
 def run(name, tier, device, frames=10):
     scene = load_scene(find_scene(name)).sample(0)
-    scene = dataclasses.replace(scene, press=dataclasses.replace(scene.press, frames=frames))
+    scene = dataclasses.replace(scene, press=dataclasses.replace(scene.press, frames=(frames,)))
     result = press(scene, tier=tier, device=device)
     assert result.converged.all()
     # the probe's force is what the supports give back; the solver's tolerance bounds the difference
