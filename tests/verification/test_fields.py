@@ -86,8 +86,8 @@ def solve(model, line, device):
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
 def test_patch_test_of_a_large_affine_field_on_a_distorted_mesh(line, device, nu):
-    """A base held, a load on the rest: stretched by 20 % and sheared by 0.25 and 0.15, the same everywhere inside whatever the tetrahedra."""
-    f = np.eye(3) + np.outer([0.25, -0.15, 0.2], [0.0, 0.0, 1.0])
+    """A base held, a load on the rest: stretched by 8 % and sheared by 0.25 and 0.15, the same everywhere inside whatever the tetrahedra."""
+    f = np.eye(3) + np.outer([0.25, -0.15, 0.08], [0.0, 0.0, 1.0])
     model = loaded(distorted((3, 2, 3)), lambda x: np.full(x.shape[:-1], 1e5), nu, lambda x: np.broadcast_to(f, (*x.shape[:-1], 3, 3)))
     u = solve(model, line, device)
     # the quadratic element holds it exactly; left is the solver's 1e-9 of unbalanced force, and rounding
