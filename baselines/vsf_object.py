@@ -17,10 +17,11 @@ from scipy.spatial import cKDTree
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
+from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.estimate import map_estimate, posterior_std
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
+from vsfsim.vsf.structured import structured_map, structured_std
 
 
 @dataclass(frozen=True)
@@ -103,22 +104,26 @@ class Posterior:
     """What is known of one object after some touches.
 
     model: the object. stiffness: MAP of each particle's spring constant (n,) [N/m]. rows: W of the support (m, n).
-    prior_var: (n,) or one number [(N/m)^2].
+    prior: of the spring constants.
     """
 
     model: VsfObject
     stiffness: np.ndarray
     rows: sparse.csr_matrix
-    prior_var: float
+    prior: GaussianPrior
 
     @classmethod
     def of(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Posterior:
+        """MAP under one mean [N/m] and variance for all particles."""
+        return cls.under(model, support, GaussianPrior.plain(prior_mean, prior_var, len(model.particles)))
+
+    @classmethod
+    def under(cls, model: VsfObject, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
         """MAP by the quadratic program of SBML eq. 16, K >= 0."""
         rows, z = model.stack(support)
         if rows.shape[0] == 0:
-            return cls(model, np.full(len(model.particles), max(prior_mean, 0.0)), rows, prior_var)
-        result = map_estimate(rows, z, noise_std=model.settings.noise_std, prior_mean=prior_mean, prior_var=prior_var)
-        return cls(model, result.mean, rows, prior_var)
+            return cls(model, np.maximum(prior.total_mean(), 0.0), rows, prior)
+        return cls(model, structured_map(rows, z, noise_std=model.settings.noise_std, prior=prior).mean, rows, prior)
 
     def touched(self) -> np.ndarray:
         """Particles that the support displaced (n,) bool."""
@@ -135,10 +140,7 @@ class Posterior:
         there is none). The std is the mean of theirs, as if they erred together.
         """
         spacing = self.model.settings.spacing
-        if self.rows.shape[0]:
-            std = posterior_std(self.rows, noise_std=self.model.settings.noise_std, prior_var=self.prior_var)
-        else:
-            std = np.full(len(self.stiffness), np.sqrt(self.prior_var))
+        std = structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
         tree = cKDTree(self.model.particles)
         nearest = tree.query(points)[1]
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
@@ -156,7 +158,7 @@ class ObjectShelf:
 
     def get(self, view: View) -> VsfObject:
         """The object behind ``view``."""
-        key = _digest(view.depth, view.mask, view.intrinsics, view.camera_pose)
+        key = _digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
         if key not in self.objects:
             self.objects[key] = VsfObject.behind(view, self.settings)
         return self.objects[key]

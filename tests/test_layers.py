@@ -72,7 +72,7 @@ def layer_of(path: Path) -> str:
         return path.parts[0]
     if len(path.parts) > 2:
         return path.parts[1]
-    return "cli" if path.stem == "cli" else "top"
+    return "cli" if path.stem in ("cli", "cli_bench") else "top"
 
 
 def layer_of_module(module: str) -> str:

@@ -12,8 +12,13 @@ from __future__ import annotations
 
 import torch
 
+from vsfsim.physics import contact
 from vsfsim.physics.touching import Touching
 
+_SLACK = 1e-12  # of the energy: rounding of the sum over the patch
+_BLUNT = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness, stage by stage
+_ROUGH = 1e-3  # tolerance of the stages that only lead the way
+_LEAST = 1e-4  # shortest step of the line search
 _SHRINK = 0.6  # of the touches still run: then the others are left behind
 
 
@@ -29,6 +34,24 @@ def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed:
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
+    if not touching.rubs:
+        return _newton(touching, columns, base, pushed, start, iterations, tolerance)
+    touching.stick = contact.STICK
+    answer, error = _newton(touching, columns, base, pushed, start, iterations, tolerance)
+    again = (error > tolerance).nonzero()[:, 0]
+    if len(again):
+        # the kink between stick and slip is sharp: come to it from a blunt one
+        part = None if start is None else start[again]
+        for share in _BLUNT:
+            touching.stick = share * contact.STICK
+            part, new = _newton(touching, columns[again], base[again], pushed[again], part, 3 * iterations, tolerance if share == 1.0 else _ROUGH)
+        better = new < error[again]
+        answer[again[better]], error[again[better]] = part[better], new[better]
+    return answer, error
+
+
+def _newton(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None, iterations: int,
+            tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
     compliance = touching.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q) if start is not None else base.clone()
@@ -39,15 +62,10 @@ def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed:
     error = best_error.clone()
     answer = best.clone()
     running = torch.ones_like(best_error, dtype=torch.bool)
-    # friction's potential changes with its limit: there a step is good if it does not raise the energy much
-    slack, least = (1e-2, 0.1) if touching.rubs else (1e-12, 1e-4)
     for _ in range(iterations):
         touching.evaluate(columns, trial)
-        if touching.rubs:
-            touching.lag(columns)
-            touching.evaluate(columns, trial)
         energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + touching.energy(columns)
-        far = running & (energy > level - 1e-4 * step * slope + slack * level.abs()) & (step > least)
+        far = running & (energy > level - 1e-4 * step * slope + _SLACK * level.abs()) & (step > _LEAST)
         # too far: back half of what is left of this step
         step = torch.where(far, 0.5 * step, step)
         back = torch.where(far, step, 0.0)[:, None]

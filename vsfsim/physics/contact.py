@@ -1,13 +1,14 @@
 """Contact of the object's surface with rigid bodies: a stiff penalty along the normal, Coulomb friction across it.
 
     Pi_n = sum_q w_q/2 <-g(x_q)>^2,     f_n = -w_q g n                         where g < 0
-    Pi_t = sum_q { w_q/2 |d|^2                       |d| <= tau/w_q   (sticks)
-                 { tau |d| - tau^2/(2 w_q)           else             (slips),     tau = mu f_n of the iteration before
+    Pi_t = sum_q { v_q/2 |d|^2                       |d| <= tau/v_q   (sticks)
+                 { tau |d| - tau^2/(2 v_q)           else             (slips),     tau = mu f_n, found before
 
 integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), never at vertices alone. g is the distance
 to the nearest rigid body, d the tangential way of the point from its anchor, the spot of the body where it last stuck. The limit tau and
-the normal of the tangent plane lag by one iteration, so that each iteration has a potential; at convergence they are the present ones,
-and the law is Coulomb's. Slipping points drag their anchor along when the frame is done: stick-slip with history.
+the normal of the tangent plane are held while Newton's method brings the forces into balance, which then has a potential, and renewed
+until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
+the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives way by a thousandth of an element at most.
 w_q = area x PENALTY x modulus / element size: so stiff that the penetration stays far under 1 % of the element size
 (it is measured and stored in every frame), and soft enough that float64 keeps its digits; the solver inverts
 this block exactly, so stiffness costs no iterations.
@@ -26,6 +27,7 @@ from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
+STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973), weights sum to 1.
 _A, _WA = 0.445948490915965, 0.223381589678011
@@ -82,6 +84,7 @@ def kernels() -> Any:
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
         softening: wp.array(dtype=real),
+        stick: real,
         # state in
         origin: wp.array2d(dtype=vec3),
         turn: wp.array2d(dtype=mat33),
@@ -130,33 +133,35 @@ def kernels() -> Any:
                         rows[0, c] = root * n[c]
                     bend = w * gap * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
                     energy += real(0.5) * w * gap * gap
+                # friction acts under the limit that was found last, on points that have left since, too: only so there is one potential
+                limit = limit_in[b, f, q]
+                if limit > real(0.0):
                     owner = owner_in[b, f, q]
                     if owner < -1:
                         owner = -2 - owner
-                    limit = limit_in[b, f, q]
-                    if owner == near and limit > real(0.0):
-                        m = across_in[b, f, q]
-                        d = p - (origin[b, near] + r * anchor_in[b, f, q])
-                        d = d - wp.dot(d, m) * m
-                        way = wp.length(d)
-                        # two directions across m: along the slip, if there is one, and across it
-                        e = axis_across(m)
-                        if way > real(0.0):
-                            e = d / way
-                        side = wp.cross(m, e)
-                        if w * way <= limit:
-                            force -= w * d
-                            energy += real(0.5) * w * way * way
-                            for c in range(3):
-                                rows[1, c] = root * e[c]
-                                rows[2, c] = root * side[c]
-                        else:
-                            force -= limit * e
-                            energy += limit * way - real(0.5) * limit * limit / w
-                            slips = 1
-                            # along the slip the force is constant
-                            for c in range(3):
-                                rows[2, c] = wp.sqrt(limit / way) * side[c]
+                    m = across_in[b, f, q]
+                    d = p - (origin[b, owner] + turn[b, owner] * anchor_in[b, f, q])
+                    d = d - wp.dot(d, m) * m
+                    way = wp.length(d)
+                    # two directions across m: along the slip, if there is one, and across it
+                    e = axis_across(m)
+                    if way > real(0.0):
+                        e = d / way
+                    side = wp.cross(m, e)
+                    v = stick * w
+                    if v * way <= limit:
+                        force -= v * d
+                        energy += real(0.5) * v * way * way
+                        for c in range(3):
+                            rows[1, c] = wp.sqrt(v) * e[c]
+                            rows[2, c] = wp.sqrt(v) * side[c]
+                    else:
+                        force -= limit * e
+                        energy += limit * way - real(0.5) * limit * limit / v
+                        slips = 1
+                        # along the slip the force is constant
+                        for c in range(3):
+                            rows[2, c] = wp.sqrt(limit / way) * side[c]
             gap_out[b, f, q] = gap
             force_out[b, f, q] = force
             rows_out[b, f, q] = rows
@@ -201,13 +206,17 @@ def kernels() -> Any:
                 limit = -friction[j] * softening[b] * stiffness[b, f, q] * g
                 across_out[b, f, q] = normal_in[b, f, q]
                 if owner_out[b, f, q] != j:
-                    # where it crossed the surface, if both moved evenly since the frame began
+                    # where the body's surface came upon it in this step, had it stood still; or where it is, if the object bulged up
                     p0 = place(shape, q, b, f, local, x_before)
-                    p1 = place(shape, q, b, f, local, x_in)
                     start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
-                    stop = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
+                    stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
                     g0 = wp.max(probe.gap(bodies, j, start), real(0.0))
-                    anchor_out[b, f, q] = start + (g0 / (g0 - g)) * (stop - start)
+                    g1 = probe.gap(bodies, j, stop)
+                    if g1 < real(0.0):
+                        anchor_out[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
+                    else:
+                        p1 = place(shape, q, b, f, local, x_in)
+                        anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
                     owner_out[b, f, q] = -2 - j
             limit_out[b, f, q] = limit
 
@@ -218,6 +227,7 @@ def kernels() -> Any:
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
+        stick: real,
         # state in
         origin: wp.array2d(dtype=vec3),
         turn: wp.array2d(dtype=mat33),
@@ -250,10 +260,10 @@ def kernels() -> Any:
                     d = place(shape, q, b, f, local, x_in) - at
                     d = d - wp.dot(d, m) * m
                     way = wp.length(d)
-                    w = stiffness[b, f, q]
+                    v = stick * stiffness[b, f, q]
                     limit = limit_in[b, f, q]
-                    if w * way > limit:
-                        at = at + (real(1.0) - limit / (w * way)) * d
+                    if v * way > limit:
+                        at = at + (real(1.0) - limit / (v * way)) * d
                         anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (at - origin[b, j])
 
     @wp.kernel(module=module, enable_backward=False)

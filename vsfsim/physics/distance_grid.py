@@ -149,8 +149,9 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     grid = DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, np.zeros(2), notes)
     off = grid.distance(np.concatenate([vertices, vertices[faces].mean(axis=1)]))
     error = np.array([np.sqrt((off**2).mean()), np.abs(off).max()])
-    said = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm, moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that the "
-            f"centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
+    moved = "" if np.abs(centre).max() < 1e-6 * (high - low).max() else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
+    said = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
+            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
     return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, said))
 
 

@@ -24,7 +24,7 @@ from vsfsim.physics.touching import Touching
 
 State = dict[str, torch.Tensor]
 
-_SLACK = 1e-12  # of the potential: rounding of a sum over all elements
+_WITHIN = 0.03  # measure at which friction's limit is renewed for the first time
 
 
 class Equilibrium:
@@ -96,12 +96,26 @@ class Equilibrium:
 
     def solve(self, columns: torch.Tensor, state: State, tolerance: float, deadline: float) -> None:
         """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state, counts and reasons."""
+        rubs = self.touching.rubs
         stuck = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
+        held = torch.full((len(columns),), rubs, dtype=torch.bool, device=self.device)  # whose friction limit is not the present one
+        within = torch.full_like(state["measure"], _WITHIN)  # measure at which the limit is renewed
         renew = torch.ones_like(stuck)  # whose tangent must be made anew
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
-        for _ in range(self.options.newton):
-            open_ = ((state["measure"] > tolerance) & ~stuck).nonzero()[:, 0]
+        for _ in range(self.options.newton * (1 + rubs)):
+            ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
+            if rubs and bool(ready.any()):
+                at = ready.nonzero()[:, 0]
+                for key, value in self.renew_friction(columns[at], state).items():
+                    state[key][..., at] = value
+                present = state["measure"][at]
+                # balanced under the present limit: done. If not, a tenth of what is missing is asked for before it is renewed again
+                held[at] = present > tolerance
+                within[at] = torch.minimum(0.1 * present, within[at])
+                stuck[at] &= ~(present > tolerance) | (present > 0.5)
+                renew[at] = True
+            open_ = ((held | (state["measure"] > tolerance)) & ~stuck).nonzero()[:, 0]
             if not len(open_):
                 break
             active = columns[open_]
@@ -131,15 +145,12 @@ class Equilibrium:
             still = (~moved).nonzero()[:, 0]
             if len(still):
                 moved[still] = self._step(active[still], open_[still], direction[:, still], state)
-            if self.touching.rubs:
-                for key, value in self.renew_friction(active, state).items():
-                    state[key][..., open_] = value
             renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
             # no step helps, not even a projected one: rounding's floor, or nothing to be found
             stuck[open_] = ~moved & safe[open_]
             self.reason[columns[stuck].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
-        balanced = columns[state["measure"] <= tolerance].cpu().numpy()
+        balanced = columns[(state["measure"] <= tolerance) & ~held].cpu().numpy()
         self.reason[balanced] = Reason.NONE
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:

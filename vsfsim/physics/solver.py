@@ -166,25 +166,19 @@ class Solver:
             guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
         chosen = now.clone()
-        memory = touching.memory()
         for base, pushed in guesses:
             with clock.measure("prediction"):
                 change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets],
                                             iterations=20, tolerance=1e-4)
             balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
-            potential = self._potential(meets, memory)
+            potential = balance.evaluate(meets)["potential"]
             better = potential < best
             best = torch.where(better, potential, best)
             chosen[:, meets[better]] = balance.u[:, meets[better]]
         balance.u.copy_(now)
-        stay = self._potential(meets, memory) <= best
+        stay = balance.evaluate(meets)["potential"] <= best
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
-
-    def _potential(self, columns: torch.Tensor, memory: tuple[torch.Tensor, ...]) -> torch.Tensor:
-        """Of guesses, (k,) [J]; with friction each guess is judged by the same memory."""
-        self.touching.restore(columns, memory)
-        return self._balance.renew_friction(columns, self._balance.evaluate(columns))["potential"]
 
     def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
                  halvings: int) -> None:
@@ -215,16 +209,16 @@ class Solver:
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, touching = self._balance, self.touching
-        state = balance.renew_friction(columns, balance.evaluate(columns))
+        state = balance.evaluate(columns)
         # a body that went deep into a soft wall in one frame: come to it through softer contact
         hard = columns[((state["measure"] - 1.0).abs() < 0.03) | (state["measure"] > _HARD)]
         if len(hard):
             balance.u[:, hard] = begin[:, hard]
             for softening in _SOFTENINGS:
                 touching.softening[hard] = softening
-                balance.solve(hard, balance.renew_friction(hard, balance.evaluate(hard)), _SOFT_TOLERANCE, deadline)
+                balance.solve(hard, balance.evaluate(hard), _SOFT_TOLERANCE, deadline)
             touching.softening[hard] = 1.0
-            state = balance.renew_friction(columns, balance.evaluate(columns))
+            state = balance.evaluate(columns)
         for _ in range(4):
             balance.solve(columns, state, self.options.tolerance, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
@@ -234,7 +228,7 @@ class Solver:
             grown = touching.grow(columns, pose, balance.u)
             if grown:
                 self._pushed = torch.zeros_like(touching.rest)
-                state = balance.renew_friction(columns, balance.evaluate(columns))
+                state = balance.evaluate(columns)
             if len(lost):
                 balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
             if not grown:

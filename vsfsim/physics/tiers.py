@@ -201,8 +201,6 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
     """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
     spec = scene.object
     where = f"{scene.source} [object]"
-    if spec.friction > 0.0:
-        raise SceneError(f"{where}: friction is {spec.friction:g}, but the solid tiers model frictionless contact only so far; set friction = 0.")
     solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache)
     turn, shift = placement(spec)
     height = float(np.ptp(solid.vertices[:, 2]))

@@ -23,7 +23,7 @@ class Touching:
     """Contact state of B touches on the device.
 
     patches: one a touch. dof: degrees of freedom of the patches (B, 3 s), -1 pads. softening: factor on the contact stiffness of each
-    touch (B,), 1 but on the way to a hard frame. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N],
+    touch (B,), 1 but on the way to a hard frame. stick: tangential stiffness of stuck points over the normal one. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N],
     energy (B,) [J] and slips (B, 6 f).
 
     Args:
@@ -35,6 +35,7 @@ class Touching:
         self.model, self.bodies, self.device = model, bodies, device
         self.kernels = contact.kernels()
         self.rubs = bool((friction > 0.0).any())
+        self.stick = contact.STICK
         self._friction = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
         self._shape = self.kernels.mat66(contact.SHAPE)
@@ -147,7 +148,7 @@ class Touching:
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         wp.launch(self.kernels.evaluate, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
             self._shape, self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"],
-            *self._pose, w["x"], w["anchor"], w["owner"], w["limit"], w["across"],
+            self.stick, *self._pose, w["x"], w["anchor"], w["owner"], w["limit"], w["across"],
             w["gap"], w["body"], w["normal"], w["force"], w["rows"], w["bend"], w["slips"], w["energy"]])
 
     def lag(self, columns: torch.Tensor) -> None:
@@ -164,7 +165,7 @@ class Touching:
         if self.rubs and len(columns):
             w = self._w
             wp.launch(self.kernels.settle, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
-                self._shape, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, *self._pose, w["x"], w["gap"], w["body"],
+                self._shape, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, contact.STICK, *self._pose, w["x"], w["gap"], w["body"],
                 w["limit"], w["across"], w["anchor"], w["owner"]])
 
     def memory(self) -> tuple[torch.Tensor, ...]:
@@ -220,7 +221,7 @@ class Touching:
 
     def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
         """Of the points in contact, padded to the most: shape values (k, a, s), 0 where padded, and what picks them from a table (B, 6 f, ...)."""
-        active = self.gap[columns] < 0.0
+        active = (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
         most = max(1, int(active.sum(dim=1).amax()))
         on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
         order = order[:, :most]

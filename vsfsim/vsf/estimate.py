@@ -5,7 +5,8 @@
 With x = K / sqrt(v), A = diag(1/s) W diag(sqrt(v)) and b = z / s it reads 1/2 |b - A x|^2 + 1/2 |x - x0|^2, x >= 0. Its
 dual has one unknown a reading: x = max(0, x0 + A^T y), and y solves F(y) = y + A max(0, x0 + A^T y) - b = 0, the
 gradient of a convex, piecewise quadratic function. Semi-smooth Newton with an exact line search ends after finitely
-many steps; the largest matrix is readings x readings, or touched particles squared if those are fewer.
+many steps; the largest matrix is readings x readings, or touched particles squared if those are fewer. Where both are large (dense
+contact forces) no matrix is formed at all, see `projected_cg`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.projected_cg import projected_cg
 
 # Largest eigenvalue of A A^T up to which the dual is trusted with the whole problem: beyond, the readings outweigh the
 # prior by more than float64 can hold side by side, and rounding in y shows in x = x0 + A^T y.
@@ -31,6 +33,8 @@ _PIVOTS = (20, 2000)
 _PATIENCE = 12
 # A KKT residual that needs no second algorithm.
 _GOOD = 1e-9
+# Smaller side beyond which no dense matrix is made (its factor would take 130 MB and seconds a step).
+_DENSE_LIMIT = 4000
 # Columns of A that are dense at one time in `posterior_std`.
 _BLOCK = 1024
 
@@ -77,6 +81,10 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
     a = sparse.diags_array(1.0 / noise[read]) @ w[read][:, touched] @ sparse.diags_array(scale[touched])
     a = sparse.csr_matrix(a)
     b, x0 = z[read] / noise[read], mean[touched] / scale[touched]
+    if min(a.shape) > _DENSE_LIMIT:
+        x, steps = projected_cg(a, b, x0, start=x0)
+        out[touched] = scale[touched] * x
+        return MapResult(out, steps, _kkt(a, b, x0, x, scale[touched]), int(np.count_nonzero(x > 0.0)))
     if a.shape[1] < a.shape[0]:
         # More readings than unknowns: |b - A x| = |Q^T b - R x| + const, with R only touched x touched.
         q, r = linalg.qr(a.toarray(), mode="economic")

@@ -1,0 +1,192 @@
+"""`imaml` and `imaml-vision`: non-structured meta-learning (SBML section 4.2 and appendix B.4).
+
+A perceptron maps the robot's action to the reading, with no object in between; a touched object moves its weights by a few steps
+of gradient descent from the meta-learned start. `imaml-vision` also sees one vector of the whole view. The network, the inner and
+the outer loop have the paper's sizes and rates. The paper's action is 7 joint angles; without an arm it is 7 numbers here too: the
+probe's position, its press direction, and how far it has come along it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.bench.method import Action, Reading, Specimen
+from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.data.records import View
+from vsfsim.vsf.features import NAMES, view_token
+
+HIDDEN = (32, 128, 64, 32, 16)
+ENCODER = (64, 7)
+
+
+class Imaml:
+    """iMAML without vision.
+
+    Args:
+        seed: of the initial weights and of the division of training objects into support and query.
+        epochs: outer steps, each over all training objects. outer_rate: of Adam.
+        inner_rate, inner_steps: gradient descent on the support touches.
+        regularisation: lambda. cg_damping, cg_steps: of the implicit gradient.
+        features: of the view's vector, for `imaml-vision`. weights: file of pretrained weights for the DINOv2 features.
+        device: of the DINOv2 features; the small network itself runs on the CPU.
+    """
+
+    _vision = False
+
+    def __init__(self, *, seed: int = 0, epochs: int = 400, outer_rate: float = 1e-3, inner_rate: float = 1e-3, inner_steps: int = 30,
+                 regularisation: float = 2.0, cg_damping: float = 100.0, cg_steps: int = 10, features: str = "local", weights: str = "", device: str = "cpu"):
+        if features not in NAMES:
+            raise MethodError(f"imaml: features are '{features}'. {did_you_mean(features, NAMES)}")
+        self.seed, self.epochs, self.outer_rate, self.inner_rate, self.inner_steps = seed, epochs, outer_rate, inner_rate, inner_steps
+        self.regularisation, self.cg_damping, self.cg_steps = regularisation, cg_damping, cg_steps
+        self.features, self.weights, self.device = features, weights, device
+        self._scale: dict[str, np.ndarray] | None = None
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Learn the start of all adaptations.
+
+        Raises:
+            MethodError: no training object with two touches, or readings that never vary.
+        """
+        import torch
+
+        from vsfsim.baselines import implicit_maml as im
+
+        usable = [s for s in specimens if len(s.touches) >= 2]
+        if not usable:
+            raise MethodError(f"imaml cannot be trained: of {len(specimens)} training objects none has the two touches that make a support and a query set.")
+        rows = [[_samples(reading) for reading in s.touches] for s in usable]
+        tokens = [self._token(s.view) for s in usable]
+        x, y = (np.concatenate([touch[k] for touches in rows for touch in touches]) for k in (0, 1))
+        token = np.stack(tokens)
+        if not np.isfinite(y).all():
+            raise MethodError("imaml: a training reading in a frame marked valid is not finite.")
+        if not (y.std(axis=0) > 0.0).all():
+            raise MethodError("imaml cannot be trained: the training readings never vary. Give touches that meet the objects.")
+        self._scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
+                       "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
+        self._network = self._build(x.shape[1], y.shape[1])
+        generator = torch.Generator().manual_seed(self.seed)
+        theta = self._network.start(generator)
+        for p in theta:
+            p.requires_grad_(True)
+        optimiser = torch.optim.Adam(theta, lr=self.outer_rate)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed))
+        before = torch.get_num_threads()
+        torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
+        try:
+            for _ in range(self.epochs):
+                halves = [self._halves(touches, rng) for touches in rows]
+                support, query = (self._batch([h[k] for h in halves], tokens) for k in (0, 1))
+                phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps, regularisation=self.regularisation)
+                gradient, _ = im.implicit_gradient(self._network, phi, support, query, regularisation=self.regularisation,
+                                                   damping=self.cg_damping, cg_steps=self.cg_steps)
+                for p, g in zip(theta, gradient):
+                    p.grad = g.mean(dim=0)
+                optimiser.step()
+        finally:
+            torch.set_num_threads(before)
+        self._theta = [p.detach() for p in theta]
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Gradient descent on the support touches, from the meta-learned start."""
+        if self._scale is None:
+            raise MethodError("imaml was not trained yet; call meta_fit or load first.")
+        from vsfsim.baselines import implicit_maml as im
+
+        samples = [_samples(reading) for reading in support]
+        for index, (_, y) in enumerate(samples):
+            if not np.isfinite(y).all():
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+        self._seen = self._token(view)
+        size = (len(self._scale["x_mean"]), len(self._scale["y_std"]))
+        joined = tuple(np.concatenate([np.zeros((0, n)), *(s[k] for s in samples)]) for k, n in enumerate(size))
+        batch = self._batch([joined], [self._seen])
+        self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps, regularisation=self.regularisation)
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, d) of touches not made yet."""
+        import torch
+
+        out = []
+        for action in touches:
+            batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))], [self._seen])
+            with torch.no_grad():
+                out.append(self._network(self._phi, batch.x, batch.token)[0].numpy() * self._scale["y_std"])
+        return out
+
+    def save(self, folder: Path) -> None:
+        """Keep what was learned."""
+        if self._scale is None:
+            raise MethodError("imaml has nothing to save yet; call meta_fit first.")
+        (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
+        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.numpy() for i, p in enumerate(self._theta)})
+
+    def load(self, folder: Path) -> None:
+        """Take up what `save` kept.
+
+        Raises:
+            MethodError: nothing there, or it was learned from another kind of input.
+        """
+        import torch
+
+        try:
+            table = json.loads((folder / "imaml.json").read_text())
+            with np.load(folder / "imaml.npz") as file:
+                arrays = dict(file)
+        except (OSError, ValueError) as error:
+            raise MethodError(f"imaml: nothing can be read from '{folder}': {error}. Give a folder that `save` wrote.") from error
+        mine = {"vision": self._vision, "features": self.features}
+        if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
+            raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
+        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}")) for i in range(sum(name.startswith("theta") for name in list(arrays)))]
+        self._scale = arrays
+        self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
+
+    def _build(self, inputs: int, outputs: int):  # noqa: ANN202  torch is not imported here
+        from vsfsim.baselines.implicit_maml import Network
+
+        return Network(inputs, outputs, token=len(self._scale["token_mean"]), hidden=HIDDEN, encoder=ENCODER)
+
+    def _token(self, view: View) -> np.ndarray:
+        return view_token(self.features, view, weights=self.weights, device=self.device).astype(np.float64) if self._vision else np.zeros(0)
+
+    def _halves(self, touches: Sequence[tuple[np.ndarray, np.ndarray]], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+        """A training object's touches, divided at random into support (at least one touch) and query (at least one)."""
+        order = rng.permutation(len(touches))
+        cut = int(rng.integers(1, len(touches)))
+        return [tuple(np.concatenate([touches[i][k] for i in part]) for k in (0, 1)) for part in (order[:cut], order[cut:])]
+
+    def _batch(self, parts: Sequence[tuple[np.ndarray, np.ndarray]], tokens: Sequence[np.ndarray]):  # noqa: ANN202
+        import torch
+
+        from vsfsim.baselines.implicit_maml import Batch
+
+        count, s = max(1, max(len(x) for x, _ in parts)), self._scale
+        x, y = np.zeros((len(parts), count, len(s["x_mean"]))), np.zeros((len(parts), count, len(s["y_std"])))
+        weight = np.zeros((len(parts), count))
+        for i, (own_x, own_y) in enumerate(parts):
+            x[i, :len(own_x)], y[i, :len(own_y)], weight[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"], own_y / s["y_std"], 1.0
+        token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
+        return Batch(*(torch.as_tensor(a, dtype=torch.float64) for a in (x, token, y, weight)))
+
+
+class ImamlVision(Imaml):
+    """iMAML whose network also sees one vector of the view (SBML: DINOv2's class token)."""
+
+    _vision = True
+
+
+def _inputs(action: Action) -> np.ndarray:
+    """The action in 7 numbers a frame (T, 7): position [m], press direction, way along it since the first frame [m]."""
+    position = action.poses[:, :3, 3]
+    along = (position - position[:1]) @ action.axis
+    return np.concatenate([position, np.broadcast_to(action.axis, position.shape), along[:, None]], axis=1)
+
+
+def _samples(reading: Reading) -> tuple[np.ndarray, np.ndarray]:
+    return _inputs(reading.action)[reading.valid], np.asarray(reading.value[reading.valid], np.float64)

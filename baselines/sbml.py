@@ -1,0 +1,185 @@
+"""`sbml`: structured Bayesian meta-learning on the VSF model (SBML, eq. 10-16, appendices A and B).
+
+Visual features of the particles give the mean and variance of their spring constants, by a small network learned offline on the
+training objects: maximum likelihood of their readings with the springs marginalised out (eq. 15). On a new object the
+network's output is the prior, and touches update it (eq. 16, K >= 0).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
+from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.data.records import View
+from vsfsim.vsf.composition import STRUCTURES, Composition, GaussianPrior
+from vsfsim.vsf.features import NAMES, Normaliser, particle_features
+
+
+class Sbml:
+    """SBML with a prior learned by `meta_fit`.
+
+    Args:
+        structure: HE, HE+HO or HE+SEG (section 4.5).
+        features: local, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
+        weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
+        prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
+        seed: of the initial weights, the order of training, dropout and the validation objects.
+        rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta_prior`.
+        validation: fraction of the training objects that only stop the training (at least one of them if there are two).
+        spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
+        friction: Coulomb coefficient of the stick-slip motion [-].
+        noise_std: of a reading, in its unit: what the particle model cannot explain, see `point-vsf`.
+        fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
+        margin: widening of the box around the visible cloud [m].
+        table_height: z of the table the object stands on [m].
+        device: "cpu" or "cuda:0", for Warp and torch.
+    """
+
+    def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "", seed: int = 0, rate: float = 1e-4,
+                 epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus", validation: float = 0.25, spacing: float = 0.005,
+                 friction: float = 0.0, noise_std: float = 1.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
+                 device: str = "cpu"):
+        if structure not in STRUCTURES:
+            raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
+        if features not in NAMES:
+            raise MethodError(f"sbml: features are '{features}'. {did_you_mean(features, NAMES)}")
+        if not 0.0 <= validation < 1.0:
+            raise MethodError(f"sbml: validation is {validation!r}; it must be a fraction from 0 to under 1.")
+        self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
+        self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
+        self.validation, self.fit_std, self.device = validation, fit_std, device
+        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
+        self._shelf = ObjectShelf(self._settings)
+        self._raw: dict[int, np.ndarray] = {}  # by object on the shelf, which keeps them alive
+        self._priors: dict[int, GaussianPrior] = {}
+        self._normaliser: Normaliser | None = None
+        self._network = None
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Learn the prior from the training objects (eq. 15).
+
+        Raises:
+            MethodError: no training object, or none of their touches reached a particle.
+        """
+        self._priors.clear()
+        if self.prior:
+            self.load(Path(self.prior))
+            return
+        from vsfsim.vsf.meta_prior import MetaPrior, train
+
+        if not specimens:
+            raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the folder of a saved prior (--set prior=FOLDER).")
+        models = [self._shelf.get(s.view) for s in specimens]
+        raw = [self._features(model, s.view) for model, s in zip(models, specimens)]
+        self._normaliser = Normaliser.of(raw)
+        parts = [Composition.of(self.structure, self._normaliser(f)) for f in raw]
+        spread = self._spread(models, specimens, parts)
+        tasks = [self._task(*row) for row in zip(models, specimens, raw, parts)]
+        held = self._held_out(len(tasks))
+        self._network = self._build(MetaPrior, raw[0].shape[1], spread)
+        self.training = train(self._network, [t for i, t in enumerate(tasks) if i not in held], [t for i, t in enumerate(tasks) if i in held],
+                              rate=self.rate, epochs=self.epochs, patience=self.patience, seed=self.seed)
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Prior from the view, then the support touches (eq. 16)."""
+        if self._network is None or self._normaliser is None:
+            raise MethodError("sbml has no prior yet; call meta_fit or load first.")
+        model = self._shelf.get(view)
+        if id(model) not in self._priors:
+            features = self._normaliser(self._features(model, view))
+            self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
+        self._posterior = Posterior.under(model, support, self._priors[id(model)])
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, 1) of touches not made yet."""
+        return self._posterior.predict(touches)
+
+    def stiffness(self, points: np.ndarray) -> Estimate:
+        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
+        return self._posterior.density(points)
+
+    def save(self, folder: Path) -> None:
+        """Keep the prior: prior.json, and prior.npz with the weights."""
+        if self._network is None or self._normaliser is None:
+            raise MethodError("sbml has no prior to save yet; call meta_fit first.")
+        table = {"structure": self.structure, "features": self.features, "output": self.output, "size": len(self._normaliser.mean), "unit": self._network.unit}
+        (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
+        np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std,
+                 **{f"net.{name}": value.cpu().numpy() for name, value in self._network.state_dict().items()})
+
+    def load(self, folder: Path) -> None:
+        """Take up a prior that `save` kept.
+
+        Raises:
+            MethodError: there is none, or it was learned with another structure or other features.
+        """
+        import torch
+
+        from vsfsim.vsf.meta_prior import MetaPrior, Spread
+
+        try:
+            table = json.loads((folder / "prior.json").read_text())
+            with np.load(folder / "prior.npz") as file:
+                arrays = dict(file)
+        except (OSError, ValueError) as error:
+            raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that `save` wrote.") from error
+        for key in ("structure", "features", "output"):
+            if table.get(key) != getattr(self, key):
+                raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not '{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
+        self._priors.clear()
+        self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
+        self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
+        self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name, value in arrays.items()})
+
+    def _build(self, kind: type, size: int, spread):  # noqa: ANN001, ANN202  torch's classes are not imported here
+        import torch
+
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.seed)
+            return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout, output=self.output).to(self.device)
+
+    def _features(self, model: VsfObject, view: View) -> np.ndarray:
+        if id(model) not in self._raw:
+            self._raw[id(model)] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
+        return self._raw[id(model)]
+
+    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):  # noqa: ANN202
+        import torch
+
+        from vsfsim.vsf.evidence import Evidence
+        from vsfsim.vsf.meta_prior import MetaTask
+
+        rows, z = model.stack(specimen.touches)
+        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) for t in specimen.touches])
+        evidence = Evidence.of(rows, z, noise_std=self._settings.noise_std, membership=part.membership, touch=touch, device=self.device)
+        features = self._normaliser(raw)[evidence.touched]
+        return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device) for x in (features, part.features)), evidence)
+
+    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):  # noqa: ANN202
+        """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3, "initialisation")."""
+        from vsfsim.vsf.meta_prior import Spread
+
+        pooled, means = [np.zeros(0)], []
+        for model, specimen, part in zip(models, specimens, parts):
+            fit = Posterior.of(model, specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
+            touched = fit.touched()
+            pooled.append(fit.stiffness[touched])
+            share = part.membership[np.flatnonzero(touched)]
+            count = np.asarray(share.sum(axis=0)).ravel()
+            means += list((share.T @ fit.stiffness[touched])[count > 0] / count[count > 0])
+        values = np.concatenate(pooled)
+        if values.size == 0 or values.std() == 0.0:
+            raise MethodError(f"sbml cannot learn a prior: {len(specimens)} training objects with {values.size} touched particles. Give a train split whose touches meet the objects.")
+        return Spread(float(values.mean()), float(values.std()), float(np.std(means)) if len(means) > 1 else 0.0)
+
+    def _held_out(self, count: int) -> set[int]:
+        if count < 2 or self.validation == 0.0:
+            return set()
+        order = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1,))).permutation(count)
+        return {int(i) for i in order[:max(1, round(self.validation * count))]}

@@ -1,0 +1,115 @@
+"""iMAML: its implicit gradient against finite differences through a fully solved inner problem, and its manners."""
+
+import numpy as np
+import pytest
+import torch
+
+from vsfsim.baselines.imaml import Imaml, ImamlVision
+from vsfsim.baselines.implicit_maml import Batch, Network, adapt, implicit_gradient, spread
+from vsfsim.bench.check import MOCK_TASK, check, report
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import MethodError
+
+torch.set_num_threads(1)
+
+
+def batch(seed, tasks=2, rows=6, token=3):
+    g = torch.Generator().manual_seed(seed)
+    x, y = torch.randn(tasks, rows, 2, generator=g, dtype=torch.float64), torch.randn(tasks, rows, 1, generator=g, dtype=torch.float64)
+    weight = torch.ones(tasks, rows, dtype=torch.float64)
+    weight[1, 4:] = 0.0
+    return Batch(x, torch.ones(tasks, token, dtype=torch.float64), y, weight)
+
+
+@pytest.mark.parametrize("token", [0, 3])
+def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(token):
+    network = Network(2, 1, token=token, hidden=(5,), encoder=(4, 2))
+    theta = network.start(torch.Generator().manual_seed(0))
+    support, query = batch(1, token=token), batch(2, token=token)
+    solve = {"rate": 0.2, "steps": 70, "regularisation": 2.0}  # each step leaves under 0.6 of the error: 1e-15 in the end
+
+    def query_loss(parameters):
+        return network.loss(adapt(network, parameters, support, **solve), query)
+
+    phi = adapt(network, theta, support, **solve)
+    gradient, loss = implicit_gradient(network, phi, support, query, regularisation=2.0, cg_steps=60)
+    torch.testing.assert_close(loss, query_loss(theta))
+    rng = np.random.default_rng(0)
+    for index in range(len(theta)):
+        at = tuple(rng.integers(n) for n in theta[index].shape)
+        step = torch.zeros_like(theta[index])
+        step[at] = 1e-5
+        ends = [query_loss([p + sign * step if i == index else p for i, p in enumerate(theta)]) for sign in (1, -1)]
+        # Central differences of a function that is smooth but for ReLU kinks, of which none is within 1e-5.
+        torch.testing.assert_close(gradient[index][(slice(None), *at)], (ends[0] - ends[1]) / 2e-5, rtol=1e-4, atol=1e-8)
+
+
+def test_tasks_in_a_batch_do_not_feel_each_other_nor_the_padding():
+    network = Network(2, 1, token=3, hidden=(5,), encoder=(4, 2))
+    theta = network.start(torch.Generator().manual_seed(0))
+    both = batch(1)
+    alone = Batch(both.x[1:, :4], both.token[1:], both.y[1:, :4], both.weight[1:, :4])
+    together, single = (adapt(network, theta, b, rate=0.1, steps=7, regularisation=2.0) for b in (both, alone))
+    for a, b in zip(together, single):
+        torch.testing.assert_close(a[1], b[0])
+    g1, _ = implicit_gradient(network, together, both, both, regularisation=2.0, damping=100.0)
+    g2, _ = implicit_gradient(network, single, alone, alone, regularisation=2.0, damping=100.0)
+    for a, b in zip(g1, g2):
+        torch.testing.assert_close(a[1], b[0])
+
+
+def test_without_support_nothing_moves():
+    network = Network(2, 1, token=0, hidden=(5,), encoder=())
+    theta = network.start(torch.Generator().manual_seed(0))
+    empty = Batch(torch.zeros(1, 1, 2, dtype=torch.float64), torch.zeros(1, 0), torch.zeros(1, 1, 1), torch.zeros(1, 1))
+    for a, b in zip(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0), spread(theta, 1)):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("name", ["imaml", "imaml-vision"])
+def test_it_conforms(name):
+    findings = check(name, parameters={"epochs": 3})
+    assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
+
+
+def test_the_paper_s_network():
+    method = ImamlVision(epochs=0)
+    task = parse_task(MOCK_TASK, "mock")
+    method.meta_fit([specimen(mock_view(0, split="train"), task)])
+    token = len(method._scale["token_mean"])
+    assert method._network.shapes == [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
+
+
+def test_it_learns_and_adapts():
+    task = parse_task(MOCK_TASK, "mock")
+    train = [specimen(mock_view(i, split="train", touches=10), task) for i in range(4)]
+    view = mock_view(5, touches=20)
+    recording = record(view, task)
+
+    def error(method, support):
+        method.adapt(view.view, [recording.readings[i] for i in support])
+        answer = method.predict([recording.readings[i].action for i in range(14, 20)])
+        return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, range(14, 20))])))
+
+    # A larger outer rate than the paper's, to see in 60 steps what takes it 400.
+    raw, trained = Imaml(epochs=0), Imaml(epochs=60, outer_rate=5e-3, inner_rate=0.05)
+    for method in (raw, trained):
+        method.meta_fit(train)
+    assert error(trained, []) < 0.8 * error(raw, [])
+    assert error(trained, range(14)) < 0.97 * error(trained, []), "touches move the answer"
+
+
+def test_refusals(tmp_path):
+    with pytest.raises(MethodError, match="features are 'dino'"):
+        Imaml(features="dino")
+    with pytest.raises(MethodError, match="none has the two touches"):
+        Imaml().meta_fit([])
+    with pytest.raises(MethodError, match="was not trained yet"):
+        Imaml().adapt(mock_view(0).view, [])
+    method = Imaml(epochs=1)
+    method.meta_fit([specimen(mock_view(0, split="train"), parse_task(MOCK_TASK, "mock"))])
+    method.save(tmp_path)
+    with pytest.raises(MethodError, match="was learned with {'vision': False"):
+        ImamlVision().load(tmp_path)

@@ -1,0 +1,78 @@
+"""Composition structures, and eq. 16 under them against an independent non-negative least squares solver."""
+
+import numpy as np
+import pytest
+from scipy import optimize, sparse
+
+from vsfsim.vsf.composition import Composition, GaussianPrior, segment
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.structured import structured_map, structured_std
+
+
+def blobs(seed=0):
+    rng = np.random.default_rng(seed)
+    centres = rng.normal(0, 4, (3, 6))
+    label = rng.integers(3, size=600)
+    return centres[label] + rng.normal(0, 0.4, (600, 6)), label
+
+
+def test_segments_are_the_clusters_and_repeat():
+    features, label = blobs()
+    found = segment(features, 3, seed=0)
+    assert all(len(np.unique(found[label == k])) == 1 for k in range(3)) and found.max() == 2
+    np.testing.assert_array_equal(found, segment(features, 3, seed=0))
+
+
+@pytest.mark.parametrize("features", [np.zeros((5, 4)), np.ones((1, 3)), np.repeat(np.eye(3), 2, axis=0)])
+def test_fewer_kinds_of_particle_than_segments(features):
+    found = segment(features, 10)
+    assert found.shape == (len(features),) and found.max() < len(np.unique(features, axis=0))
+
+
+def test_structures_are_zero_one_matrices_whose_components_average_their_features():
+    features, _ = blobs()
+    for structure, count in (("HE", 0), ("HE+HO", 1), ("HE+SEG", 10)):
+        part = Composition.of(structure, features)
+        assert part.membership.shape == (600, count) and part.features.shape == (count, 6)
+        if count:
+            assert set(part.membership.data) == {1.0} and (np.asarray(part.membership.sum(axis=1)) == 1.0).all()
+            first = part.membership[:, [0]].toarray()[:, 0] > 0
+            np.testing.assert_allclose(part.features[0], features[first].mean(axis=0))
+    with pytest.raises(VsfError, match=r"HE\+SEC.*Did you mean 'HE\+SEG'"):
+        Composition.of("HE+SEC", features)
+
+
+@pytest.mark.parametrize("m, n, s", [(12, 20, 0), (12, 20, 1), (12, 20, 3), (30, 8, 2), (5, 30, 10), (40, 200, 10)])
+def test_map_and_std_are_those_of_the_dense_program(m, n, s):
+    rng = np.random.default_rng(m)
+    w = rng.uniform(0, 0.02, (m, n)) * (rng.uniform(size=(m, n)) < 0.3)
+    z, noise = rng.normal(0.5, 1, m), rng.uniform(0.1, 0.5, m)
+    g = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(s, 1))), shape=(n, max(s, 1)))[:, :s]
+    prior = GaussianPrior(rng.uniform(-20, 60, n), rng.uniform(1, 1e3, n), sparse.csr_matrix(g), rng.uniform(-10, 50, s), rng.uniform(1, 1e3, s))
+    result = structured_map(sparse.csr_matrix(w), z, noise_std=noise, prior=prior)
+    covariance = np.diag(prior.var) + (g.toarray() * prior.group_var) @ g.toarray().T
+    root = np.linalg.inv(np.linalg.cholesky(covariance))
+    # Lawson and Hanson's active set on the stacked least squares problem: exact, and it shares no line with ours.
+    expected, _ = optimize.nnls(np.concatenate([w / noise[:, None], root]), np.concatenate([z / noise, root @ prior.total_mean()]), maxiter=10_000)
+    assert 0 < np.count_nonzero(expected == 0.0) < n
+    np.testing.assert_allclose(result.mean, expected, atol=1e-9 * expected.max())
+    std = structured_std(sparse.csr_matrix(w), noise_std=noise, prior=prior)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))), rtol=1e-9)
+
+
+def test_a_shared_component_carries_a_touch_to_untouched_particles():
+    prior = GaussianPrior(np.full(6, 10.0), np.full(6, 1.0), sparse.csr_matrix(np.repeat(np.eye(2), 3, axis=0)), np.zeros(2), np.full(2, 400.0))
+    w = sparse.csr_matrix(np.array([[0.01, 0, 0, 0, 0, 0]]))
+    result = structured_map(w, np.array([0.5]), noise_std=0.01, prior=prior)
+    assert result.mean[1] == pytest.approx(result.mean[2]) and result.mean[1] > 40.0
+    np.testing.assert_allclose(result.mean[3:], 10.0)
+    std = structured_std(w, noise_std=0.01, prior=prior)
+    assert std[1] < 2.0 and std[3] == pytest.approx(np.sqrt(401.0))
+
+
+def test_refusals():
+    prior = GaussianPrior(np.ones(2), np.ones(2), sparse.csr_matrix(np.ones((2, 1))), np.zeros(1), np.zeros(1))
+    with pytest.raises(VsfError, match="variances greater than 0"):
+        structured_map(sparse.csr_matrix(np.ones((1, 2))), np.ones(1), noise_std=1.0, prior=prior)
+    with pytest.raises(VsfError, match="0 particles"):
+        Composition.of("HE", np.zeros((0, 3)))

@@ -1,0 +1,105 @@
+"""Features: projected where the camera sees, averaged where it does not, and free of what the background shows."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import camera_view, particles
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.features import NEIGHBOURS, FeatureImage, Normaliser, particle_features, project, see, view_token
+
+
+@pytest.fixture(scope="module")
+def view():
+    return camera_view()
+
+
+def test_bilinear_on_the_seen_and_mean_of_ten_on_the_hidden(view):
+    # A feature that is linear in the pixel is read without error by bilinear interpolation.
+    rows, columns = np.indices(view.mask.shape)
+    image = FeatureImage(np.stack([columns, 2.0 * rows], axis=-1).astype(np.float32), np.ones_like(view.mask), np.zeros(1))
+    geometry = see(view, particles(), 0.005)
+    out = project(image, geometry)
+    seen = geometry.visible
+    assert 0 < seen.sum() < len(seen) and np.abs(geometry.behind[seen]).max() <= 0.005
+    np.testing.assert_allclose(out[seen], geometry.pixel[seen] * [1.0, 2.0], atol=1e-4)
+    hidden = int(np.flatnonzero(~seen)[0])
+    away = np.linalg.norm(geometry.points[seen] - geometry.points[hidden], axis=1)
+    ten = np.sort(away)[NEIGHBOURS - 1]
+    near = away < ten - 1e-9  # ties at the rim may fall either way
+    low, high = out[seen][near].min(axis=0), out[seen][away <= ten + 1e-9].max(axis=0)
+    assert (out[hidden] >= low - 1e-3).all() and (out[hidden] <= high + 1e-3).all()
+
+
+def test_a_coarse_grid_of_features_reads_the_same_place(view):
+    rows, columns = np.indices((16, 16))
+    coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32), np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
+    geometry = see(view, particles(), 0.005)
+    np.testing.assert_allclose(project(coarse, geometry)[geometry.visible], geometry.pixel[geometry.visible], atol=1e-4)
+
+
+@pytest.mark.parametrize("name", ["local", "xyzrgb"])
+def test_the_background_does_not_leak_in(view, name):
+    rgb = view.rgb.copy()
+    rgb[~view.mask] = [255, 0, 255]
+    other = dataclasses.replace(view, rgb=rgb)
+    first, second = (particle_features(name, v, particles(), spacing=0.005) for v in (view, other))
+    np.testing.assert_allclose(first, second, atol=1e-5)
+    np.testing.assert_allclose(view_token(name, view), view_token(name, other), atol=1e-5)
+
+
+def test_the_local_descriptor_tells_colours_textures_and_depth_apart(view):
+    rng = np.random.default_rng(0)
+    columns = np.indices(view.mask.shape)[1]
+    rough = view.rgb.astype(float)
+    rough[columns < 32] *= rng.uniform(0.3, 1.7, view.mask.shape)[columns < 32][:, None]
+    textured = dataclasses.replace(view, rgb=np.clip(rough, 0, 255).astype(np.uint8))
+    points = particles()
+    features = particle_features("local", textured, points, spacing=0.005)
+    assert features.dtype == np.float32 and np.isfinite(features).all()
+    top = points[:, 2] > 0.025
+    left, right = features[top & (points[:, 0] < -0.01)], features[top & (points[:, 0] > 0.01)]
+    apart = np.abs(left.mean(axis=0) - right.mean(axis=0)) / (left.std(axis=0) + right.std(axis=0) + 1e-3)
+    assert apart[0] > 1.0, "luminance: the right half is half as bright"
+    assert apart[9] > 1.0, "energy of the finest band: only the left half is rough"
+    deep = points[:, 2] < 0.01
+    assert features[deep, -3].min() > features[top, -3].max(), "depth behind the surface"
+
+
+def test_a_camera_twice_as_far_sees_much_the_same(view):
+    # Scales are metres: twice the distance with twice the focal length is the same picture.
+    k = view.intrinsics.copy()
+    k[0, 0] *= 2
+    k[1, 1] *= 2
+    pose = view.camera_pose.copy()
+    pose[2, 3] += 0.37
+    far = dataclasses.replace(view, depth=np.where(view.mask, 0.74, 0).astype(np.float32), intrinsics=k, camera_pose=pose)
+    near, away = (particle_features("local", v, particles()[particles()[:, 2] > 0.025], spacing=0.005) for v in (view, far))
+    np.testing.assert_allclose(near[:, :18], away[:, :18], atol=0.05)
+
+
+def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone():
+    rng = np.random.default_rng(0)
+    parts = [np.c_[rng.normal(3, 2, (50, 2)), np.full(50, 7.0)].astype(np.float32) for _ in range(3)]
+    normalise = Normaliser.of(parts)
+    out = np.concatenate([normalise(p) for p in parts])
+    np.testing.assert_allclose(out[:, :2].mean(axis=0), 0, atol=1e-5)
+    np.testing.assert_allclose(out[:, :2].std(axis=0), 1, rtol=1e-4)
+    assert (out[:, 2] == 0.0).all()
+    assert normalise(np.full((1, 3), 1e6, np.float32)).max() == 6.0
+
+
+def test_one_particle_and_particles_out_of_sight(view):
+    for points in (np.array([[0.0, 0.0, 0.02]]), np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]])):
+        for name in ("local", "xyzrgb"):
+            assert np.isfinite(particle_features(name, view, points, spacing=0.005)).all()
+
+
+def test_refusals(view):
+    with pytest.raises(VsfError, match="no features called 'locul'.*Did you mean 'local'"):
+        particle_features("locul", view, particles(), spacing=0.005)
+    with pytest.raises(VsfError, match="at least one world position"):
+        particle_features("local", view, np.zeros((0, 3)), spacing=0.005)
+    with pytest.raises(VsfError, match="mask is empty"):
+        particle_features("local", dataclasses.replace(view, mask=np.zeros_like(view.mask)), particles(), spacing=0.005)

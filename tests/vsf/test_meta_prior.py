@@ -1,0 +1,87 @@
+"""The meta-prior: it starts as the naive Gaussian prior, learns what features tell by eq. 15, and stops in time."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import sparse
+
+from vsfsim.vsf.composition import Composition
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.evidence import Evidence
+from vsfsim.vsf.meta_prior import MetaPrior, MetaTask, Spread, score, train
+
+torch.set_num_threads(1)
+
+
+def objects(count, seed, *, level=0.0, structure="HE"):
+    """Objects of 60 springs: 200 N/m where the first feature is positive, else 40, each times a factor of its own; 12 touches of 5 springs."""
+    rng = np.random.default_rng(seed)
+    out = []
+    for _ in range(count):
+        features = rng.normal(size=(60, 4)).astype(np.float32)
+        stiffness = np.where(features[:, 0] > 0, 200.0, 40.0) * rng.lognormal(0, 0.1, 60) + level * rng.normal()
+        w = np.zeros((48, 60))
+        for touch in range(12):
+            w[4 * touch:4 * touch + 4, rng.choice(60, 5, replace=False)] = np.arange(1, 5)[:, None] * rng.uniform(0.001, 0.003, 5)
+        part = Composition.of(structure, features)
+        evidence = Evidence.of(sparse.csr_matrix(w), w @ stiffness + 0.05 * rng.standard_normal(48), noise_std=0.05, membership=part.membership, touch=np.arange(48) // 4)
+        out.append((MetaTask(torch.tensor(features[evidence.touched]), torch.tensor(part.features.astype(np.float32)), evidence), features, part))
+    return out
+
+
+def build(structure="HE", output="softplus", dropout=0.0):
+    torch.manual_seed(0)
+    return MetaPrior(4, shared=structure != "HE", spread=Spread(120.0, 80.0, 20.0), dropout=dropout, output=output)
+
+
+@pytest.mark.parametrize("output", ["softplus", "relu"])
+def test_it_starts_as_the_naive_prior(output):
+    mean, var, _, _ = build(output=output)(torch.randn(500, 4), torch.zeros(0, 4))
+    assert mean.mean().item() == pytest.approx(120.0, rel=0.1) and var.sqrt().mean().item() == pytest.approx(80.0, rel=0.1)
+    assert mean.std() < 20.0
+
+
+@pytest.mark.parametrize("output", ["softplus", "relu"])
+def test_training_finds_what_the_feature_tells(output):
+    tasks = [row[0] for row in objects(40, 1)]
+    prior = build(output=output)
+    before = score(prior, tasks[30:])
+    history = train(prior, tasks[:30], tasks[30:], rate=1e-3, epochs=60, patience=15)
+    # A touch of four readings tells one number; knowing it to 15 instead of 80 N/m a spring is worth log(80/15) / 4 = 0.4 a reading; half of it must be found.
+    assert score(prior, tasks[30:]) == pytest.approx(min(history.validation)) and min(history.validation) < before - 0.2
+    _, features, part = objects(1, 99)[0]
+    found = prior.of(features, part)
+    soft, stiff = found.total_mean()[features[:, 0] < -0.3].mean(), found.total_mean()[features[:, 0] > 0.3].mean()
+    assert 25.0 < soft < 60.0 and 170.0 < stiff < 230.0, (soft, stiff)
+    # What it is sure of: 10 % of scatter, far less than the 80 N/m it began with.
+    assert np.median(found.total_std()) < 40.0
+
+
+def test_shared_components_learn_how_objects_differ_as_wholes():
+    rows = objects(12, 2, level=15.0, structure="HE+HO")
+    prior = build("HE+HO")
+    train(prior, [row[0] for row in rows], [], rate=2e-3, epochs=150)
+    found = prior.of(rows[0][1], rows[0][2])
+    assert 5.0 < np.sqrt(found.group_var[0]) < 40.0
+    rigid = objects(12, 3, level=0.0, structure="HE+HO")
+    other = build("HE+HO")
+    train(other, [row[0] for row in rigid], [], rate=2e-3, epochs=150)
+    assert other.of(rigid[0][1], rigid[0][2]).group_var[0] < 0.25 * found.group_var[0]
+
+
+def test_early_stopping_keeps_the_best_and_repeats():
+    tasks = [row[0] for row in objects(3, 4)]
+    first, second = build(dropout=0.3), build(dropout=0.3)
+    history = train(first, tasks[:2], tasks[2:], rate=3e-3, epochs=300, patience=5, seed=3)
+    assert len(history.validation) - 1 == history.best + 5 and history.validation[history.best] == min(history.validation)
+    again = train(second, tasks[:2], tasks[2:], rate=3e-3, epochs=300, patience=5, seed=3)
+    assert again == history and all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
+
+
+def test_refusals():
+    with pytest.raises(VsfError, match="output is 'relu6'"):
+        build(output="relu6")
+    with pytest.raises(VsfError, match="no touch of a training object"):
+        train(build(), [], [])
+    with pytest.raises(VsfError, match="training spread 0"):
+        MetaPrior(4, shared=False, spread=Spread(1.0, 0.0))

@@ -1,0 +1,131 @@
+"""The continuous VSF: eq. 5 against closed forms, its fields against the truth, and how little one takes on disk."""
+
+import numpy as np
+import pytest
+import torch
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.neural import Fitting, GridField, NerfField, Observations, density, fit, load_field, save_field
+from vsfsim.vsf.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
+
+torch.set_num_threads(1)
+BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])
+
+
+def test_the_dome_is_closed_towards_its_rim_and_wound_outwards():
+    vertices, triangles = dome(rings=5)
+    assert len(vertices) == 91 and np.array_equal(np.unique(triangles), np.arange(91))
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    normal = np.cross(b - a, c - a)
+    assert (normal[:, 2] < 0.0).all()
+    # Projected on the rim's plane it is the 30-gon that the rim is.
+    total = oriented_areas(vertices, triangles).sum(axis=0)
+    np.testing.assert_allclose(total, [0, 0, -15 * 0.03**2 * np.sin(2 * np.pi / 30)], atol=1e-12)
+
+
+def straight(depth=0.01, frames=6):
+    vertices, triangles = dome(rings=3)
+    way = np.linspace(0.0, -depth, frames)
+    vertices = vertices + way[:, None, None] * [0, 0, 1.0]
+    return DenseTouch(vertices, triangles, np.zeros_like(vertices))
+
+
+def test_a_uniform_field_answers_as_eq_4_says():
+    # Straight down by d into K: f_z = K |s_z| d^2 / 2 on every vertex; the pieces' midpoints give it exactly.
+    touch = straight()
+    seen = Observations.of([touch])
+    points, factor, _ = seen.rows(torch.arange(len(seen.index)), 100)
+    force = factor.sum(dim=1).double().numpy()
+    frame, vertex = seen.index[:, 1].numpy(), seen.index[:, 2].numpy()
+    depth, area = 0.01 * frame / 5, oriented_areas(touch.vertices[0], touch.triangles)[vertex, 2]
+    np.testing.assert_allclose(force[:, 2], np.abs(area) * depth**2 / 2, rtol=1e-4)
+    np.testing.assert_allclose(force[:, :2], 0.0, atol=1e-12)
+    assert torch.allclose(points[:, :, 2].amin(dim=1), torch.as_tensor(touch.vertices[frame, vertex, 2] + depth / 200, dtype=torch.float32), atol=1e-6)
+
+
+def test_in_and_out_again_leaves_nothing():
+    touch = straight()
+    both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles, np.zeros((11, *touch.force.shape[1:])))
+    seen = Observations.of([both])
+    last = torch.nonzero(seen.index[:, 1] == 10)[:, 0]
+    points, factor, _ = seen.rows(last, 100)
+    k = torch.exp(50.0 * points[:, :, 2:])
+    assert (k * factor).sum(dim=1).abs().max() < 1e-3 * (k * factor).abs().sum(dim=1).max()
+
+
+def test_palpation_agrees_with_the_estimators_own_integral():
+    field = layer_with_inclusion()
+    (touch,) = palpate(field, touches=1, frames=10, extent=(0.05, 0.05), substeps=200)
+    seen = Observations.of([touch])
+    points, factor, force = seen.rows(torch.arange(len(seen.index)), 1000)
+    k = torch.as_tensor(field(points.double().reshape(-1, 3).numpy())).reshape(points.shape[:2]).float()
+    # Where a vertex crosses the rope's edge the two quadratures see it up to one piece apart: 1 / 1000 of the way.
+    assert torch.linalg.norm((k[..., None] * factor).sum(dim=1) - force) < 0.01 * torch.linalg.norm(force)
+
+
+def f1(estimate, truth):
+    best = 0.0
+    for threshold in np.quantile(estimate, np.linspace(0.02, 0.98, 97)):
+        positive = estimate > threshold
+        best = max(best, 2 * (positive & truth).sum() / (positive.sum() + truth.sum()))
+    return best
+
+
+def probe(field):
+    axes = [np.linspace(-0.03, 0.03, 25), np.linspace(-0.03, 0.03, 25), np.linspace(-0.010, -0.005, 3)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    return points, field(points) > 1e9
+
+
+def test_the_fast_field_finds_the_rope():
+    field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
+    touches = palpate(field, touches=14, frames=8, extent=(0.08, 0.08), noise=0.002, rings=5)
+    model = fit("grid", touches, BOUNDS, Fitting(iterations=150, batch=600, samples=25, rate=3e-2))
+    points, truth = probe(field)
+    assert f1(density(model, points), truth) > 0.7
+    assert f1(np.ones(len(points)), truth) < 0.5
+
+
+def test_the_papers_field_learns():
+    # Far fewer steps than it needs, at a higher rate: the misfit must fall a good way from that of the best uniform field.
+    field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
+    touches = palpate(field, touches=6, frames=6, extent=(0.05, 0.05), rings=4)
+    told = []
+    fit("nerf", touches, BOUNDS, Fitting(iterations=101, batch=200, samples=20, rate=3e-3), progress=lambda i, n, text: told.append(float(text.split()[0])))
+    assert told[-1] < 0.7 * told[0], told
+
+
+def test_a_field_is_under_a_hundred_kilobytes_and_comes_back(tmp_path):
+    torch.manual_seed(0)
+    for model in (NerfField(BOUNDS, 1e8), GridField(BOUNDS, 1e8)):
+        with torch.no_grad():
+            for p in model.parameters():
+                p.add_(0.1 * torch.randn_like(p))
+        save_field(model, tmp_path / "field.npz")
+        if isinstance(model, NerfField):
+            assert (tmp_path / "field.npz").stat().st_size < 100_000
+        points = np.random.default_rng(0).uniform(*BOUNDS, (500, 3))
+        # Half precision: 5e-4 of every weight.
+        np.testing.assert_allclose(density(load_field(tmp_path / "field.npz"), points), density(model, points), rtol=0.02)
+
+
+def test_the_same_seed_gives_the_same_field():
+    touches = palpate(layer_with_inclusion(), touches=2, frames=4, extent=(0.02, 0.02), rings=3)
+    quick = Fitting(iterations=5, batch=50, samples=10, seed=4)
+    first, second = (fit("nerf", touches, BOUNDS, quick) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
+
+
+def test_refusals(tmp_path):
+    touch = straight()
+    with pytest.raises(VsfError, match="no touch with contact forces"):
+        fit("nerf", [], BOUNDS)
+    with pytest.raises(VsfError, match="all zero"):
+        fit("grid", [touch], BOUNDS, Fitting(iterations=1))
+    with pytest.raises(VsfError, match="touch 0 has"):
+        fit("grid", [DenseTouch(touch.vertices, touch.triangles, np.full_like(touch.force, np.nan))], BOUNDS)
+    with pytest.raises(VsfError, match="no field 'hash'"):
+        fit("hash", [touch], BOUNDS)
+    (tmp_path / "x.npz").write_bytes(b"no")
+    with pytest.raises(VsfError, match="no field can be read"):
+        load_field(tmp_path / "x.npz")

@@ -1,0 +1,159 @@
+"""Observation matrices against mechanics: an arm's virtual power, the elastic energy's derivative, and each other; and the sticking that feeds them."""
+
+import math
+
+import numpy as np
+import pytest
+
+from vsfsim.core.shape import Sphere
+from vsfsim.vsf.dynamics import Displacements, VsfError, simulate
+from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, joint_torque_rows, normal_force_rows, pressure_rows
+from vsfsim.vsf.sticking import stick
+
+
+def displaced(frames=3, particles=9, seed=0):
+    rng = np.random.default_rng(seed)
+    index = [np.sort(rng.choice(particles, 4, replace=False)) for _ in range(frames)]
+    return Displacements(np.arange(frames + 1) * 4, np.concatenate(index), rng.normal(0, 0.01, (4 * frames, 3)))
+
+
+def plate(count=9, size=0.04):
+    """A flat square of triangles in z = 0, outer side down, and its triangles."""
+    x = np.linspace(-size / 2, size / 2, count)
+    vertices = np.stack([*np.meshgrid(x, x, indexing="ij"), np.zeros((count, count))], axis=-1).reshape(-1, 3)
+    i = np.arange(count * count).reshape(count, count)
+    a, b, c, d = (part.ravel() for part in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
+    return vertices, np.concatenate([np.stack([a, c, b], axis=1), np.stack([a, d, c], axis=1)])
+
+
+def grid(low, high, spacing):
+    axes = [np.arange(a + 0.31 * spacing, b, spacing) for a, b in zip(low, high)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def test_pressure_is_the_normal_force_over_the_area():
+    moved, axis = displaced(), np.array([0.0, 0.6, -0.8])
+    ours = pressure_rows(moved, 9, np.tile(axis, (3, 1)), area=0.0066)
+    np.testing.assert_allclose(ours.toarray(), normal_force_rows(moved, 9, axis).toarray() / 0.0066)
+
+
+def test_joint_torques_are_virtual_power():
+    # A planar arm of three links whose tip region holds the particles: torque . dq = force . dp for any small dq.
+    rng = np.random.default_rng(1)
+    lengths, rest, k = [0.4, 0.3, 0.2], rng.uniform(-0.1, 0.1, (9, 3)) + [0.7, 0.2, 0.0], rng.uniform(10, 100, 9)
+    moved = displaced()
+
+    def joints(q):
+        origin, angle, out = np.zeros(3), 0.0, []
+        for length, turn in zip(lengths, q):
+            out.append(origin)
+            angle += turn
+            origin = origin + length * np.array([math.cos(angle), math.sin(angle), 0.0])
+        return np.array(out)
+
+    def carried(point, q0, q1):
+        """Where a point of the last link goes."""
+        a, b = joints(q0)[-1], joints(q1)[-1]
+        turn = sum(q1) - sum(q0)
+        c, s = math.cos(turn), math.sin(turn)
+        return b + np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ (point - a)
+
+    q = rng.uniform(-0.5, 0.5, (3, 3))
+    origins = np.stack([joints(row) for row in q])
+    axes = np.tile([0.0, 0.0, 1.0], (3, 3, 1))
+    torque = (joint_torque_rows(moved, rest, axes, origins) @ k).reshape(3, 3)
+    for t in range(3):
+        particle, u = moved.frame(t)
+        for j in range(3):
+            step = np.zeros(3)
+            step[j] = 1e-6
+            way = np.array([(carried(rest[i] + x, q[t], q[t] + step) - carried(rest[i] + x, q[t], q[t] - step)) / 2e-6 for i, x in zip(particle, u)])
+            assert torque[t, j] == pytest.approx(-np.sum(k[particle, None] * u * way), rel=1e-6)
+    # A joint past the touched link feels nothing.
+    axes[:, 2] = 0.0
+    assert (np.diff(joint_torque_rows(moved, rest, axes, origins).toarray().reshape(3, 3, 9)[:, 2]) == 0.0).all()
+
+
+def test_dense_forces_are_the_derivative_of_the_springs_energy():
+    base, triangles = plate()
+    vertices = base + np.linspace(0.004, -0.01, 8)[:, None, None] * [0.0, 0.0, 1.0]
+    rng = np.random.default_rng(0)
+    vertices = vertices + 0.002 * np.linspace(0, 1, 8)[:, None, None] * rng.normal(size=base.shape)  # a surface that bends as it goes
+    particles = grid([-0.015, -0.015, -0.02], [0.015, 0.015, 0.0], 0.004)
+    k = rng.uniform(10, 100, len(particles))
+    contacts = stick(particles, vertices, triangles)
+    w = dense_force_rows(contacts, len(particles), triangles, len(base))
+    force = (w @ k).reshape(8, len(base), 3)
+    t = 7
+    part = slice(contacts.pointer[t], contacts.pointer[t + 1])
+    index, corner, weight = contacts.particle[part], triangles[contacts.triangle[part]], contacts.weight[part]
+    assert len(index) > 50
+
+    def energy(v):
+        u = np.einsum("kj,kji->ki", weight, v[corner]) - particles[index]
+        return 0.5 * np.sum(k[index] * np.sum(u * u, axis=1))
+
+    for vertex in np.unique(corner)[::7]:
+        for axis in range(3):
+            step = np.zeros_like(base)
+            step[vertex, axis] = 1e-6
+            assert force[t, vertex, axis] == pytest.approx(-(energy(vertices[t] + step) - energy(vertices[t] - step)) / 2e-6, rel=1e-6, abs=1e-9)
+    # Together they are the force of all springs.
+    np.testing.assert_allclose(force[t].sum(axis=0), -(k[index, None] * contacts.displacement[part]).sum(axis=0), rtol=1e-10)
+    assert np.diff(w.tocsc().indptr).max() <= 9 * 8
+
+
+def test_a_plate_takes_particles_along_from_where_it_met_them_and_lets_go():
+    base, triangles = plate()
+    height = np.concatenate([np.linspace(0.002, -0.010, 7), np.linspace(-0.010, 0.004, 7)[1:]])
+    particles = grid([-0.018, -0.018, -0.012], [0.018, 0.018, 0.0], 0.003)
+    contacts = stick(particles, base + height[:, None, None] * [0, 0, 1.0], triangles)
+    for t, z in enumerate(height):
+        part = slice(contacts.pointer[t], contacts.pointer[t + 1])
+        expected = np.flatnonzero(particles[:, 2] > z) if t < 7 else np.flatnonzero((particles[:, 2] > z) & (particles[:, 2] > -0.010))
+        np.testing.assert_array_equal(contacts.particle[part], expected)
+        # Straight down: stuck at its own place, and as deep as the plate.
+        np.testing.assert_allclose(contacts.displacement[part][:, :2], 0, atol=1e-12)
+        np.testing.assert_allclose(contacts.displacement[part][:, 2], z - particles[expected, 2], atol=1e-12)
+    np.testing.assert_allclose(force_sum_rows(contacts.displacements(), len(particles)).sum(), np.linalg.norm(contacts.displacement, axis=1).sum())
+
+
+def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():
+    # Latitude-longitude sphere, fine; sticking of both models is the same law.
+    rings, around, radius = 40, 80, 0.02
+    polar, azimuth = np.linspace(0.02, np.pi - 0.02, rings), np.arange(around) * 2 * np.pi / around
+    base = radius * np.stack([np.sin(polar)[:, None] * np.cos(azimuth), np.sin(polar)[:, None] * np.sin(azimuth), np.broadcast_to(np.cos(polar)[:, None], (rings, around))], axis=-1).reshape(-1, 3)
+    i = np.arange(rings * around).reshape(rings, around)
+    a, b, c, d = i[:-1], np.roll(i, -1, axis=1)[:-1], np.roll(i, -1, axis=1)[1:], i[1:]
+    triangles = np.concatenate([np.stack([x.ravel() for x in t], axis=1) for t in ((a, d, c), (a, c, b))])
+    centre = np.linspace([0, 0, 0.022], [0.003, 0, 0.012], 11)
+    particles = grid([-0.02, -0.02, -0.01], [0.02, 0.02, 0.0], 0.0023)
+    poses = np.tile(np.eye(4), (11, 1, 1))
+    poses[:, :3, 3] = centre
+    exact = simulate(particles, Sphere(radius), poses, friction=math.inf)
+    ours = stick(particles, base + centre[:, None], triangles).displacements()
+    (p0, u0), (p1, u1) = exact.frame(10), ours.frame(10)
+    both, at0, at1 = np.intersect1d(p0, p1, return_indices=True)
+    assert len(both) > 0.95 * max(len(p0), len(p1))
+    # The triangles lie up to 0.03 mm inside the sphere.
+    np.testing.assert_allclose(u1[at1], u0[at0], atol=2e-4)
+    assert np.abs(u1[at1] - u0[at0]).mean() < 5e-5
+
+
+def test_refusals():
+    moved = displaced()
+    base, triangles = plate(3)
+    with pytest.raises(VsfError, match="one unit vector a frame"):
+        pressure_rows(moved, 9, np.ones((3, 3)), area=1.0)
+    with pytest.raises(VsfError, match="square metres"):
+        pressure_rows(moved, 9, np.tile([0, 0, 1.0], (3, 1)), area=0.0)
+    with pytest.raises(VsfError, match=r"\(T, J, 3\) with T = 3"):
+        joint_torque_rows(moved, np.zeros((9, 3)), np.zeros((2, 7, 3)), np.zeros((2, 7, 3)))
+    with pytest.raises(VsfError, match="only|but 2 rest positions"):
+        joint_torque_rows(moved, np.zeros((2, 3)), np.zeros((3, 7, 3)), np.zeros((3, 7, 3)))
+    with pytest.raises(VsfError, match="must be finite"):
+        stick(np.full((1, 3), np.nan), base[None], triangles)
+    with pytest.raises(VsfError, match="name vertex 9"):
+        stick(np.zeros((1, 3)), base[None], triangles + 1)
+    assert len(stick(np.zeros((0, 3)), base[None], triangles).particle) == 0
+    assert stick(np.zeros((1, 3)), np.zeros((0, 9, 3)), triangles).pointer.tolist() == [0]

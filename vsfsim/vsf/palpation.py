@@ -1,0 +1,125 @@
+"""A synthetic palpation: a dome that presses into a volume of known stiffness, with the force on each of its vertices.
+
+Not physics: the forces are those of the continuous VSF itself (Neural VSF eq. 4), integrated finely along the way of each vertex. It is
+a workload and a ground truth for estimators that read dense contact forces, with as many touches and frames as wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+Field = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True)
+class DenseTouch:
+    """One touch of a sensor with a surface.
+
+    vertices: of the surface, world (T, N, 3) [m]. triangles: corners, wound outwards (m, 3). force: of the object on each vertex, world
+    (T, N, 3) [N].
+    """
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    force: np.ndarray
+
+
+def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """A cap of a ball, apex down at the origin: vertices (N, 3) [m] and triangles (m, 3) wound outwards (down).
+
+    Args:
+        radius: of its rim [m]. height: of the rim over the apex [m]. rings: of vertices; N = 1 + 3 rings (rings + 1).
+    """
+    ball = (radius**2 + height**2) / (2.0 * height)
+    points, start = [np.zeros((1, 3))], [0]
+    for ring in range(1, rings + 1):
+        r = radius * ring / rings
+        angle = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
+        start.append(start[-1] + (6 * (ring - 1) if ring > 1 else 1))
+        points.append(np.stack([r * np.cos(angle), r * np.sin(angle), np.full(6 * ring, ball - np.sqrt(ball**2 - r**2))], axis=1))
+    triangles = []
+    for ring in range(1, rings + 1):
+        for side in range(6):
+            for step in range(ring):
+                outer = start[ring] + (side * ring + step) % (6 * ring)
+                after = start[ring] + (side * ring + step + 1) % (6 * ring)
+                inner = start[ring - 1] + (side * (ring - 1) + step) % max(6 * (ring - 1), 1)
+                triangles.append((inner, after, outer))
+                if step < ring - 1:
+                    triangles.append((inner, start[ring - 1] + (side * (ring - 1) + step + 1) % (6 * (ring - 1)), after))
+    return np.concatenate(points), np.array(triangles)
+
+
+def oriented_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """A third of the area vectors of the triangles around each vertex (..., N, 3) [m^2] (Neural VSF section III-D)."""
+    a, b, c = (vertices[..., triangles[:, k], :] for k in range(3))
+    area = np.cross(b - a, c - a) / 6.0
+    out = np.zeros_like(vertices)
+    flat, given = out.reshape(-1, *vertices.shape[-2:]), area.reshape(-1, *area.shape[-2:])
+    for frame, part in zip(flat, given):
+        for k in range(3):
+            np.add.at(frame, triangles[:, k], part)
+    return out
+
+
+def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, float], depth: float = 0.012, rings: int = 8, tilt: float = 0.2,
+            noise: float = 0.0, substeps: int = 20, seed: int = 0) -> list[DenseTouch]:
+    """Press the dome at random places of the plane z = 0 into the half-space under it.
+
+    Args:
+        field: stiffness density at points (k, 3) -> (k,) [N/m^4]; 0 above z = 0.
+        touches, frames: how many; each goes straight in, over equal steps.
+        extent: edges of the region of targets, centred on the origin (2,) [m].
+        depth: of the apex at the end [m]. rings: of the dome. tilt: largest angle from vertical [rad].
+        noise: standard deviation of every force component [N]. substeps: of the integral, per frame. seed: >= 0.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed))
+    shape, triangles = dome(rings=rings)
+    out = []
+    for _ in range(touches):
+        target = np.append(rng.uniform(-0.5, 0.5, 2) * extent, 0.0)
+        lean = rng.uniform(-tilt, tilt, 2)
+        c, s = np.cos(lean), np.sin(lean)
+        turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+        travel = np.linspace(0.002, -depth, frames)
+        base = shape @ turn.T + target
+        vertices = base + travel[:, None, None] * turn[:, 2]
+        force = _forces(field, base, oriented_areas(base, triangles), turn[:, 2], travel, substeps)
+        out.append(DenseTouch(vertices, triangles, force + noise * rng.standard_normal(force.shape)))
+    return out
+
+
+def _forces(field: Field, base: np.ndarray, area: np.ndarray, up: np.ndarray, travel: np.ndarray, substeps: int) -> np.ndarray:
+    """Eq. 4 for a straight way: f(t) = sum over the way of -K(p) (v(t) - p) s . dv, midpoints of ``substeps`` steps a frame."""
+    count = (len(travel) - 1) * substeps
+    ends = np.linspace(travel[0], travel[-1], count + 1)
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    points = base + middle[:, None, None] * up
+    k = field(points.reshape(-1, 3)).reshape(count, len(base))
+    volume = (ends[1] - ends[0]) * (area @ up)
+    first, second = np.cumsum(k, axis=0), np.cumsum(k * middle[:, None], axis=0)
+    force = np.zeros((len(travel), len(base), 3))
+    for t in range(1, len(travel)):
+        n = t * substeps - 1
+        force[t] = -((travel[t] * first[n] - second[n]) * volume)[:, None] * up
+    return force
+
+
+def layer_with_inclusion(*, soft: float = 2e8, stiff: float = 4e9, top: float = -0.004, radius: float = 0.008,
+                         path: Callable[[np.ndarray], np.ndarray] | None = None) -> Field:
+    """A soft half-space under z = 0 with a stiff rope in it (Neural VSF section IV-A).
+
+    Args:
+        soft, stiff: stiffness densities [N/m^4]. top: z of the rope's upper side [m]. radius: of the rope [m].
+        path: y of the rope's middle line as a function of x [m]; None for a sine of 2 cm over 12 cm.
+    """
+    middle = path or (lambda x: 0.02 * np.sin(2.0 * np.pi * x / 0.12))
+
+    def field(points: np.ndarray) -> np.ndarray:
+        away = np.hypot(points[:, 1] - middle(points[:, 0]), points[:, 2] - (top - radius))
+        return np.where(points[:, 2] > 0.0, 0.0, np.where(away < radius, stiff, soft))
+
+    return field
