@@ -60,12 +60,14 @@ def _newton(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushe
     dq, move = torch.zeros_like(q), torch.zeros_like(q)
     level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
     error = best_error.clone()
+    astray = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
     answer = best.clone()
     running = torch.ones_like(best_error, dtype=torch.bool)
     for _ in range(iterations):
         touching.evaluate(columns, trial)
         energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + touching.energy(columns)
-        far = running & (energy > level - 1e-4 * step * slope + _SLACK * level.abs()) & (step > _LEAST)
+        strays = touching.astray(columns)
+        far = running & ((strays > astray) | (energy > level - 1e-4 * step * slope + _SLACK * level.abs())) & (step > _LEAST)
         # too far: back half of what is left of this step
         step = torch.where(far, 0.5 * step, step)
         back = torch.where(far, step, 0.0)[:, None]
@@ -88,6 +90,7 @@ def _newton(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushe
             move = torch.where(ahead[:, None], _times(compliance, new), move)
             level, slope = torch.where(ahead, energy, level), torch.where(ahead, (new * miss).sum(dim=1), slope)
             step = torch.where(ahead, 1.0, step)
+            astray = torch.where(ahead, strays, astray)
         go = torch.where(ahead, 1.0, 0.0)[:, None] - back
         q = q + go * dq
         trial = trial + go * move
@@ -96,8 +99,8 @@ def _newton(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushe
             where = slice(None) if live is None else live
             best[where], best_error[where] = answer, error
             live = keep if live is None else live[keep]
-            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer = (
-                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer))
+            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer, astray = (
+                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer, astray))
             running = torch.ones_like(keep, dtype=torch.bool)
     where = slice(None) if live is None else live
     best[where], best_error[where] = answer, error

@@ -12,6 +12,7 @@ the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives
 w_q = area x PENALTY x modulus / element size: so stiff that the penetration stays far under 1 % of the element size
 (it is measured and stored in every frame), and soft enough that float64 keeps its digits; the solver inverts
 this block exactly, so stiffness costs no iterations.
+A point that the body would push out on its far side, through the object, is *astray*: it is not pushed, and a state with one is no solution.
 Everything here is double precision: a contact force is a stiff spring on a small difference of positions.
 """
 
@@ -28,6 +29,7 @@ from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
 STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
+FACING = 0.5  # cosine between the object's and the body's outward normal above which a point inside the body counts as astray
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973), weights sum to 1.
 _A, _WA = 0.445948490915965, 0.223381589678011
@@ -57,6 +59,7 @@ def kernels() -> Any:
     mat66 = wp.types.matrix(shape=(6, 6), dtype=real)
     module = "vsfsim_contact"
     probe = sdf.functions(real, module)
+    facing = wp.constant(real(FACING))
 
     @wp.func(module=module)
     def place(shape: mat66, q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
@@ -101,11 +104,16 @@ def kernels() -> Any:
         rows_out: wp.array3d(dtype=mat33),
         bend_out: wp.array3d(dtype=mat33),
         slips_out: wp.array3d(dtype=wp.int32),
+        astray_out: wp.array2d(dtype=wp.int32),
         energy_out: wp.array2d(dtype=real),
     ):
         f, k = wp.tid()
         b = columns[k]
         energy = real(0.0)
+        astray = int(0)  # noqa: UP018, RUF046
+        corner = x_in[b, local[b, f, 0]]
+        outward = wp.cross(x_in[b, local[b, f, 1]] - corner, x_in[b, local[b, f, 2]] - corner)
+        outward = outward / wp.max(wp.length(outward), real(1e-30))
         for q in range(6):
             force = vec3()
             rows = mat33()
@@ -126,6 +134,11 @@ def kernels() -> Any:
                     r = turn[b, near]
                     spot = wp.transpose(r) * (p - origin[b, near])
                     n = r * probe.normal(bodies, near, spot)
+                    if wp.dot(n, outward) > facing:
+                        # the nearest way out leads through the object: the surface has come past the body's middle
+                        astray += 1
+                        gap = real(0.0)
+                if gap < real(0.0):
                     normal_out[b, f, q] = n
                     force = -w * gap * n
                     root = wp.sqrt(w)
@@ -168,6 +181,7 @@ def kernels() -> Any:
             bend_out[b, f, q] = bend
             slips_out[b, f, q] = slips
         energy_out[b, f] = energy
+        astray_out[b, f] = astray
 
     @wp.kernel(module=module, enable_backward=False)
     def lag(
@@ -204,7 +218,7 @@ def kernels() -> Any:
             if g < real(0.0):
                 j = body_in[b, f, q]
                 limit = -friction[j] * softening[b] * stiffness[b, f, q] * g
-                across_out[b, f, q] = normal_in[b, f, q]
+                across_out[b, f, q] = wp.normalize(normal_in[b, f, q])
                 if owner_out[b, f, q] != j:
                     # where the body's surface came upon it in this step, had it stood still; or where it is, if the object bulged up
                     p0 = place(shape, q, b, f, local, x_before)

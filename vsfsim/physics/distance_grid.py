@@ -32,6 +32,7 @@ MAX_NODES = 2_000_000
 PAD = 4  # cells of distance kept around the bounding box
 _RIM = 4  # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
 _CLOSED_EDGE = 1 / 8  # edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the size, and 1 / 40 takes minutes
+_ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
 _SLOW = 1.0  # a bake that took longer is kept on disk [s]
 _RECIPE = 1  # part of the cache key: raise it when the bake changes
 
@@ -114,10 +115,10 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
         notes = [note for note in notes if not note.startswith("Not watertight")]
         broken = _fault(surface, vertices, faces)
         if broken:
-            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()), path))
+            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()), _ENVELOPE, path))
             if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
                 raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. Close it or give it thickness.")
-            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to 0.1 % of its diagonal, {1e3 * 1e-3 * np.linalg.norm(surface.extents):.2g} mm.")
+            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
         grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]), notes=tuple(notes))
         if broken or time.perf_counter() - began > _SLOW:
             _write(stored, grid)

@@ -84,6 +84,7 @@ class Equilibrium:
         residual = (self.load + contact - internal) * self.free
         state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual, "energy": energy,
                  "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)}
+        state["astray"] = self.touching.astray(columns)
         state["measure"] = self.measure(residual, contact)
         return state
 
@@ -150,8 +151,10 @@ class Equilibrium:
             stuck[open_] = ~moved & safe[open_]
             self.reason[columns[stuck].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
-        balanced = columns[(state["measure"] <= tolerance) & ~held].cpu().numpy()
-        self.reason[balanced] = Reason.NONE
+        balanced = (state["measure"] <= tolerance) & ~held
+        self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
+        self.reason[columns[balanced & (state["astray"] > 0)].cpu().numpy()] = Reason.ASTRAY
+        self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
         with clock.measure("tangents"):
@@ -190,7 +193,7 @@ class Equilibrium:
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns who moved (k,) bool.
         """
         base = self.u[:, columns]
-        potential, measure = state["potential"][at], state["measure"][at]
+        potential, measure, astray = state["potential"][at], state["measure"][at], state["astray"][at]
         slope = (state["residual"][:, at] * direction).sum(dim=0)
         step = torch.ones_like(slope)
         moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
@@ -201,7 +204,7 @@ class Equilibrium:
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
             shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < 0.05)
-            good = falls | shrinks
+            good = (falls | shrinks) & (new["astray"] <= astray[pending])
             done = pending[good]
             for key in state:
                 state[key][..., at[done]] = new[key][..., good]

@@ -17,13 +17,15 @@ class Reason(IntEnum):
     STALLED = 3
     NOT_FINITE = 4
     PATCH = 5
+    ASTRAY = 6
+    INVERTED = 7
 
     @property
     def text(self) -> str:
         """In words, for people and datasets."""
         return ("", "the iteration limit was reached, halved steps included", "the time limit of the frame was reached",
                 "no step lowers the potential any more, and the forces do not balance", "the state was not finite; the one before was kept",
-                "the contact patch kept growing")[self]
+                "the contact patch kept growing", "the surface slipped through a body", "an element is inside out (det F <= 0)")[self]
 
 
 @dataclass(frozen=True)

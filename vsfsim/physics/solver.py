@@ -165,18 +165,20 @@ class Solver:
             ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
             guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
+        astray = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
         chosen = now.clone()
         for base, pushed in guesses:
             with clock.measure("prediction"):
                 change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets],
                                             iterations=20, tolerance=1e-4)
             balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
-            potential = balance.evaluate(meets)["potential"]
-            better = potential < best
-            best = torch.where(better, potential, best)
+            state = balance.evaluate(meets)
+            better = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] < best))
+            best, astray = torch.where(better, state["potential"], best), torch.where(better, state["astray"], astray)
             chosen[:, meets[better]] = balance.u[:, meets[better]]
         balance.u.copy_(now)
-        stay = balance.evaluate(meets)["potential"] <= best
+        state = balance.evaluate(meets)
+        stay = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] <= best))
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
 
@@ -305,11 +307,14 @@ class Solver:
         }
         out = {key: value.cpu().numpy() for key, value in values.items()}
         reason = balance.reason.copy()
+        if self.linear:
+            # small strain has no det F of its own; the displacements are what a viewer would draw
+            reason[(state["astray"] > 0).cpu().numpy() & (reason == Reason.NONE)] = Reason.ASTRAY
         # with friction the limit that was renewed last counts; without, this is the state that Newton's method left
         reason[(reason == Reason.NONE) & ~(out["residual"] <= self._accept)] = Reason.STALLED
         if not touching.rubs:
             # a step that stalled at rounding's floor may still be good enough; nothing of its way is remembered
-            reason[(out["residual"] <= self._accept) & (reason != Reason.PATCH)] = Reason.NONE
+            reason[(out["residual"] <= self._accept) & ~np.isin(reason, (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
         out["reason"], out["converged"] = reason, reason == Reason.NONE
         out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
         return out

@@ -97,6 +97,7 @@ class Touching:
         self.gap, self.energy_of_face = torch.full(size, 1e30, dtype=torch.float64, device=self.device), zeros(batch, faces)
         self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self._astray = torch.zeros((batch, faces), dtype=torch.int32, device=self.device)
         self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
         self._rows, self._bend = zeros(*size, 3, 3), zeros(*size, 3, 3)
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
@@ -109,7 +110,7 @@ class Touching:
             "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)), "slips": wp.from_torch(self.slips.view(cut)),
             "normal": wp.from_torch(self.normal.view(*cut, 3), **view), "force": wp.from_torch(self.force.view(*cut, 3), **view),
             "rows": wp.from_torch(self._rows.view(*cut, 3, 3), dtype=k.mat33), "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
-            "energy": wp.from_torch(self.energy_of_face), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
+            "energy": wp.from_torch(self.energy_of_face), "astray": wp.from_torch(self._astray), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
             "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view), "across": wp.from_torch(self._across.view(*cut, 3), **view),
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
             "softening": wp.from_torch(self.softening),
@@ -149,7 +150,7 @@ class Touching:
         wp.launch(self.kernels.evaluate, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
             self._shape, self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"],
             self.stick, *self._pose, w["x"], w["anchor"], w["owner"], w["limit"], w["across"],
-            w["gap"], w["body"], w["normal"], w["force"], w["rows"], w["bend"], w["slips"], w["energy"]])
+            w["gap"], w["body"], w["normal"], w["force"], w["rows"], w["bend"], w["slips"], w["astray"], w["energy"]])
 
     def lag(self, columns: torch.Tensor) -> None:
         """Renew friction's limit and tangent plane from what `evaluate` found last."""
@@ -181,6 +182,10 @@ class Touching:
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of the contact (k,) [J]."""
         return self.energy_of_face[columns].sum(dim=1)
+
+    def astray(self, columns: torch.Tensor) -> torch.Tensor:
+        """Points (k,) that lie past the middle of a body: none, in a solution."""
+        return self._astray[columns].sum(dim=1)
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces (k, 3 s) [N] on the patches' nodes."""
