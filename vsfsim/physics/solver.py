@@ -32,6 +32,7 @@ Rows = dict[str, np.ndarray]
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
+_WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
 _KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
@@ -96,6 +97,8 @@ class Solver:
         if self.linear:
             sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
             self._sag = torch.as_tensor(np.repeat(sag, batch, axis=1), device=self.device)
+        else:
+            self._take_up_weight(previous)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -143,6 +146,35 @@ class Solver:
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
+
+    def _take_up_weight(self, pose: np.ndarray) -> None:
+        """The equilibrium under the load alone, which all touches begin from: in parts, as large as they converge in few iterations."""
+        balance, touching = self._balance, self.touching
+        if not self.model.load.any():
+            return
+        deadline = time.perf_counter() + self.options.seconds
+        first, whole = balance.every[:1], balance.load
+        touching.begin(pose, balance.u)
+        touching.move(pose)
+        touching.softening[:] = 0.0  # nothing touches yet
+        balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
+        linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
+        slope = torch.as_tensor(linear, dtype=balance.real, device=self.device)
+        done, part, u = 0.0, 1.0, torch.zeros_like(slope)
+        while done < 1.0 and part >= _WEIGHT_LEAST and time.perf_counter() < deadline:
+            share = min(part, 1.0 - done)
+            balance.load = (done + share) * whole
+            balance.u[:, :1] = u + share * slope
+            balance.count()
+            balance.solve(first, balance.evaluate(first), self.options.tolerance, deadline)
+            if balance.reason[0] == Reason.NONE:
+                slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
+                done, part = done + share, 2.0 * part
+            else:
+                part = 0.5 * share
+        balance.load, balance.options = whole, self.options
+        balance.u[:] = u
+        touching.softening[:] = 1.0
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
@@ -194,7 +226,9 @@ class Solver:
         touching.move(pose)
         memory = touching.memory()
         self._equilibrium(columns, pose, begin, deadline)
-        failed = columns[torch.as_tensor(balance.reason[columns.cpu().numpy()] != Reason.NONE, device=self.device)]
+        asked = columns.cpu().numpy()
+        again = (balance.reason[asked] != Reason.NONE) & (balance.cg[asked] < self.options.cg_frame)
+        failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
             return
         host = failed.cpu().numpy()

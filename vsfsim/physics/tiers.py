@@ -112,7 +112,7 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
 
 def body_limit(size: np.ndarray, part: float) -> float:
     """Element [m] of which ``part`` ** -3 cells fill the bounding box of edges ``size`` (3,) [m]: cubes, or two layers of a thin body."""
-    thickness, *face = np.sort(size)
+    face = np.sort(size)[1:]
     return max(part * float(np.prod(size)) ** (1 / 3), part**1.5 * float(2.0 * np.prod(face)) ** 0.5)
 
 
