@@ -23,6 +23,7 @@ def _group() -> None:
 def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
            touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 2048) on a GPU.")] = None,
+           compare: Annotated[bool, typer.Option(help="On a GPU: run a few touches on the CPU as well and compare the forces.")] = True,
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""
     from vsfsim.cli import _check_device, _check_writable
@@ -36,7 +37,7 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches,
+    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches, compare=compare,
                    progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     if stdout:
         print(json.dumps(result, indent=1))

@@ -225,4 +225,6 @@ class _Dense:
         return self._inverse @ right
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        if not self._columns.shape[1]:  # no touch reaches anything
+            return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
         return self._columns @ spread(self._place[touches], force, self._columns.shape[1])
