@@ -106,13 +106,13 @@ def test_four_tenths_of_the_thickness(device, nu):
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
-@pytest.mark.xfail(strict=True, reason="past six tenths the probe may slip through the surface, or an element turn inside out, in a frame marked converged")
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
 def test_eight_tenths_of_the_thickness(device, nu):
     """A frame that converged has the probe outside, pushed back the way it came, and no element inside out."""
     frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)
     good = frames.converged[:, 0]
-    assert good[:4].all()
+    # without Poisson's effect nothing moves aside and the last frames squeeze elements to nothing: those may be marked
+    assert good.all() if nu > 0.0 else good[:6].all()
     assert (frames.force[good, 0, 2] > 0.0).all(), "the probe went through the surface"
     assert (np.diff(frames.force[good, 0, 2]) > 0.0).all()
     assert (frames.min_det_f[good, 0] > 0.0).all()
