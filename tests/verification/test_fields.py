@@ -10,7 +10,7 @@ from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics.blocks import box, grid_hexes
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.elements.tet10 import EDGES
+from vsfsim.physics.elements.tet10_shape import EDGES
 from vsfsim.physics.mesh import gauss_points
 from vsfsim.physics.model import build_model
 from vsfsim.physics.solver import Solver, SolverOptions

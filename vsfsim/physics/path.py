@@ -62,14 +62,20 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
     return np.minimum(np.where(((now * last).sum(axis=1) > 0.0) & (size > 0.0), even, 0.0), 2.0)
 
 
-def outside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
-    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in it, else moved straight out of it."""
+def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in it, else moved straight out of it.
+
+    Args:
+        bodies: the bodies. model: the object. pose: (B, K, 4, 4). gap: least gap of each touch there (B,) [m].
+    """
     out = pose.copy()
+    if (gap >= 0.0).all():
+        return out
     surface = model.mesh.points[model.mesh.surface_nodes()]
     for k in range(len(bodies)):
         inner = _inner_radius(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
-        for b in range(len(pose)):
+        for b in np.flatnonzero(gap < -deep):
             turn, at = pose[b, k, :3, :3], pose[b, k, :3, 3]
 
             def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at) -> float:

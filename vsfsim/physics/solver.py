@@ -91,7 +91,7 @@ class Solver:
         self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
         self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
         every = self._balance.every
-        previous = path.outside(self.bodies, self.model, poses[0])
+        previous = path.outside(self.bodies, self.model, poses[0], self.touching.first_gap)
         stride = path.stride(self.bodies)
         self._pushed = torch.zeros_like(self.touching.rest)
         if self.linear:

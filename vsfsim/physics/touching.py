@@ -43,8 +43,11 @@ class Touching:
         self._shape = self.kernels.mat66(contact.SHAPE)
         self._surface = model.mesh.surface_nodes()
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
-        near = self._nearest(poses, torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]).cpu().numpy()
-        self.patches = [contact.make_patch(model.mesh, self._reachable(near[:, b]), model.surface_modulus) for b in range(poses.shape[1])]
+        rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
+        self.first_gap = self._nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
+        near = self._nearest(poses, rest).cpu().numpy()
+        self._area = model.mesh.face_area()
+        self.patches = [self._patch(self._reachable(near[:, b])) for b in range(poses.shape[1])]
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self._upload()
 
@@ -65,6 +68,9 @@ class Touching:
         margin = 0.15 * max(0.0, -float(gap.min())) + 0.1 * self.model.element_size
         return np.flatnonzero(nearest[self.model.mesh.faces].min(axis=1) < margin)
 
+    def _patch(self, faces: np.ndarray) -> contact.Patch:
+        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces])
+
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
         faces = max(1, max(len(p.faces) for p in self.patches))
@@ -72,12 +78,10 @@ class Touching:
         listed = np.full((batch, nodes), -1, np.int64)
         local = np.zeros((batch, faces, 6), np.int32)
         stiffness = np.zeros((batch, faces, 6))
-        shape = np.zeros((batch, faces, 6, nodes))
         member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
             f = len(p.faces)
             listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b, p.faces] = p.nodes, p.local, p.stiffness, True
-            shape[b, np.arange(f)[:, None, None], np.arange(6)[None, :, None], p.local[:, None, :]] = contact.SHAPE[None]
 
         def tensor(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(values, device=self.device)
@@ -91,7 +95,10 @@ class Touching:
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.real = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
-        self._points = tensor(shape.reshape(batch, 6 * faces, nodes))
+        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
+        at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
+        values = tensor(contact.SHAPE).repeat(faces, 1).expand(batch, -1, -1)
+        self._points = zeros(batch, 6 * faces, nodes).scatter_(2, at, values)
         self._member = tensor(member)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
@@ -282,7 +289,7 @@ class Touching:
                 near = np.zeros(len(mesh.points), bool)
                 near[mesh.faces[extra]] = True
                 faces = np.union1d(self.patches[b].faces, np.flatnonzero(near[mesh.faces].any(axis=1)))
-                self.patches[b] = contact.make_patch(mesh, faces, self.model.surface_modulus)
+                self.patches[b] = self._patch(faces)
         self._upload()
         if self.rubs:
             for b, faces in enumerate(old):
