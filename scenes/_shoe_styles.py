@@ -45,7 +45,7 @@ class ShoeForm:
 RANGES: dict[str, tuple[float, float]] = {
     "length": (0.22, 0.30), "width": (0.080, 0.115), "heel_width": (0.060, 0.085),
     "collar_height": (0.050, 0.120), "throat_height": (0.075, 0.130), "toe_height": (0.048, 0.070),
-    "sole_heel": (0.012, 0.030), "sole_fore": (0.012, 0.025), "wall": (0.004, 0.009),
+    "sole_heel": (0.012, 0.030), "sole_fore": (0.012, 0.025), "wall": (0.002, 0.009),
     "opening": (0.36, 0.52), "toe_spring": (0.0, 0.015), "arch": (0.0, 0.006),
     "flare": (0.0, 0.005), "bend": (0.0, 0.010),
 }

@@ -97,6 +97,10 @@ def toy(tmp_path):
     (PRESS, *MESH, "volume"),
     (GENERATE, *MESH, "volume"),
     (GENERATE, MESH[0], 'mesh = "none.obj"', "none.obj"),
+    (PRESS, "shape = { sphere = 0.02 }", 'shape = { mesh = "none.stl" }', "[touches]: the touches of a dataset are made with one simple probe"),
+    (PRESS, "from = [0.0, 0.0, 0.05]", "path = [[0, 0, 0.05], [0, 0, 0.04]]", "box.toml [press]: there is a path, and to; give either path"),
+    (PRESS, "frames = 2", "frames = 2\nrotation = [0, 0, 90]", "box.toml [press]: rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
+    (PRESS, "tier = \"linear\"", "friction = -0.1", "box.toml [object]: friction is -0.1; it must be a number from 0 to 10."),
     (PRESS, 'tier = "linear"', 'tier = "fine"', "tier is 'fine'. Did you mean 'fem-fine'?"),
     (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
 ])
@@ -109,6 +113,20 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(tmp_path, words, old, new, 
     assert contents(tmp_path) == before
 
 
+@pytest.mark.parametrize(("probe", "message"), [
+    ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"), ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
+    ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"), ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
+    ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
+])
+def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(tmp_path, probe, message):
+    (tmp_path / "box.toml").write_text(BOX[:BOX.index("[touches]")].replace("{ sphere = 0.02 }", probe))
+    (tmp_path / "flat.obj").write_text(FLAT)
+    (tmp_path / "text.obj").write_text("not a mesh")
+    before = contents(tmp_path)
+    assert_refused(run(*PRESS, cwd=tmp_path), message)
+    assert contents(tmp_path) == before
+
+
 @pytest.mark.parametrize(("words", "message"), [
     (("evaluate", "--method", "point-vfs", "--task", "toy-v1.toml", "--dataset", "toy"), "unknown method 'point-vfs'. Did you mean 'point-vsf'?"),
     (("check", "guassian"), "unknown method 'guassian'. Did you mean 'gaussian'?"),
@@ -117,6 +135,8 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(tmp_path, words, old, new, 
     (("press", "indnt"), "unknown scene 'indnt'. Did you mean 'indent'?"),
     (("press", "indent", "--tier", "linear"), "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
     (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
+    (("press", "indent", "--picture", "nowhere/x.png"), "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
+    (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
     (("press", "indent", "--precision", "float16"), "--precision is 'float16'. Did you mean 'float64'?"),
     (("generate", "indent"), "there is no [touches]"),
     (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"), "--renderer is 'pyrendr'. Did you mean 'pyrender'?"),

@@ -39,7 +39,7 @@ BY_NAME = {"physics": {"scenes"}}
 HEAVY = {
     "core": {"numpy"},
     "data": {"numpy", "h5py"},
-    "physics": {"numpy", "scipy", "warp", "trimesh", "pytetwild", "cholespy"},
+    "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild", "cholespy"},
     "robot": {"numpy", "mujoco"},
     "sensing": {"numpy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch"},
@@ -72,7 +72,7 @@ def layer_of(path: Path) -> str:
         return path.parts[0]
     if len(path.parts) > 2:
         return path.parts[1]
-    return "cli" if path.stem == "cli" else "top"
+    return "cli" if path.stem in ("cli", "cli_bench") else "top"
 
 
 def layer_of_module(module: str) -> str:

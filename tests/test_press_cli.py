@@ -32,7 +32,7 @@ def press(tmp_path):
     """Runs `vsfsim press` on a scene made of keywords: press(*words, **scene)."""
 
     def run(*words, **scene):
-        text, given = SCENE, {**BOX, **scene}
+        text, given = scene.pop("text", SCENE), {**BOX, **scene}
         for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"), ("TO", "stop"), ("FRAMES", "frames")):
             text = text.replace(word, str(given[key]))
         (tmp_path / "s.toml").write_text(text)
@@ -93,3 +93,36 @@ def test_a_probe_that_misses_is_said_and_one_inside_is_refused(press):
     out = press(tier="linear", probe="sphere = 0.005", start=0.015, stop=0.012)
     assert out.returncode == 2 and out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body")
     assert out.stdout == "" and "Traceback" not in out.stderr
+
+
+def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path):
+    trimesh.creation.capsule(radius=8.0, height=14.0).export(tmp_path / "tip.stl")
+    scene = '[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape = { mesh = "tip.stl", scale = 0.001 }\n'
+    out = press("--picture", "p.png", "--save", "s.npz", text=scene)
+    assert out.returncode == 0, out.stderr
+    assert "All 10 frames converged." in out.stdout and "of an element" in out.stdout and "No [press] is given: the probe goes from above, at the middle" in out.stdout
+    assert "the centre of its bounding box is the probe's origin; distance grid of" in out.stdout
+    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    with np.load(tmp_path / "s.npz") as data:
+        assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
+        assert data["contact_force"].shape == (10, len(data["surface_nodes"]), 3) and data["displacement"].shape == (10, len(data["points"]), 3)
+        # the force on the probe is what the surface pushes back with, to the tier's tolerance
+        assert data["contact_force"].sum(axis=1) == pytest.approx(-data["force"], abs=1e-4 * np.abs(data["force"]).max())
+
+
+def test_refinement_prints_the_meshes_and_says_what_they_are_worth(press):
+    out = press("--refine", "3", "--json", "-", tier="linear", size=0.015)
+    found = json.loads(out.stdout)["refinement"]
+    assert out.returncode == 0 and len(found["meshes"]) == len(found["force"]) == 3 and np.all(np.diff(found["edge"]) < 0.0)
+    assert found["force"] == pytest.approx([np.linalg.norm(m["force"][-1]) for m in found["meshes"]])
+    assert found["error"] > 0.0 and ("Observed order" in found["statement"] or "No order" in found["statement"])
+    # the mesh's own error is far under what a wrong force would be: Hertz is 1.4 N, see above
+    assert 1.2 < found["force"][-1] < 2.8
+
+
+def test_a_mesh_of_a_ball_presses_as_the_ball_does(press, tmp_path):
+    trimesh.creation.icosphere(subdivisions=4, radius=0.01).export(tmp_path / "ball.ply")
+    ball = pressed(press("--json", "-", tier="linear"))
+    mesh = pressed(press("--json", "-", tier="linear", probe='mesh = "ball.ply"'))
+    # facets lie up to 1.3e-3 of the radius inside the ball: 13 um of 3 mm, and force grows as depth^1.5, so 0.7 %
+    assert mesh["force"][-1][2] == pytest.approx(ball["force"][-1][2], rel=7e-3)

@@ -45,7 +45,7 @@ def test_the_scene_can_be_sampled_and_its_scan_variant_too(tmp_path):
     from vsfsim.core.scene import parse_scene
 
     text = named("foam.toml", "toml")
-    assert parse_scene(text, tmp_path / "foam.toml").sample(0).press.frames == 5
+    assert parse_scene(text, tmp_path / "foam.toml").sample(0).press.frames == (5,)
     scan = re.sub(r"box = \[[^]]*\]", 'mesh = "scan.obj"', text)
     assert parse_scene(scan, tmp_path / "foam.toml").sample(0).object.shape.path.endswith("scan.obj")
 
@@ -79,6 +79,15 @@ def test_the_tiers_of_the_readme_are_those_of_the_code():
 
     table = README.split("## Fidelity")[1].split("##")[0]
     assert re.findall(r"^\| `([\w-]+)` \|", table, re.MULTILINE) == list(TIERS)
+
+
+def test_the_example_of_bodies_and_paths_is_a_scene(tmp_path):
+    from vsfsim.core.scene import parse_scene
+
+    (block,) = [b for b in blocks(README, "toml") if "obstacles" in b]
+    text = block.replace("[object]", "[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5").replace("[[probe.parts]]", "[probe]\nshape = { sphere = 0.02 }\n[[probe.parts]]")
+    scene = parse_scene(text, tmp_path / "s.toml").sample(0)
+    assert len(scene.bodies) == 3 and scene.frictions == (0.5, 0.5, 0.5) and scene.press.frames == (5, 10)
 
 
 def test_the_entry_point_example_is_valid_toml():

@@ -15,6 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
+from vsfsim.cli_bench import app as bench_app
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
@@ -32,6 +33,8 @@ Make data, score two methods, see the table:
   vsfsim leaderboard --task fewshot-shoes-mini-v1
 """, epilog="Exit codes: 0 fine, 1 a bug of ours, 2 a mistake in what was given, 3 a press that did not converge.")
 
+app.add_typer(bench_app, name="bench")
+
 TaskName = Annotated[str, typer.Option("--task", help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
 DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS.")]
 SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method; may be given again.")]
@@ -42,7 +45,7 @@ def main() -> None:
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
-    commands = [name for name in (c.name or c.callback.__name__ for c in app.registered_commands)]
+    commands = [name for name in (c.name or c.callback.__name__ for c in (*app.registered_commands, *app.registered_groups))]
     word = next((w for w in sys.argv[1:] if not w.startswith("-")), None)
     try:
         if word is not None and word == sys.argv[1] and word not in commands:
@@ -113,39 +116,39 @@ def scenes() -> None:
 def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
           seed: Annotated[int, typer.Option(min=0, help="Fixes every distribution of the scene.")] = 0,
           json: Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write one JSON object; - for standard output.")] = None,
-          plot: Annotated[Path | None, typer.Option(help="Write a plot of force against depth (PNG).")] = None) -> None:
-    """Press a probe into an object: force against depth.
+          plot: Annotated[Path | None, typer.Option(help="Write a plot of force against depth (PNG).")] = None,
+          picture: Annotated[Path | None, typer.Option(help="Write a picture of the deformed body at full depth (PNG).")] = None,
+          save: Annotated[Path | None, typer.Option(help="Write mesh, displacements and contact forces of every frame (.npz).")] = None,
+          refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES", help="Press 3 to 6 finer and finer meshes: observed order of convergence, extrapolated force and its error.")] = None) -> None:
+    """Press a probe into an object: force against depth, and whether it can be trusted.
 
+    What the scene leaves out is assumed, and said: without [press] the probe goes down in the middle, a tenth of the height deep.
     Prints a table, or JSON. Exit code 3 if a frame did not converge.
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
     _check_device(device, precision)
-    _check_writable("--plot", plot)
-    _check_writable("--json", Path(json) if json not in (None, "-") else None)
+    for option, path in (("--plot", plot), ("--picture", picture), ("--save", save), ("--json", Path(json) if json not in (None, "-") else None)):
+        _check_writable(option, path)
+    if save is not None and save.suffix != ".npz":
+        raise VsfsimError(f"--save is '{save}'; it must end in .npz, the format that is written.")
     loaded = load_scene(find_scene(scene))
-    from vsfsim.generate import press as presses  # seconds; a mistake in the scene should not wait for it
+    from vsfsim.generate.press_command import press as run  # seconds; a mistake in the scene should not wait for it
 
-    result = presses.press(loaded.sample(seed), tier=tier, device=device, precision=precision, seed=seed,
-                           progress=_Progress("press"))
-    if plot is not None:
-        from vsfsim.generate.press_plot import plot as draw
-
-        draw(result, loaded.name, plot)
+    text, found, converged = run(loaded, seed=seed, tier=tier, device=device, precision=precision, refine=refine,
+                                 plot=plot, picture=picture, save=save, progress=_Progress("press"))
     if json is not None:
         import json as encoder
 
-        text = encoder.dumps(result.table())
-        if json == "-":
-            print(text)
-        else:
-            from vsfsim.data.disk import write_atomic
-
-            write_atomic(Path(json), (text + "\n").encode())
+        text = encoder.dumps(found)
+    if json in (None, "-"):
+        print(text)
     else:
-        print(presses.text(result))
-    if not result.converged.all():
+        from vsfsim.data.disk import write_atomic
+
+        write_atomic(Path(json), (text + "\n").encode())
+    if not converged:
         raise typer.Exit(3)
 
 

@@ -9,7 +9,7 @@ import pytest
 from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import SceneFile, load_scene, parse_scene
-from vsfsim.core.shape import Capsule, Family, MeshFile, Sphere
+from vsfsim.core.shape import Capsule, Family, MeshFile, Plane, Sphere
 
 FULL = """
 name = "full"
@@ -72,7 +72,7 @@ def test_every_table_is_read():
     assert o.young_modulus.base == 1e5 and o.young_modulus.regions == {"sole": 2e6} and o.young_modulus.inclusions[0].young_modulus == 1e7
     assert o.appearance == {"tint": 0.5} and s.probe == Capsule(0.01, 0.02)
     p, t, c, d = s.press, s.touches, s.camera, s.dataset
-    assert (p.start, p.stop, p.frames, p.hold, p.retract) == ((0, 0, 0.1), (0, 0, 0.09), 5, 2, 3)
+    assert (p.path, p.start, p.stop, p.frames, p.hold, p.retract, p.rotation) == (((0, 0, 0.1), (0, 0, 0.09)), (0, 0, 0.1), (0, 0, 0.09), (5,), 2, 3, None)
     assert (t.count, t.depth, t.approach, t.force_limit, t.frames) == (7, 0.004, 0.02, 10.0, (1, 4, 2, 3))
     assert (c.width, c.height, c.fov, c.distance, c.elevation) == (64, 48, 0.7, 0.5, 0.6) and -1.0 <= c.azimuth <= 1.0
     assert (d.objects, d.views, d.splits) == (6, 2, {"train": 4, "test": 2})
@@ -188,6 +188,81 @@ def test_a_mesh_lies_beside_its_scene():
     text = SMALL.replace("{ box = [0.1, 0.1, 0.05] }", '{ mesh = "m/scan.obj", scale = 0.01 }')
     assert parse_scene(text, Path("/a/b/s.toml")).sample().object.shape == MeshFile("/a/b/m/scan.obj", 0.01)
     assert parse_scene(text.replace("m/scan", "/m/scan"), Path("/a/b/s.toml")).sample().object.shape == MeshFile("/m/scan.obj", 0.01)
+
+
+PRESS = "[press]\nfrom = [0, 0, 0.07]\nto = [0, 0, 0.065]\n"
+BODIES = """
+[probe]
+shape = { mesh = "tip.stl", scale = 0.001 }
+[[probe.parts]]
+shape = { sphere = 0.01 }
+offset = [0.03, 0.0, 0.0]
+[[probe.parts]]
+shape = { mesh = "/m/finger.ply" }
+offset = [-0.03, 0, 0]
+rotation = [0.0, 0.0, 1.5]
+friction = 0.9
+[[obstacles]]
+shape = { plane = true }
+pose = [0.06, 0, 0]
+rotation = [0.0, -1.5708, 0.0]
+friction = 0.0
+"""
+
+
+def test_several_rigid_bodies():
+    s = parse_scene(SMALL + "friction = 0.4\n" + BODIES, Path("/a/s.toml")).sample()
+    assert s.bodies == (MeshFile("/a/tip.stl", 0.001), Sphere(0.01), MeshFile("/m/finger.ply"), Plane())
+    assert s.frictions == (0.4, 0.4, 0.9, 0.0)
+    assert [b.position for b in (*s.parts, *s.obstacles)] == [(0.03, 0.0, 0.0), (-0.03, 0.0, 0.0), (0.06, 0.0, 0.0)]
+    assert [b.rotation for b in (*s.parts, *s.obstacles)] == [(0.0, 0.0, 0.0), (0.0, 0.0, 1.5), (0.0, -1.5708, 0.0)]
+    assert small().sample().bodies == (Sphere(0.02),) and small().sample().frictions == (0.0,)
+
+
+def test_paths():
+    s = small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = [5, 8]\nrotation = [[0, 0, 0], [0, 0, 0], [0, 0, 0.5]]\nhold = 1\n").sample()
+    assert s.press.frames == (5, 8) and s.press.inward == 13 and s.press.stop == (0.01, 0.0, 0.065) and s.press.rotation[2] == (0.0, 0.0, 0.5)
+    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = 4\n").sample().press.frames == (4, 4)
+    assert small(PRESS + "rotation = [0.1, 0, 0]\n").sample().press.rotation == ((0.1, 0.0, 0.0),) * 2
+    # a turn on the spot is a path too
+    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.07]]\nrotation = [[0, 0, 0], [0, 0, 1]]\n").sample().press.inward == 10
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ("path = [[0, 0, 0.07], [0, 0]]", "[press]: path[1] is [0, 0]; it must be 3 numbers."),
+    ("path = [[0, 0, 0.07]]", "[press]: path is [[0, 0, 0.07]]; give 2 to 10000 points"), ("path = 3", "path is 3; give 2 to 10000 points"),
+    ("path = [[0, 0, 0.07], [0, 0, 0.07]]", "path[0] and path[1] are both [0.0, 0.0, 0.07]; the probe must move."),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nto = [0, 0, 0]", "there is a path, and to; give either path"),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nframes = [1, 2]", "frames has 2 numbers, but the path has 1 parts"),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nframes = [0]", "frames[0] is 0; it must be a whole number from 1 to 10000."),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1]]", "rotation has 1 rotation vectors, but the path has 2 points"),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1], [0, 0, nan]]", "rotation[1] is [0, 0, nan]; it must be 3 numbers."),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [0, 0, 90]", "rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
+    ("from = [0, 0, 0.07]\nto = [0, 0, 0.06]\nrotation = 1.5", "rotation is 1.5; it must be 3 numbers."), ("from = [0, 0, 0.07]", "to is None; it must be 3 numbers."),
+])
+def test_paths_that_cannot_be(text, message):
+    with pytest.raises(SceneError, match=re.escape(message)) as caught:
+        small("[press]\n" + text + "\n")
+    assert str(caught.value).startswith("s.toml [press]: ")
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("offset = [0.03, 0.0, 0.0]\n", "", "s.toml [[probe.parts]] 1: offset is missing; give where its origin is, offset = [x, y, z] in metres, in the frame of the probe."),
+    ("pose = [0.06, 0, 0]\n", "", "s.toml [[obstacles]] 1: pose is missing; give where its origin is, pose = [x, y, z] in metres, in the world."),
+    ("pose = [0.06, 0, 0]", "pose = [0.06, 0]", "[[obstacles]] 1: pose is [0.06, 0]; it must be 3 numbers."), ("pose =", "poses =", "unknown key 'poses'. Did you mean 'pose'?"),
+    ("friction = 0.9", "friction = -0.1", "[[probe.parts]] 2: friction is -0.1; it must be a number from 0 to 10."),
+    ("friction = 0.9", 'friction = "high"', "[[probe.parts]] 2: friction is 'high'"),
+    ("rotation = [0.0, 0.0, 1.5]", "rotation = [0, 0, 180]", "[[probe.parts]] 2: rotation is [0.0, 0.0, 180.0], a turn of 180 rad"),
+    ("{ plane = true }", "{ rod = [0.1, 0.01] }", "[[obstacles]] 1: unknown shape 'rod'."), ("[[obstacles]]", "[obstacles]", "obstacles is {"),
+    ("scale = 0.001", "scale = 0", "[probe]: scale is 0; it must be a length"), ('mesh = "tip.stl"', "mesh = 3", "[probe]: mesh is 3; give the path of an OBJ"),
+    ("scale = 0.001", "size = 1", "[probe] shape: unknown key 'size'."),
+    ("[[obstacles]]", "[touches]\ncount = 2\n[[obstacles]]", "[touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene has a mesh as its probe."),
+    ("[[obstacles]]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n" * 64 + "[[obstacles]]", "rigid bodies; 64 are allowed."),
+])
+def test_bodies_that_cannot_be(old, new, message):
+    assert old in BODIES
+    with pytest.raises(SceneError, match=re.escape(message)):
+        small(BODIES.replace(old, new, 1))
 
 
 def test_files_that_are_not_scenes(tmp_path):

@@ -54,8 +54,8 @@ def test_object_shapes_that_cannot_be(table, message):
 
 
 @pytest.mark.parametrize(("table", "message"), [
-    (0.02, "x: shape is 0.02; give one of sphere, capsule, cylinder, box, plane"),
-    ({"rod": [0.1, 0.1]}, "unknown shape 'rod'. Allowed: box, capsule, cylinder, plane, sphere."),
+    (0.02, "x: shape is 0.02; give one of sphere, capsule, cylinder, box, plane, mesh"),
+    ({"rod": [0.1, 0.1]}, "unknown shape 'rod'. Allowed: box, capsule, cylinder, mesh, plane, sphere."),
     ({"capsule": [0.01]}, "capsule is [0.01]; give [radius, length] in metres."), ({"box": [0.1, -0.1, 0.1]}, "box y is -0.1"),
 ])
 def test_probes_that_cannot_be(table, message):

@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
-import warp as wp
+import torch
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.physics import contact
+from vsfsim.physics.rigid import RigidBodies
 from vsfsim.physics.touching import Touching
 
 SIZE = (0.04, 0.04, 0.03)
@@ -48,13 +49,33 @@ def test_six_point_rule_is_exact_to_degree_four(degree):
         assert worst > 1e-5, "a rule that is exact here too would not be this one"
 
 
+def touch(model, probe, poses, device, friction=0.0):
+    bodies = RigidBodies(probe)
+    poses = poses if poses.ndim == 5 else poses[:, :, None]
+    return Touching(model, bodies, np.full(len(bodies), friction), poses, device=device)
+
+
 def states(model, probe, pose, u, device):
     """Contact of the same probe with many displacement fields u (3 n, B): a `Touching` that has been evaluated."""
     batch = u.shape[1]
     poses = np.tile(pose, (1, batch, 1, 1))
-    touching = Touching(model, probe, poses, device=device, real=wp.float64)
-    touching.evaluate(np.arange(batch), poses[0], wp.array(u, dtype=wp.float64, device=device))
+    touching = touch(model, probe, poses, device)
+    touching.move(poses[0][:, None])
+    touching.evaluate(torch.arange(batch, device=device), touching.gather(torch.as_tensor(u, device=device)))
     return touching
+
+
+def nodal(touching, b):
+    """Contact forces (3 s,) [N] of touch ``b``, on the host, the padding cut off."""
+    return touching.nodal(torch.tensor([b], device=touching.device))[0].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
+
+
+def dof(touching, b):
+    return touching.dof[b].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
+
+
+def energy(touching):
+    return touching.energy(torch.arange(len(touching.patches), device=touching.device)).cpu().numpy()
 
 
 def tilted(at):
@@ -82,10 +103,11 @@ def test_force_is_minus_the_gradient_of_the_energy(model, device, probe, pose):
     x = rng.standard_normal((len(u), 20))
     h = 1e-8  # m
     touching = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
-    assert touching.touches(40) and touching.energy[40] > 0.0
-    slope = (touching.energy[:20] - touching.energy[20:40]) / (2 * h)
-    force = touching.nodal(40)
-    expected = -(x[touching.dof(40)] * force[:, None]).sum(axis=0)
+    e = energy(touching)
+    assert e[40] > 0.0
+    slope = (e[:20] - e[20:40]) / (2 * h)
+    force = nodal(touching, 40)
+    expected = -(x[dof(touching, 40)] * force[:, None]).sum(axis=0)
     # energy over force is about the penetration, 1e-3 m: rounding 1e-16 * 1e-3 / h = 1e-11, some 1e3 terms; truncation (h / 1e-2 m)^2;
     # a Gauss point that crosses the surface or a fillet within h changes the force by h / penetration = 1e-5 of its own share
     assert np.abs(slope - expected).max() < 1e-6 * np.abs(expected).max()
@@ -99,10 +121,13 @@ def test_rows_and_geometric_block_are_the_derivative_of_the_force(model, device,
     x = rng.standard_normal((len(u), 10)) * model.free[:, None]
     h = 1e-9
     touching = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
-    slope = np.stack([(touching.nodal(k) - touching.nodal(10 + k)) / (2 * h) for k in range(10)], axis=1)
-    rows, stiffness, bend = touching.rows(20, geometric=True)
-    free = model.free[touching.dof(20)][:, None]
-    found = (rows.T @ (stiffness[:, None] * rows) + bend) @ x[touching.dof(20)]
+    slope = np.stack([(nodal(touching, k) - nodal(touching, 10 + k)) / (2 * h) for k in range(10)], axis=1)
+    last, yes = torch.tensor([20], device=device), torch.tensor([True], device=device)
+    whole = touching.stiffness(last, yes)[0].cpu().numpy()
+    bend = whole - touching.stiffness(last)[0].cpu().numpy()
+    at = dof(touching, 20)
+    free = model.free[at][:, None]
+    found = whole[:len(at), :len(at)] @ x[at]
     # forces of ~10 N have rounding 1e-15 N, over 2 h: 1e-6 of slopes ~ 1e6
     assert np.abs((found + slope) * free).max() < 1e-5 * np.abs(slope).max()
     assert np.linalg.eigvalsh(0.5 * (bend + bend.T)).max() < 1e-9 * np.abs(slope).max(), "the geometric part only ever softens"
@@ -116,28 +141,49 @@ def test_a_plane_on_a_flat_top_meets_stiffness_times_penetration_times_area(mode
     area, modulus = model.mesh.face_area()[top], model.surface_modulus[top]
     # pressure = PENALTY x modulus x penetration / element size, with the size the root of the face's area
     by_hand = (area * contact.PENALTY * modulus * depth / np.sqrt(area)).sum()
-    force = touching.nodal(0).reshape(-1, 3).sum(axis=0)
+    force = nodal(touching, 0).reshape(-1, 3).sum(axis=0)
     assert force == pytest.approx([0.0, 0.0, -by_hand], rel=1e-12, abs=1e-12 * by_hand)
-    assert touching.penetration(0) == pytest.approx(depth, rel=1e-9)
-    assert touching.energy[0] == pytest.approx(0.5 * by_hand * depth, rel=1e-9)
+    assert float(touching.penetration(torch.tensor([0], device=device))) == pytest.approx(depth, rel=1e-9)
+    assert energy(touching)[0] == pytest.approx(0.5 * by_hand * depth, rel=1e-9)
 
 
 def test_a_probe_out_of_reach_has_an_empty_patch_and_no_force(model, device):
     pose = np.eye(4)
     pose[:3, 3] = [0.0, 0.0, 0.2]
     touching = states(model, Sphere(0.01), pose, np.zeros((model.mesh.points.size, 1)), device)
-    assert len(touching.patches[0].faces) == 0 and not touching.touches(0)
-    assert touching.penetration(0) == 0.0 and touching.energy[0] == 0.0 and not touching.nodal(0).any()
+    first = torch.tensor([0], device=device)
+    assert len(touching.patches[0].faces) == 0 and not touching.touches(first)
+    assert touching.penetration(first) == 0.0 and energy(touching)[0] == 0.0 and not touching.nodal(first).any()
 
 
 def test_batched_touches_do_not_see_each_other(model, device):
     """Patches of different length share padded arrays: each must answer as if alone."""
-    u = np.zeros((model.mesh.points.size, 3))
     poses = np.stack([PROBES["sphere"][1], np.eye(4), tilted([0.01, 0.01, 0.036])])[None]
     poses[0, 1, :3, 3] = [0, 0, 0.5]
-    together = Touching(model, Sphere(0.012), poses, device=device, real=wp.float64)
-    together.evaluate(np.arange(3), poses[0], wp.array(u, dtype=wp.float64, device=device))
+
+    def evaluated(poses):
+        touching = touch(model, Sphere(0.012), poses, device)
+        touching.move(poses[0][:, None])
+        touching.evaluate(torch.arange(poses.shape[1], device=device), torch.zeros_like(touching.rest))
+        return touching
+
+    together = evaluated(poses)
     for b in range(3):
-        alone = Touching(model, Sphere(0.012), poses[:, b:b + 1], device=device, real=wp.float64)
-        alone.evaluate(np.array([0]), poses[0, b:b + 1], wp.array(u[:, :1].copy(), dtype=wp.float64, device=device))
-        assert np.array_equal(alone.nodal(0), together.nodal(b)) and alone.energy[0] == together.energy[b]
+        alone = evaluated(poses[:, b:b + 1])
+        # the same sums in the same order up to the blocking of the matrix product, which depends on the padding
+        assert np.allclose(nodal(alone, 0), nodal(together, b), rtol=1e-13, atol=1e-16) and energy(alone)[0] == pytest.approx(energy(together)[b], rel=1e-13)
+
+
+def test_of_several_bodies_the_nearest_pushes_and_each_knows_its_force(model, device):
+    """Two balls far apart on the same top: the same as each alone, and the forces are told apart."""
+    poses = np.tile(np.eye(4), (1, 1, 2, 1, 1))
+    poses[0, 0, 0, :3, 3], poses[0, 0, 1, :3, 3] = [-0.012, 0.0, SIZE[2] + 0.0075], [0.012, 0.0, SIZE[2] + 0.0070]
+    both = touch(model, (Sphere(0.008), Sphere(0.008)), poses, device)
+    first = torch.tensor([0], device=device)
+    both.move(poses[0])
+    both.evaluate(first, torch.zeros_like(both.rest))
+    found = both.on_bodies(first)[0].cpu().numpy()
+    for k in range(2):
+        alone = states(model, Sphere(0.008), poses[0, 0, k], np.zeros((model.mesh.points.size, 1)), device)
+        assert found[k] == pytest.approx(-nodal(alone, 0).reshape(-1, 3).sum(axis=0), rel=1e-12)
+    assert found.sum(axis=0) == pytest.approx(-nodal(both, 0).reshape(-1, 3).sum(axis=0), rel=1e-12)

@@ -8,6 +8,7 @@ import warp as wp
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.physics import sdf
+from vsfsim.physics.rigid import RigidBodies
 
 PROBES = [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Cylinder(0.03, 0.005), Box((0.02, 0.03, 0.05)), Plane()]
 IDS = ["sphere", "capsule", "cylinder", "disc", "box", "plane"]
@@ -15,30 +16,29 @@ IDS = ["sphere", "capsule", "cylinder", "disc", "box", "plane"]
 
 @functools.cache
 def kernel():
-    vec3, vec4 = wp.types.vector(length=3, dtype=wp.float64), wp.types.vector(length=4, dtype=wp.float64)
+    F = sdf.functions(wp.float64, "test_sdf")
     mat33 = wp.types.matrix(shape=(3, 3), dtype=wp.float64)
-    probe = sdf.functions(wp.float64, "test_sdf")
 
     @wp.kernel(module="test_sdf", enable_backward=False)
-    def evaluate(kind: int, size: vec4, x_in: wp.array(dtype=vec3), gap_out: wp.array(dtype=wp.float64),
-                 normal_out: wp.array(dtype=vec3), curvature_out: wp.array(dtype=mat33)):
+    def evaluate(bodies: F.Bodies, k: int, x_in: wp.array(dtype=F.vec3), gap_out: wp.array(dtype=wp.float64),
+                 normal_out: wp.array(dtype=F.vec3), curvature_out: wp.array(dtype=mat33)):
         i = wp.tid()
-        gap_out[i] = probe.gap(kind, size, x_in[i])
-        normal_out[i] = probe.normal(kind, size, x_in[i])
-        curvature_out[i] = probe.curvature(kind, size, x_in[i])
+        gap_out[i] = F.gap(bodies, k, x_in[i])
+        normal_out[i] = F.normal(bodies, k, x_in[i])
+        curvature_out[i] = F.curvature(bodies, k, x_in[i])
 
-    return evaluate, vec3, vec4, mat33
+    return F, evaluate, mat33
 
 
 def evaluate(probe, x, device):
-    launch, vec3, vec4, mat33 = kernel()
-    kind, size = sdf.encode(probe)
+    F, launch, mat33 = kernel()
     n = len(x)
     nan = np.full(n, np.nan)
     gap = wp.array(nan, dtype=wp.float64, device=device)
-    normal = wp.array(np.full((n, 3), np.nan), dtype=vec3, device=device)
+    normal = wp.array(np.full((n, 3), np.nan), dtype=F.vec3, device=device)
     curvature = wp.array(np.full((n, 3, 3), np.nan), dtype=mat33, device=device)
-    wp.launch(launch, dim=n, device=device, inputs=[kind, vec4(size), wp.array(x, dtype=vec3, device=device), gap, normal, curvature])
+    bodies = RigidBodies([Sphere(1.0), probe])
+    wp.launch(launch, dim=n, device=device, inputs=[bodies.upload(F, device), 1, wp.array(x, dtype=F.vec3, device=device), gap, normal, curvature])
     return gap.numpy(), normal.numpy(), curvature.numpy()
 
 

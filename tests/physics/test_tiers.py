@@ -56,7 +56,6 @@ def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked,
 
 
 @pytest.mark.parametrize(("more", "message"), [
-    ("friction = 0.3", "frictionless contact only so far; set friction = 0"),
     ('fixed = "none"', 'hold it with fixed = "bottom" or a box'),
     ("fixed = [-1.0, -1.0, 0.5, 1.0, 1.0, 0.6]", "holds 0 of"),
     # one edge of the box: the body could turn about it

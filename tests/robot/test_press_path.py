@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from vsfsim.core.scene import PressSpec, TouchSpec
+from vsfsim.core.rigid import PressSpec
+from vsfsim.core.rotation import between, rotation_matrix, rotation_vector
+from vsfsim.core.scene import TouchSpec, parse_scene
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
-from vsfsim.robot.press import FRAME_SECONDS, press_path, straight, times, touch_path, turn_to
+from vsfsim.robot.press import FRAME_SECONDS, body_poses, press_path, straight, times, touch_path, turn_to
 
 AXES = [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0.3, -0.9, 0.2], [1e-9, 1.0, 0.0], [-0.5, 0.1, -0.8]]
 
@@ -43,7 +45,7 @@ def on_a_line(points, start, stop):
 
 @pytest.mark.parametrize(("frames", "hold", "retract"), [(10, 0, 0), (4, 3, 0), (6, 1, 6), (6, 0, 3), (5, 2, 9), (1, 0, 1)])
 def test_press_path(frames, hold, retract):
-    poses = press_path(PressSpec(START, STOP, frames, hold, retract), Sphere(0.01))
+    poses = press_path(PressSpec((START, STOP), (frames,), hold, retract), Sphere(0.01))
     assert poses.shape == (frames + hold + retract, 4, 4)
     at = poses[:, :3, 3]
     assert on_a_line(at, START, STOP) < 1e-15
@@ -86,3 +88,62 @@ def test_touch_depth_may_be_cut():
 
 def test_time_runs_at_the_sensors_rate():
     assert times(4) == pytest.approx(FRAME_SECONDS * np.array([0, 1, 2, 3])) and pytest.approx(30.0) == 1.0 / FRAME_SECONDS
+
+
+def test_rotation_vectors_there_and_back():
+    rng = np.random.default_rng(0)
+    for angle in (0.0, 1e-12, 1e-6, 0.5, 3.0, np.pi - 1e-9, np.pi):
+        axis = rng.standard_normal(3)
+        v = angle * axis / np.linalg.norm(axis)
+        m = rotation_matrix(v)
+        assert m.T @ m == pytest.approx(np.eye(3), abs=1e-14) and np.linalg.det(m) == pytest.approx(1.0)
+        back = rotation_vector(m)
+        # at pi both axes are right
+        assert min(np.abs(back - v).max(), np.abs(back + v).max() if angle > 3.14 else 9.9) < 1e-14 + 1e-9 * angle
+    assert rotation_matrix((0.0, 0.0, np.pi / 2)) @ [1, 0, 0] == pytest.approx([0, 1, 0])
+    a, b = rotation_matrix((0.3, 0.1, -0.2)), rotation_matrix((0.1, 0.9, 0.4))
+    assert between(a, b, 0.0) == pytest.approx(a) and between(a, b, 1.0) == pytest.approx(b, abs=1e-12)
+    assert between(a, b, 0.5) @ a.T @ between(a, b, 0.5) == pytest.approx(b, abs=1e-12), "half way twice is the whole way"
+
+
+def test_a_path_with_corners_and_turns():
+    path = ((0.0, 0.0, 0.07), (0.0, 0.0, 0.06), (0.02, 0.0, 0.06))
+    turns = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    poses = press_path(PressSpec(path, (2, 4), 1, 6, turns), Sphere(0.01))
+    assert poses.shape == (13, 4, 4)
+    assert poses[:6, :3, 3] == pytest.approx(np.array([[0, 0, 0.065], [0, 0, 0.06], [0.005, 0, 0.06], [0.01, 0, 0.06], [0.015, 0, 0.06], [0.02, 0, 0.06]]))
+    assert [rotation_vector(p[:3, :3])[2] for p in poses[:6]] == pytest.approx([0, 0, 0.25, 0.5, 0.75, 1.0])
+    assert np.array_equal(poses[6], poses[5])
+    # back over the very same poses, then to the first point
+    assert np.array_equal(poses[7:12], poses[:5][::-1]) and poses[12, :3, 3] == pytest.approx(path[0])
+    # more frames back than in: still on the path
+    long = press_path(PressSpec(path, (2, 4), 0, 12, turns), Sphere(0.01))[6:]
+    assert long[1, :3, 3] == pytest.approx([0.015, 0, 0.06]) and long[9, :3, 3] == pytest.approx([0, 0, 0.065]) and long[-1, :3, 3] == pytest.approx(path[0])
+    # without rotation the probe keeps pointing along the first part
+    assert (press_path(PressSpec(path, (2, 4)), Box((0.01, 0.02, 0.03)))[:, :3, :3] == np.eye(3)).all()
+
+
+def test_parts_go_with_the_probe_and_obstacles_stay():
+    scene = parse_scene("""
+[object]
+shape = { box = [0.1, 0.1, 0.05] }
+young_modulus = 1e5
+[press]
+path = [[0, 0, 0.07], [0, 0, 0.06]]
+rotation = [[0, 0, 0], [0, 0, 1.5707963267948966]]
+frames = 2
+[probe]
+shape = { sphere = 0.01 }
+[[probe.parts]]
+shape = { sphere = 0.01 }
+offset = [0.03, 0, 0]
+[[obstacles]]
+shape = { plane = true }
+pose = [0.06, 0, 0]
+rotation = [0, -1.5707963267948966, 0]
+""", "s.toml").sample()
+    every = body_poses(scene, press_path(scene.press, scene.probe))
+    assert every.shape == (2, 3, 4, 4)
+    assert every[1, 1, :3, 3] == pytest.approx([0.0, 0.03, 0.06]), "a quarter turn about z takes the part from x to y"
+    assert np.array_equal(every[0, 2], every[1, 2])
+    assert every[0, 2, :3, :3] @ [0, 0, 1] == pytest.approx([-1, 0, 0]), "the wall looks back at the object"

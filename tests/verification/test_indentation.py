@@ -65,7 +65,7 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     held = (model.free == 0.0).reshape(-1, 3)
     held[:, :2] |= model.mesh.points[:, :2] < 1e-12
     free = np.where(held, 0.0, 1.0).ravel()
-    model = dataclasses.replace(model, free=free, factor=RestFactor(model.mesh, model.mu, model.lam, free))
+    model = dataclasses.replace(model, free=free, factor=RestFactor(model.factor.stiffness, free, model.mesh.surface_nodes()))
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, 2, 3] = height + 0.02 - np.array([5e-5, 1e-4])
     frames = Solver(model, Sphere(0.02), device=device).run(poses)

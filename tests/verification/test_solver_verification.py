@@ -18,7 +18,7 @@ TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
 def rollers(model, held):
     """The same body held in single directions: mask (n, 3)."""
     free = np.where(held, 0.0, 1.0).ravel()
-    return dataclasses.replace(model, free=free, factor=RestFactor(model.mesh, model.mu, model.lam, free))
+    return dataclasses.replace(model, free=free, factor=RestFactor(model.factor.stiffness, free, model.mesh.surface_nodes()))
 
 
 def walls(model, *, all_sides):

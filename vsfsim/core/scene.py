@@ -15,17 +15,20 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
-from vsfsim.core.shape import (
-    Family,
-    MeshFile,
-    ObjectShape,
-    ProbeShape,
-    Sphere,
-    parse_object_shape,
-    parse_probe_shape,
+from vsfsim.core.rigid import (
+    MAX_BODIES,
+    MAX_FRICTION,
+    PressSpec,
+    RigidBody,
+    beside,
+    parse_obstacles,
+    parse_press,
+    parse_probe,
 )
+from vsfsim.core.shape import Family, MeshFile, ObjectShape, ProbeShape, parse_object_shape
+from vsfsim.core.table import Table
 
 TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance")
@@ -39,7 +42,7 @@ class ObjectSpec:
     shape: what it is. pose: base centre in the world (3,) [m]; yaw: turn about +z [rad].
     fixed: "bottom", "none", or a box (x0, y0, z0, x1, y1, z1) [m] in the object's frame whose nodes are held.
     tier: fidelity, one of `TIERS`. resolution: element size [m] or None for the tier's own.
-    poisson_ratio: [-]. density: [kg/m^3]. friction: Coulomb coefficient [-].
+    poisson_ratio: [-]. density: [kg/m^3]. friction: Coulomb coefficient against rigid bodies [-].
     young_modulus: the field E(x) [Pa]. appearance: table for the family or the renderer.
     """
 
@@ -54,21 +57,6 @@ class ObjectSpec:
     friction: float
     young_modulus: MaterialField
     appearance: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class PressSpec:
-    """``[press]``: the probe's centre goes straight from ``start`` to ``stop``.
-
-    start, stop: (3,) [m], world. frames: equilibria on the way in, the last at ``stop``.
-    hold: frames that stay there. retract: frames on the way back out.
-    """
-
-    start: tuple[float, float, float]
-    stop: tuple[float, float, float]
-    frames: int
-    hold: int
-    retract: int
 
 
 @dataclass(frozen=True)
@@ -118,7 +106,8 @@ class Scene:
     """One concrete scene: every distribution fixed.
 
     name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
-    source: the file it came from. The other fields: see their classes; None where the file has no such table.
+    probe: moves along the path; parts move with it; obstacles stand in the world. source: the file it came from.
+    given: tables and keys at the top of the file. The other fields: see their classes; None where the file has no such table.
     """
 
     name: str
@@ -126,11 +115,25 @@ class Scene:
     gravity: tuple[float, float, float]
     object: ObjectSpec
     probe: ProbeShape
+    parts: tuple[RigidBody, ...]
+    obstacles: tuple[RigidBody, ...]
     press: PressSpec | None
     touches: TouchSpec | None
     camera: CameraSpec
     dataset: DatasetSpec | None
     source: Path
+    given: frozenset[str] = frozenset()
+
+    @property
+    def bodies(self) -> tuple[ProbeShape, ...]:
+        """Shapes of all K rigid bodies: the probe, its parts, the obstacles."""
+        return (self.probe, *(b.shape for b in (*self.parts, *self.obstacles)))
+
+    @property
+    def frictions(self) -> tuple[float, ...]:
+        """Coulomb coefficient of each of the K rigid bodies against the object [-]."""
+        own = self.object.friction
+        return (own, *(own if b.friction is None else b.friction for b in (*self.parts, *self.obstacles)))
 
 
 @dataclass(frozen=True)
@@ -247,47 +250,9 @@ def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
 # ---------------------------------------------------------------------------------------------- tables
 
 
-class _Table:
-    """A TOML table that knows where it stands and refuses keys nobody asked for."""
-
-    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
-        if not isinstance(table, Mapping):
-            raise SceneError(f"{where} is {table!r}; it must be a table.")
-        for key in table:
-            if key not in allowed:
-                raise SceneError(unknown_key(where, key, allowed))
-        self.table, self.where = table, where
-
-    def number(self, key: str, default: float, low: float, high: float, unit: str = "") -> float:
-        value = self.table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to {high:g}{' ' + unit if unit else ''}.")
-        return float(value)
-
-    def count(self, key: str, default: int, low: int, high: int) -> int:
-        value = self.table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a whole number from {low} to {high}.")
-        return value
-
-    def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> tuple[float, ...]:
-        value = self.table.get(key, default)
-        if not isinstance(value, (list, tuple)) or len(value) != size or any(
-            isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
-        ):
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be {size} numbers.")
-        return tuple(float(v) for v in value)
-
-    def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
-        value = self.table.get(key, default)
-        if value not in allowed:
-            raise SceneError(f"{self.where}: {key} is {value!r}. {did_you_mean(str(value), allowed)}")
-        return value
-
-
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
-    top = _Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
-                                   "press", "touches", "camera", "dataset"))
+    top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
+                                  "obstacles", "press", "touches", "camera", "dataset"))
     if "sensor" in tree:
         raise SceneError(f"{path} [sensor]: the bubble sensor is not built yet; use [probe] with a rigid shape.")
     if "object" not in tree:
@@ -298,27 +263,33 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     for need in needs:
         if need not in NEEDS:
             raise SceneError(f"{path}: needs names '{need}'. {did_you_mean(str(need), NEEDS)}")
-    probe: ProbeShape = Sphere(0.02)
-    if "probe" in tree:
-        table = _Table(tree["probe"], f"{path} [probe]", ("shape",))
-        probe = parse_probe_shape(table.table.get("shape"), f"{path} [probe]")
+    probe, parts = parse_probe(tree.get("probe"), path)
+    obstacles = parse_obstacles(tree.get("obstacles", []), path)
+    if 1 + len(parts) + len(obstacles) > MAX_BODIES:
+        raise SceneError(f"{path}: probe, parts and obstacles are {1 + len(parts) + len(obstacles)} rigid bodies; {MAX_BODIES} are allowed. Join some into one mesh.")
+    if "touches" in tree and (parts or obstacles or isinstance(probe, MeshFile)):
+        what = "a mesh as its probe" if isinstance(probe, MeshFile) else "[[probe.parts]]" if parts else "[[obstacles]]"
+        raise SceneError(f"{path} [touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene has {what}. Use it with [press], or take it out.")
     return Scene(
         name=str(tree.get("name", path.stem)),
         needs=tuple(needs),
         gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
         object=_object(tree["object"], path),
         probe=probe,
-        press=_press(tree["press"], path) if "press" in tree else None,
+        parts=parts,
+        obstacles=obstacles,
+        press=parse_press(tree["press"], path) if "press" in tree else None,
         touches=_touches(tree["touches"], path) if "touches" in tree else None,
         camera=_camera(tree.get("camera", {}), path),
         dataset=_dataset(tree["dataset"], path) if "dataset" in tree else None,
         source=path,
+        given=frozenset(tree),
     )
 
 
 def _object(node: Any, path: Path) -> ObjectSpec:
     where = f"{path} [object]"
-    t = _Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
+    t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
                              "friction", "young_modulus", "appearance"))
     shape = parse_object_shape(t.table.get("shape"), where)
     fixed = t.table.get("fixed", "bottom")
@@ -332,9 +303,8 @@ def _object(node: Any, path: Path) -> ObjectSpec:
     appearance = t.table.get("appearance", {})
     if not isinstance(appearance, Mapping):
         raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
-    friction = t.number("friction", 0.0, 0.0, 10.0)
-    if isinstance(shape, MeshFile) and not Path(shape.path).is_absolute():
-        shape = MeshFile(str(path.parent / shape.path), shape.scale)
+    friction = t.number("friction", 0.0, 0.0, MAX_FRICTION)
+    shape = beside(shape, path)
     resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
     return ObjectSpec(
         shape=shape,
@@ -351,19 +321,10 @@ def _object(node: Any, path: Path) -> ObjectSpec:
     )
 
 
-def _press(node: Any, path: Path) -> PressSpec:
-    t = _Table(node, f"{path} [press]", ("from", "to", "frames", "hold", "retract"))
-    start, stop = t.vector("from", None), t.vector("to", None)
-    if start == stop:
-        raise SceneError(f"{path} [press]: from and to are both {list(start)}; the probe must move.")
-    return PressSpec(start, stop, t.count("frames", 10, 1, 10_000), t.count("hold", 0, 0, 10_000),
-                     t.count("retract", 0, 0, 10_000))
-
-
 def _touches(node: Any, path: Path) -> TouchSpec:
-    t = _Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames"))
+    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames"))
     where = f"{path} [touches] frames"
-    f = _Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
+    f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000), f.count("out", 3, 0, 1000))
     return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
                      t.number("approach", 0.01, 1e-4, 0.5, "m"),
@@ -371,7 +332,7 @@ def _touches(node: Any, path: Path) -> TouchSpec:
 
 
 def _camera(node: Any, path: Path) -> CameraSpec:
-    t = _Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation"))
+    t = Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation"))
     return CameraSpec(t.count("width", 640, 8, 8192), t.count("height", 480, 8, 8192),
                       t.number("fov", 0.8, 0.05, 2.8, "rad"), t.number("distance", 0.6, 0.01, 100.0, "m"),
                       t.number("azimuth", 0.9, -2 * math.pi, 2 * math.pi, "rad"),
@@ -380,7 +341,7 @@ def _camera(node: Any, path: Path) -> CameraSpec:
 
 def _dataset(node: Any, path: Path) -> DatasetSpec:
     where = f"{path} [dataset]"
-    t = _Table(node, where, ("objects", "views", "splits"))
+    t = Table(node, where, ("objects", "views", "splits"))
     objects = t.count("objects", 6, 1, 100_000)
     splits = t.table.get("splits", {"test": objects})
     if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0 for n in splits.values()):

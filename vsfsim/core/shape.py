@@ -72,7 +72,7 @@ class Plane:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A surface mesh of the user's own (OBJ, PLY, STL).
+    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a probe, that of its bounding box.
 
     path: the file, relative to the scene file. scale: [m] per unit of the file, or None to
     decide from the size (a bounding box over 5 units is read as millimetres, and said so).
@@ -91,10 +91,10 @@ class Family:
 
 
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
-ProbeShape = Sphere | Capsule | Cylinder | Plane | Box
+ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile
 
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
-PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane")
+PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
 
 
 def extent(shape: Box | Sphere | Cylinder | Rod) -> tuple[float, float, float]:
@@ -141,11 +141,7 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
         rest = {k: v for k, v in table.items() if k != "family"}
         return Family(str(table["family"]), rest)
     if "mesh" in table:
-        for key in table:
-            if key not in ("mesh", "scale"):
-                raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale")))
-        scale = table.get("scale")
-        return MeshFile(str(table["mesh"]), None if scale is None else _positive(where, "scale", scale))
+        return _mesh(table, where)
     key = _only_key(table, OBJECT_SHAPES, where)
     value = table[key]
     if key == "box":
@@ -161,6 +157,8 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     """The shape of ``[probe]`` from its TOML table; see `parse_object_shape`."""
     if not isinstance(table, Mapping) or not table:
         raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. {{ sphere = 0.02 }}.")
+    if "mesh" in table:
+        return _mesh(table, where)
     key = _only_key(table, PROBE_SHAPES, where)
     value = table[key]
     if key == "sphere":
@@ -172,6 +170,16 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     if key == "box":
         return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))
     return Plane()
+
+
+def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
+    for key in table:
+        if key not in ("mesh", "scale"):
+            raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale")))
+    if not isinstance(table["mesh"], str) or not table["mesh"]:
+        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, relative to the scene file.")
+    scale = table.get("scale")
+    return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale))
 
 
 def probe_table(shape: ProbeShape) -> dict[str, Any]:
@@ -187,6 +195,8 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
             return {"box": list(size)}
         case Plane():
             return {"plane": True}
+        case MeshFile(path, scale):
+            return {"mesh": path} if scale is None else {"mesh": path, "scale": scale}
     raise AssertionError(shape)
 
 

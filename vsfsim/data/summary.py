@@ -20,12 +20,20 @@ def summary(path: str | Path) -> str:
     recipe = dataset.recipe
     force, iterations, balance, modulus, regions = [], [], [], [], {}
     touched = 0
+    audit = {("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
+    reasons: dict[str, int] = {}
     for view in dataset:
         for touch in view.touches:
             force.append(touch.normal_force()[touch.converged])
             iterations.append(touch.iterations)
             balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
             touched += touch.touched
+            for (name, _), values in audit.items():
+                if name in touch.audit:
+                    values.append(np.asarray(touch.audit[name])[touch.converged])
+            for code in touch.reason[touch.reason > 0]:
+                why = touch.reason_names[int(code) - 1]
+                reasons[why] = reasons.get(why, 0) + 1
         assert view.truth is not None
         modulus.append(view.truth.young_modulus)
         for index, name in enumerate(view.truth.region_names):
@@ -45,7 +53,9 @@ def summary(path: str | Path) -> str:
         ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
         ("normal force", f"{_span(force_all)} N, converged frames"),
         ("iterations", f"mean {iterations_all.mean():.1f}, most {iterations_all.max()} a frame" if iterations_all.size else "none"),
-        ("force balance", f"worst {balance_all.max(initial=0.0):.1e} of the force"),
+        ("force balance", f"worst {balance_all.max(initial=0.0):.1e} of the force, converged frames in contact"),
+        *((name.replace("_", " "), f"{_span(np.concatenate(values))}{unit}") for (name, unit), values in audit.items() if values),
+        *(("  reason", f"{count} frames: {why}") for why, count in sorted(reasons.items())),
         ("true E", f"{_span(modulus_all)} Pa over all elements"),
     ]
     rows += [(f"  {name}", f"{_span(np.concatenate(parts))} Pa") for name, parts in regions.items()]

@@ -141,7 +141,7 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     steps = 8
     depth = spec.depth * np.arange(1, steps + 1) / steps
     poses = np.stack([[_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
-    frames = Solver(model, scene.probe, device=device, options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
+    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
     force = np.linalg.norm(frames.force, axis=-1)
     out = []
     for k, a in enumerate(aims):
@@ -174,7 +174,7 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], *, o
     for start in range(0, len(aims), batch):
         part = aims[start:start + batch]
         poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth) for a in part], axis=1)
-        solver = Solver(model, scene.probe, device=device, precision=precision, options=options, linear=linear)
+        solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision, options=options, linear=linear)
         width = len(part)
         frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
         out.extend(_record(a, poses[:, k], frames, k) for k, a in enumerate(part))

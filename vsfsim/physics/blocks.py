@@ -32,14 +32,18 @@ def box(size: tuple[float, float, float], resolution: float, *,
     Args:
         size: edges (3,) [m].
         resolution: largest cell edge [m]; with ``focus``, the edge near it.
-        focus: points (k, 3) [m] around which the grid stays fine; elsewhere it coarsens to 3x.
+        focus: points (k, 3) [m] around which the grid stays fine; elsewhere it coarsens to 3x, or to the block's least edge.
 
     Returns:
         Vertices (n, 3) [m] and positively oriented corners (m, 4).
     """
     focus = None if focus is None else np.asarray(focus, float).reshape(-1, 3)
     low = (-0.5 * size[0], -0.5 * size[1], 0.0)
-    ticks = [grid_line(low[a], low[a] + size[a], resolution, even=a < 2,
+    # a plate bends everywhere: away from the focus its cells grow to its thickness, not to what a thick block can do with
+    coarsest = min(COARSEST, max(1.0, min(size) / resolution))
+    # two cells at least from the base to the top: a pad bonded to its base is 4 % too stiff with one
+    finest = (resolution, resolution, min(resolution, 0.5 * size[2]))
+    ticks = [grid_line(low[a], low[a] + size[a], finest[a], even=a < 2, coarsest=coarsest,
                        focus=None if focus is None else focus[:, a]) for a in range(3)]
     shape = tuple(len(t) for t in ticks)
     vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -57,8 +61,8 @@ def grid_hexes(index: np.ndarray) -> np.ndarray:
 
 
 def grid_line(low: float, high: float, resolution: float, *, even: bool = False,
-              focus: np.ndarray | None = None) -> np.ndarray:
-    """Ticks of one axis [m], at most ``resolution`` apart; with ``focus`` (k,) [m] that holds near it only.
+              focus: np.ndarray | None = None, coarsest: float = COARSEST) -> np.ndarray:
+    """Ticks of one axis [m], at most ``resolution`` apart; with ``focus`` (k,) [m] that holds near it only, and ``coarsest`` times it elsewhere.
 
     The spacing wished for grows linearly with the distance to the focus, which makes cells grow by a
     constant factor; the ticks are the equal parts of the integral of its inverse.
@@ -70,7 +74,7 @@ def grid_line(low: float, high: float, resolution: float, *, even: bool = False,
     away = np.abs(x[:, None] - np.asarray(focus, float)[None, :]).min(axis=1)
     # A cell of the local size h next to one of h (1 + slope): the slope stays a little under the growth allowed.
     slope = 0.9 * math.log(GROWTH)
-    wished = resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), COARSEST)
+    wished = resolution * np.minimum(1.0 + slope * np.maximum(away / resolution - 1.5, 0.0), coarsest)
     cells = np.concatenate([[0.0], np.cumsum(0.5 * (1.0 / wished[1:] + 1.0 / wished[:-1]) * np.diff(x))])
     count = max(1, math.ceil(cells[-1] - 1e-9))
     count += count % 2 if even else 0

@@ -1,11 +1,18 @@
-"""Frictionless contact of the object's surface with a rigid probe.
+"""Contact of the object's surface with rigid bodies: a stiff penalty along the normal, Coulomb friction across it.
 
-    Pi_c = sum_q w_q k_q / 2 <-g(x_q)>^2,     f = -dPi_c/dx = -w_q k_q g n   where g < 0
+    Pi_n = sum_q w_q/2 <-g(x_q)>^2,     f_n = -w_q g n                         where g < 0
+    Pi_t = sum_q { v_q/2 |d|^2                       |d| <= tau/v_q   (sticks)
+                 { tau |d| - tau^2/(2 v_q)           else             (slips),     tau = mu f_n, found before
 
-integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), never at vertices alone.
-k_q = stiffness / (element size) x the local modulus: so stiff that the penetration stays far under 1 % of the element size
+integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), never at vertices alone. g is the distance
+to the nearest rigid body, d the tangential way of the point from its anchor, the spot of the body where it last stuck. The limit tau and
+the normal of the tangent plane are held while Newton's method brings the forces into balance, which then has a potential, and renewed
+until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
+the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives way by a thousandth of an element at most.
+w_q = area x PENALTY x modulus / element size: so stiff that the penetration stays far under 1 % of the element size
 (it is measured and stored in every frame), and soft enough that float64 keeps its digits; the solver inverts
 this block exactly, so stiffness costs no iterations.
+Everything here is double precision: a contact force is a stiff spring on a small difference of positions.
 """
 
 import functools
@@ -20,6 +27,7 @@ from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
+STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973), weights sum to 1.
 _A, _WA = 0.445948490915965, 0.223381589678011
@@ -38,79 +46,253 @@ SHAPE = shape_values(_BARY)  # (6 points, 6 nodes)
 
 
 @functools.cache
-def kernels(given: type) -> Any:
-    """The contact kernel, in double, for displacements of scalar type ``given``.
+def kernels() -> Any:
+    """The contact kernels and their types.
 
-    A contact force is a stiff spring on a small difference of positions: single precision there would drown it.
+    Owners of anchors are coded: -1 none, j >= 0 body j, -2 - j body j with an anchor that this frame made and may still move.
     """
     real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
-    vec4 = wp.types.vector(length=4, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat66 = wp.types.matrix(shape=(6, 6), dtype=real)
-    mat63 = wp.types.matrix(shape=(6, 3), dtype=real)
-    module = f"vsfsim_contact_{given.__name__}"
+    module = "vsfsim_contact"
     probe = sdf.functions(real, module)
+
+    @wp.func(module=module)
+    def place(shape: mat66, q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # Gauss point q of face f of touch b
+        out = vec3()
+        for a in range(6):
+            out += shape[q, a] * x[b, local[b, f, a]]
+        return out
+
+    @wp.func(module=module)
+    def axis_across(m: vec3):
+        # a unit vector across m
+        out = wp.cross(m, vec3(real(0.0), real(0.0), real(1.0)))
+        if wp.abs(m[2]) > real(0.9):
+            out = wp.cross(m, vec3(real(1.0), real(0.0), real(0.0)))
+        return wp.normalize(out)
 
     @wp.kernel(module=module, enable_backward=False)
     def evaluate(
         # model
-        rest: wp.array(dtype=vec3),
         shape: mat66,
-        kind: int,
-        size: vec4,
+        bodies: probe.Bodies,
+        count: int,
         columns: wp.array(dtype=wp.int32),
-        face_nodes: wp.array3d(dtype=wp.int32),
+        local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
         softening: wp.array(dtype=real),
-        origin: wp.array(dtype=vec3),
-        turn: wp.array(dtype=mat33),
+        stick: real,
         # state in
-        u_in: wp.array2d(dtype=given),
+        origin: wp.array2d(dtype=vec3),
+        turn: wp.array2d(dtype=mat33),
+        x_in: wp.array2d(dtype=vec3),
+        anchor_in: wp.array3d(dtype=vec3),
+        owner_in: wp.array3d(dtype=wp.int32),
+        limit_in: wp.array3d(dtype=real),
+        across_in: wp.array3d(dtype=vec3),
         # state out
         gap_out: wp.array3d(dtype=real),
+        body_out: wp.array3d(dtype=wp.int32),
         normal_out: wp.array3d(dtype=vec3),
-        curvature_out: wp.array3d(dtype=mat33),
-        energy_out: wp.array2d(dtype=real),
         force_out: wp.array3d(dtype=vec3),
+        rows_out: wp.array3d(dtype=mat33),
+        bend_out: wp.array3d(dtype=mat33),
+        slips_out: wp.array3d(dtype=wp.int32),
+        energy_out: wp.array2d(dtype=real),
     ):
         f, k = wp.tid()
         b = columns[k]
         energy = real(0.0)
-        total = mat63()
-        if face_nodes[b, f, 0] >= 0:
-            x = mat63()
-            for a in range(6):
-                i = face_nodes[b, f, a]
-                for c in range(3):
-                    x[a, c] = rest[i][c] + real(u_in[3 * i + c, b])
-            rotation = turn[b]
-            for q in range(6):
-                point = vec3()
-                for a in range(6):
-                    for c in range(3):
-                        point[c] += shape[q, a] * x[a, c]
-                local = wp.transpose(rotation) * (point - origin[b])
-                g = probe.gap(kind, size, local)
-                gap_out[b, f, q] = g
-                if g < real(0.0):
-                    n = rotation * probe.normal(kind, size, local)
+        for q in range(6):
+            force = vec3()
+            rows = mat33()
+            bend = mat33()
+            gap = real(1e30)
+            slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
+            w = softening[b] * stiffness[b, f, q]
+            if w > real(0.0):
+                p = place(shape, q, b, f, local, x_in)
+                near = int(0)  # noqa: UP018, RUF046
+                for j in range(count):
+                    g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
+                    if g < gap:
+                        gap = g
+                        near = j
+                body_out[b, f, q] = near
+                if gap < real(0.0):
+                    r = turn[b, near]
+                    spot = wp.transpose(r) * (p - origin[b, near])
+                    n = r * probe.normal(bodies, near, spot)
                     normal_out[b, f, q] = n
-                    curvature_out[b, f, q] = rotation * probe.curvature(kind, size, local) * wp.transpose(rotation)
-                    w = softening[b] * stiffness[b, f, q]
-                    energy += real(0.5) * w * g * g
-                    for a in range(6):
+                    force = -w * gap * n
+                    root = wp.sqrt(w)
+                    for c in range(3):
+                        rows[0, c] = root * n[c]
+                    bend = w * gap * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
+                    energy += real(0.5) * w * gap * gap
+                # friction acts under the limit that was found last, on points that have left since, too: only so there is one potential
+                limit = limit_in[b, f, q]
+                if limit > real(0.0):
+                    owner = owner_in[b, f, q]
+                    if owner < -1:
+                        owner = -2 - owner
+                    m = across_in[b, f, q]
+                    d = p - (origin[b, owner] + turn[b, owner] * anchor_in[b, f, q])
+                    d = d - wp.dot(d, m) * m
+                    way = wp.length(d)
+                    # two directions across m: along the slip, if there is one, and across it
+                    e = axis_across(m)
+                    if way > real(0.0):
+                        e = d / way
+                    side = wp.cross(m, e)
+                    v = stick * w
+                    if v * way <= limit:
+                        force -= v * d
+                        energy += real(0.5) * v * way * way
                         for c in range(3):
-                            total[a, c] -= shape[q, a] * w * g * n[c]
-        for a in range(6):
-            force_out[b, f, a] = vec3(total[a, 0], total[a, 1], total[a, 2])
+                            rows[1, c] = wp.sqrt(v) * e[c]
+                            rows[2, c] = wp.sqrt(v) * side[c]
+                    else:
+                        force -= limit * e
+                        energy += limit * way - real(0.5) * limit * limit / v
+                        slips = 1
+                        # along the slip the force is constant
+                        for c in range(3):
+                            rows[2, c] = wp.sqrt(limit / way) * side[c]
+            gap_out[b, f, q] = gap
+            force_out[b, f, q] = force
+            rows_out[b, f, q] = rows
+            bend_out[b, f, q] = bend
+            slips_out[b, f, q] = slips
         energy_out[b, f] = energy
+
+    @wp.kernel(module=module, enable_backward=False)
+    def lag(
+        # model
+        shape: mat66,
+        bodies: probe.Bodies,
+        columns: wp.array(dtype=wp.int32),
+        local: wp.array3d(dtype=wp.int32),
+        stiffness: wp.array3d(dtype=real),
+        softening: wp.array(dtype=real),
+        friction: wp.array(dtype=real),
+        # state in
+        origin: wp.array2d(dtype=vec3),
+        turn: wp.array2d(dtype=mat33),
+        x_in: wp.array2d(dtype=vec3),
+        origin_before: wp.array2d(dtype=vec3),
+        turn_before: wp.array2d(dtype=mat33),
+        x_before: wp.array2d(dtype=vec3),
+        gap_in: wp.array3d(dtype=real),
+        body_in: wp.array3d(dtype=wp.int32),
+        normal_in: wp.array3d(dtype=vec3),
+        # state out
+        anchor_out: wp.array3d(dtype=vec3),
+        owner_out: wp.array3d(dtype=wp.int32),
+        limit_out: wp.array3d(dtype=real),
+        across_out: wp.array3d(dtype=vec3),
+    ):
+        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this frame
+        f, k = wp.tid()
+        b = columns[k]
+        for q in range(6):
+            limit = real(0.0)
+            g = gap_in[b, f, q]
+            if g < real(0.0):
+                j = body_in[b, f, q]
+                limit = -friction[j] * softening[b] * stiffness[b, f, q] * g
+                across_out[b, f, q] = normal_in[b, f, q]
+                if owner_out[b, f, q] != j:
+                    # where the body's surface came upon it in this step, had it stood still; or where it is, if the object bulged up
+                    p0 = place(shape, q, b, f, local, x_before)
+                    start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
+                    stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
+                    g0 = wp.max(probe.gap(bodies, j, start), real(0.0))
+                    g1 = probe.gap(bodies, j, stop)
+                    if g1 < real(0.0):
+                        anchor_out[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
+                    else:
+                        p1 = place(shape, q, b, f, local, x_in)
+                        anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
+                    owner_out[b, f, q] = -2 - j
+            limit_out[b, f, q] = limit
+
+    @wp.kernel(module=module, enable_backward=False)
+    def settle(
+        # model
+        shape: mat66,
+        columns: wp.array(dtype=wp.int32),
+        local: wp.array3d(dtype=wp.int32),
+        stiffness: wp.array3d(dtype=real),
+        stick: real,
+        # state in
+        origin: wp.array2d(dtype=vec3),
+        turn: wp.array2d(dtype=mat33),
+        x_in: wp.array2d(dtype=vec3),
+        gap_in: wp.array3d(dtype=real),
+        body_in: wp.array3d(dtype=wp.int32),
+        limit_in: wp.array3d(dtype=real),
+        across_in: wp.array3d(dtype=vec3),
+        # state out
+        anchor_out: wp.array3d(dtype=vec3),
+        owner_out: wp.array3d(dtype=wp.int32),
+    ):
+        # the frame is done: points that slipped drag their anchor along, points that left forget it
+        f, k = wp.tid()
+        b = columns[k]
+        for q in range(6):
+            owner = owner_out[b, f, q]
+            if gap_in[b, f, q] >= real(0.0):
+                owner_out[b, f, q] = -1
+            elif owner != -1:
+                if owner < -1:
+                    owner = -2 - owner
+                j = body_in[b, f, q]
+                if owner != j:
+                    owner_out[b, f, q] = -1
+                else:
+                    owner_out[b, f, q] = j
+                    m = across_in[b, f, q]
+                    at = origin[b, j] + turn[b, j] * anchor_out[b, f, q]
+                    d = place(shape, q, b, f, local, x_in) - at
+                    d = d - wp.dot(d, m) * m
+                    way = wp.length(d)
+                    v = stick * stiffness[b, f, q]
+                    limit = limit_in[b, f, q]
+                    if v * way > limit:
+                        at = at + (real(1.0) - limit / (v * way)) * d
+                        anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (at - origin[b, j])
+
+    @wp.kernel(module=module, enable_backward=False)
+    def nearest(
+        # model
+        bodies: probe.Bodies,
+        count: int,
+        # state in
+        origin: wp.array3d(dtype=vec3),
+        turn: wp.array3d(dtype=mat33),
+        x_in: wp.array2d(dtype=vec3),
+        # state out
+        gap_out: wp.array2d(dtype=real),
+    ):
+        # least gap of every point over all poses (T, B, K) and bodies; x_in (s, 1) serves all touches, (s, B) each its own
+        i, b = wp.tid()
+        p = x_in[i, wp.min(b, x_in.shape[1] - 1)]
+        least = real(1e30)
+        for t in range(origin.shape[0]):
+            for j in range(count):
+                least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
+        gap_out[i, b] = least
 
     class Kernels:
         pass
 
     out = Kernels()
-    out.evaluate, out.vec3, out.vec4, out.mat33, out.mat66 = evaluate, vec3, vec4, mat33, mat66
+    out.evaluate, out.lag, out.settle, out.nearest = evaluate, lag, settle, nearest
+    out.vec3, out.mat33, out.mat66, out.sdf = vec3, mat33, mat66, probe
     return out
 
 
@@ -118,8 +300,8 @@ def kernels(given: type) -> Any:
 class Patch:
     """The part of the surface that one touch can reach.
 
-    faces: boundary triangles (f,). nodes: their nodes (s,). local: position of each face's nodes in ``nodes`` (f, 6).
-    stiffness: w_q k_q of each Gauss point (f, 6) [N/m].
+    faces: boundary triangles (f,), increasing. nodes: their nodes (s,). local: position of each face's nodes in ``nodes`` (f, 6).
+    stiffness: w_q of each Gauss point (f, 6) [N/m].
     """
 
     faces: np.ndarray
@@ -140,32 +322,3 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, modulus: np.ndarray) -> P
     pressure_per_metre = PENALTY * modulus[faces] / size
     stiffness = (area * pressure_per_metre)[:, None] * WEIGHTS[None, :]
     return Patch(faces, nodes, local.reshape(len(faces), 6), stiffness)
-
-
-def contact_matrices(patch: Patch, gap: np.ndarray, normal: np.ndarray,
-                     curvature: np.ndarray, *, bend: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows and curvature block of the active Gauss points.
-
-    Args:
-        patch: the touch's patch. gap (f, 6) [m], normal (f, 6, 3), curvature (f, 6, 3, 3) [1/m]: from the kernel.
-        bend: also the geometric part.
-
-    Returns:
-        rows (m, 3 s): derivative of each active gap by the patch's degrees of freedom; stiffness (m,) [N/m];
-        geometric (3 s, 3 s) [N/m]: w k g Hess(g), negative semi-definite, or zeros.
-    """
-    f, q = np.nonzero(gap < 0.0)
-    dof = 3 * patch.local[f][:, :, None] + np.arange(3)  # (m, 6, 3)
-    values = SHAPE[q][:, :, None] * normal[f, q][:, None, :]
-    m = len(f)
-    rows = np.zeros((m, 3 * len(patch.nodes)))
-    rows[np.arange(m)[:, None], dof.reshape(m, 18)] = values.reshape(m, 18)
-    stiffness = patch.stiffness[f, q]
-    geometric = np.zeros((rows.shape[1], rows.shape[1]))
-    if not bend:
-        return rows, stiffness, geometric
-    weight = stiffness * gap[f, q]
-    blocks = np.einsum("m,ma,mb,mcd->macbd", weight, SHAPE[q], SHAPE[q], curvature[f, q]).reshape(m, 18, 18)
-    flat = dof.reshape(m, 18)
-    np.add.at(geometric, (flat[:, :, None], flat[:, None, :]), blocks)
-    return rows, stiffness, geometric

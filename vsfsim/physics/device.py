@@ -29,11 +29,11 @@ _start()
 
 def solver_kernels(precision: str) -> list[Any]:
     """One kernel of each module that the solver launches at a precision."""
-    from vsfsim.physics import contact, pcg
+    from vsfsim.physics import contact
     from vsfsim.physics.elements import tet10
 
     real = wp.float64 if precision == "float64" else wp.float32
-    return [tet10.kernels(real).evaluate, contact.kernels(real).evaluate, pcg.kernels(real).dot]
+    return [tet10.kernels(real).evaluate, contact.kernels().evaluate]
 
 
 def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int, int, str], None] | None = None) -> None:

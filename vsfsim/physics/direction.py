@@ -2,67 +2,71 @@
 
 from __future__ import annotations
 
-import numpy as np
+import torch
 import warp as wp
 
-from vsfsim.physics import pcg
+from vsfsim.physics import clock, pcg
 from vsfsim.physics.elasticity import Elasticity
-from vsfsim.physics.factor import RestFactor
+from vsfsim.physics.factor import spread
 from vsfsim.physics.touching import Touching
 
 
-def newton_direction(elasticity: Elasticity, touching: Touching, factor: RestFactor, columns: np.ndarray, residual: np.ndarray, *,
-                     near: np.ndarray, tolerance: np.ndarray, iterations: int) -> tuple[np.ndarray, int, np.ndarray, np.ndarray]:
+def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *, near: torch.Tensor,
+                     tolerance: torch.Tensor, iterations: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
-        elasticity: with the tangent of ``columns`` made. touching: evaluated at the present state. factor: of the rest state.
+        elasticity: with the tangent of ``columns`` made. touching: evaluated at the present state.
         columns: touches (k,). residual: unbalanced forces (3 n, k) [N].
-        near: whose contact counts with its geometric term (k,); deep inside the probe that term is large, and wrong.
+        near: whose contact counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
         tolerance: relative residual of each column (k,). iterations: limit.
 
     Returns:
-        Directions (3 n, k) [m]; iterations; who met negative curvature (k,) bool; the contact stiffness used (B, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness used (k, 3 s, 3 s) [N/m].
     """
-    real, device = elasticity.real, elasticity.device
-    kernels = pcg.kernels(real)
-    count, batch = len(columns), len(touching.patches)
-    index = wp.array(columns, dtype=wp.int32, device=device)
-    width = 3 * touching.nodes.shape[1]
-    stiff = np.zeros((batch, width, width))
-    inverse = np.zeros((batch, width, width))
-    for b, close in zip(columns, near, strict=True):
-        rows, d, bend = touching.rows(b, geometric=bool(close))
-        if len(rows):
-            s = rows.shape[1]
-            stiff[b, :s, :s] = rows.T @ (d[:, None] * rows) + bend
-            small = rows @ touching.compliance(b) @ rows.T
-            small[np.diag_indices_from(small)] += 1.0 / d
-            inverse[b, :s, :s] = rows.T @ np.linalg.solve(small, rows)
-    has_contact = bool(inverse.any())
-    stiff_array = wp.array(stiff, dtype=real, device=device)
-    inverse_array = wp.array(inverse, dtype=real, device=device)
+    response = touching.response
+    stiffness = touching.stiffness(columns, near)
+    block = touching.block(columns) if bool(touching.touches(columns).any()) else None
+    size = len(residual)
 
-    def patch(block: wp.array, sign: float, x: wp.array, y: wp.array) -> None:
-        if has_contact:
-            wp.launch(kernels.patch, dim=(width, count), device=device, inputs=[block, touching.nodes, index, sign, x, y])
+    class Part:
+        """What the products need of the columns ``which``."""
 
-    def multiply(x: wp.array) -> wp.array:
-        out = elasticity.multiply(columns, index, x)
-        patch(stiff_array, 1.0, x, out)
+        def __init__(self, which: torch.Tensor | None):
+            own = columns if which is None else columns[which]
+            self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
+            self.dof, self.real = touching.dof[own], touching.real[own]
+            self.at = self.dof.clamp(min=0).T
+            if block is not None:
+                self.stiffness = stiffness if which is None else stiffness[which]
+                self.block = block if which is None else block.pick(which)
+
+        def patch(self, x: torch.Tensor) -> torch.Tensor:
+            return x.gather(0, self.at).T.to(torch.float64) * self.real
+
+    parts: dict[int, Part] = {}
+
+    def part(which: torch.Tensor | None) -> Part:
+        key = len(columns) if which is None else len(which)  # the columns that are left only get fewer
+        if key not in parts:
+            parts[key] = Part(which)
+        return parts[key]
+
+    def multiply(x: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
+        own = part(which)
+        with clock.measure("products"):
+            out = wp.to_torch(elasticity.multiply(own.index, wp.from_torch(x.contiguous())))
+        if block is not None:
+            out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
         return out
 
-    def back(x: wp.array) -> wp.array:
-        return wp.array(factor.solve(x.numpy()), dtype=real, device=device)
+    def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
+        own = part(which)
+        with clock.measure("back-solves"):
+            y = response.solve(r.to(torch.float64))
+            if block is not None:
+                y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
+        return y.to(r.dtype)
 
-    def precondition(r: wp.array) -> wp.array:
-        if not has_contact:
-            return back(r)
-        y = back(r)
-        r = wp.clone(r)
-        patch(inverse_array, -1.0, y, r)
-        return back(r)
-
-    direction, steps, negative = pcg.solve(kernels, multiply, precondition, wp.array(residual, dtype=real, device=device),
-                                           tolerance=tolerance, iterations=iterations)
-    return direction.numpy().astype(np.float64), steps, negative, stiff
+    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations)
+    return direction, steps, negative, stiffness

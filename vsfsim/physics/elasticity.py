@@ -12,7 +12,10 @@ from vsfsim.physics.model import Model
 
 
 class Elasticity:
-    """Device arrays of one model and one batch of touches.
+    """Device arrays of one model and one batch of touches. Everything stays on the device; nothing is read back here.
+
+    internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns of the last
+    `forces` are renewed, the others stay as they were.
 
     Args:
         model: the body. device: Warp device. real: `wp.float32` or `wp.float64`.
@@ -45,44 +48,32 @@ class Elasticity:
         self._hessian = wp.zeros((self._tets, 4, batch), dtype=k.mat99, **new)
         self._tet_energy = wp.zeros((self._tets, batch), dtype=self.real, **new)
         self._tet_det = wp.zeros((self._tets, batch), dtype=self.real, **new)
-        self._internal = wp.zeros((3 * self._points, batch), dtype=self.real, **new)
-        self._energy = wp.zeros(batch, dtype=wp.float64, **new)
-        self._det = wp.zeros(batch, dtype=self.real, **new)
+        self.internal = wp.zeros((3 * self._points, batch), dtype=self.real, **new)
+        self.energy = wp.zeros(batch, dtype=wp.float64, **new)
+        self.least_det = wp.zeros(batch, dtype=self.real, **new)
 
-    def _index(self, columns: np.ndarray) -> wp.array:
-        return wp.array(columns, dtype=wp.int32, device=self.device)
-
-    def _launch(self, columns: wp.array, u: wp.array, hessian: int) -> None:
-        wp.launch(self.kernels.evaluate, dim=(self._tets, len(columns)), device=self.device, inputs=[
-            self._nodes, self._gradients, self._volume, self._mu, self._lam, hessian, columns, u,
+    def _launch(self, index: wp.array, u: wp.array, hessian: int) -> None:
+        wp.launch(self.kernels.evaluate, dim=(self._tets, len(index)), device=self.device, inputs=[
+            self._nodes, self._gradients, self._volume, self._mu, self._lam, hessian, index, u,
             self._force, self._tet_energy, self._tet_det, self._hessian])
 
-    def forces(self, columns: np.ndarray, u: wp.array) -> None:
-        """Internal forces, energy and det F of ``columns`` for displacements u (3 n, B) [m]."""
-        index = self._index(columns)
+    def forces(self, index: wp.array, u: wp.array) -> None:
+        """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B) [m]."""
         self._launch(index, u, 0)
-        wp.launch(self.kernels.gather, dim=(self._points, len(columns)), device=self.device,
-                  inputs=[self._start, self._slot, self._every, index, 0, self._force, self._internal])
-        wp.launch(self.kernels.summarise, dim=len(columns), device=self.device,
-                  inputs=[index, self._tet_energy, self._tet_det, self._energy, self._det])
+        wp.launch(self.kernels.gather, dim=(self._points, len(index)), device=self.device,
+                  inputs=[self._start, self._slot, self._every, index, 0, self._force, self.internal])
+        wp.launch(self.kernels.summarise, dim=len(index), device=self.device,
+                  inputs=[index, self._tet_energy, self._tet_det, self.energy, self.least_det])
 
-    def internal(self, columns: np.ndarray) -> np.ndarray:
-        """Internal nodal forces of ``columns`` (3 n, k) [N], as last computed."""
-        return self._internal.numpy()[:, columns].astype(np.float64)
+    def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
+        """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it is."""
+        self._launch(index, u, 1 if projected else 2)
 
-    def totals(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Elastic energy (k,) [J] and least det F (k,) [-] of ``columns``, as last computed."""
-        return (self._energy.numpy()[columns], self._det.numpy()[columns].astype(np.float64))
-
-    def tangent(self, columns: np.ndarray, u: wp.array, *, projected: bool) -> None:
-        """Make the tangent of ``columns`` at u, projected to positive semi-definite or as it is."""
-        self._launch(self._index(columns), u, 1 if projected else 2)
-
-    def multiply(self, columns: np.ndarray, index: wp.array, x: wp.array) -> wp.array:
-        """Tangent times x (3 n, k), one column for each entry of ``columns``; held rows are 0."""
+    def multiply(self, index: wp.array, x: wp.array) -> wp.array:
+        """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are 0."""
         out = wp.empty_like(x)
-        wp.launch(self.kernels.multiply, dim=(self._tets, len(columns)), device=self.device,
+        wp.launch(self.kernels.multiply, dim=(self._tets, len(index)), device=self.device,
                   inputs=[self._nodes, self._gradients, index, self._hessian, x, self._force])
-        wp.launch(self.kernels.gather, dim=(self._points, len(columns)), device=self.device,
+        wp.launch(self.kernels.gather, dim=(self._points, len(index)), device=self.device,
                   inputs=[self._start, self._slot, self._free, index, 1, self._force, out])
         return out

@@ -1,24 +1,27 @@
-"""The Cholesky factor of the rest-state stiffness: paid once for an object, it serves every touch of it."""
+"""The rest-state stiffness, inverted once for an object: it serves every touch of it.
+
+On the CPU a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse under the patch; on a GPU the
+dense inverse, so that one product (n x n x B) answers all touches at once where triangular solves would crawl.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import time
+from collections import OrderedDict
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
-
-from vsfsim.physics.mesh import QuadraticMesh, rest_stiffness_blocks
+import torch
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
+_KEPT = 4  # factors kept in this process, by content
+_COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
+_FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
+_DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
 
-
-def assemble(mesh: QuadraticMesh, blocks: np.ndarray) -> sp.csr_matrix:
-    """Sum element blocks (m, 30, 30) [N/m] into the global stiffness (3 n, 3 n) [N/m]."""
-    dof = (3 * mesh.tets[:, :, None] + np.arange(3)).reshape(len(mesh.tets), 30)
-    row = np.repeat(dof, 30, axis=1).ravel()
-    column = np.tile(dof, (1, 30)).ravel()
-    size = 3 * len(mesh.points)
-    return sp.coo_matrix((blocks.ravel(), (row, column)), shape=(size, size)).tocsr()
+_factors: OrderedDict[str, RestFactor] = OrderedDict()
 
 
 class RestFactor:
@@ -28,30 +31,50 @@ class RestFactor:
     stiffness: the rest stiffness, supports not held (3 n, 3 n) [N/m].
 
     Args:
-        mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
+        stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
+        surface_nodes: nodes (s,) that `compliance` may be asked for.
     """
 
-    def __init__(self, mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray, free: np.ndarray):
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
-        k = assemble(mesh, rest_stiffness_blocks(mesh, mu, lam))
-        self.stiffness = k
+        self.stiffness, self.free = stiffness, free
         mask = sp.diags(free)
-        k = (mask @ k @ mask + sp.diags(1.0 - free)).tocoo()
+        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
+        k = self._held
         self.size = k.shape[0]
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         self._solver = cholespy.CholeskySolverD(
             self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)
-        self._surface = mesh.surface_nodes()
-        self._row_of = np.full(len(mesh.points), -1)
+        self._surface = np.asarray(surface_nodes)
+        self._row_of = np.full(self.size // 3, -1)
         self._row_of[self._surface] = np.arange(len(self._surface))
         self._columns: dict[int, np.ndarray] = {}
+        self._whole: dict[int, np.ndarray] = {}
+        self._dense: dict[str, torch.Tensor] = {}
+        self._on = ""
+        self.solves, self.solve_seconds = 0, 0.0  # right-hand sides so far, and what they took
         self.seconds = time.perf_counter() - began
+
+    @classmethod
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
+        """The factor of this very matrix if this process has made it already, else a new one; arguments as the class."""
+        digest = hashlib.sha256()
+        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        key = digest.hexdigest()
+        if key not in _factors:
+            _factors[key] = cls(stiffness, free, surface_nodes)
+            while len(_factors) > _KEPT:
+                _factors.popitem(last=False)
+        _factors.move_to_end(key)
+        return _factors[key]
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
+        began = time.perf_counter()
         right = np.ascontiguousarray(right, dtype=np.float64)
         out = np.empty_like(right)
         for start in range(0, right.shape[1], _CHUNK):
@@ -59,25 +82,144 @@ class RestFactor:
             result = np.empty_like(part)
             self._solver.solve(part, result)
             out[:, start:start + _CHUNK] = result
+        self.solves += right.shape[1]
+        self.solve_seconds += time.perf_counter() - began
         return out
 
-    def compliance(self, nodes: np.ndarray) -> np.ndarray:
-        """Displacement of ``nodes`` (s,) on the surface per unit force on them, (3 s, 3 s) [m/N].
-
-        Columns are solved once per node and kept: neighbouring touches share them.
-        """
-        missing = [int(i) for i in nodes if int(i) not in self._columns]
+    def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
+        """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all rows if ``whole``."""
+        known = self._whole if whole else self._columns
+        missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
             part = missing[start:start + _CHUNK // 3]
             right = np.zeros((self.size, 3 * len(part)))
             for j, i in enumerate(part):
-                right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = 1.0
-            answer = self.solve(right).reshape(-1, 3, 3 * len(part))[self._surface]
+                right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
+            answer = self.solve(right)
+            if whole and 8 * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
+                self._whole.clear()
+            surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
             for j, i in enumerate(part):
-                self._columns[i] = np.ascontiguousarray(answer[:, :, 3 * j:3 * j + 3])
+                self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
+                if whole:
+                    self._whole[i] = np.ascontiguousarray(answer[:, 3 * j:3 * j + 3].T)
+
+    def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
+        self._make(nodes, whole=True)
+        return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size))
+
+    def compliance(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacement of ``nodes`` (s,) on the surface per unit force on them, (3 s, 3 s) [m/N]; 0 where held."""
+        self._make(nodes, whole=False)
         rows = self._row_of[nodes]
         out = np.empty((len(nodes), 3, len(nodes), 3))
         for j, i in enumerate(nodes):
             out[:, :, j, :] = self._columns[int(i)][rows]
         out = out.reshape(3 * len(nodes), 3 * len(nodes))
         return 0.5 * (out + out.T)
+
+    def dense(self, device: str) -> torch.Tensor:
+        """The inverse (3 n, 3 n) [m/N] on a GPU, rows and columns of held degrees of freedom 0; made once and kept."""
+        if device not in self._dense:
+            k = self._held
+            matrix = torch.sparse_coo_tensor(np.stack([k.row, k.col]), k.data, k.shape, device=device).to_dense()
+            inverse = torch.cholesky_inverse(torch.linalg.cholesky(matrix))
+            free = torch.as_tensor(self.free, device=device)
+            self._dense[device] = inverse * free * free[:, None]
+        return self._dense[device]
+
+
+    def stiffness_on(self, device: str) -> torch.Tensor:
+        """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
+        if self._on != device:
+            k = self.stiffness.tocsr()
+            self._moved, self._on = torch.sparse_csr_tensor(k.indptr, k.indices, k.data, k.shape, device=device), device
+        return self._moved
+
+
+class Response(Protocol):
+    """How the body at rest answers forces, for the touches of one run."""
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
+
+    def compliance(self) -> torch.Tensor:
+        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held and where the patch is padded."""
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
+
+
+def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
+    """The answer of a body to forces on given patches.
+
+    Args:
+        factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
+    """
+    if device != "cpu" and factor.size <= _DENSE:
+        return _Dense(factor, dof, device)
+    return _Sparse(factor, dof, device)
+
+
+def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
+    """Patch values (k, 3 s) in vectors of the whole body (size, k); dof (k, 3 s), -1 pads (values there must be 0)."""
+    out = torch.zeros((size, len(dof)), dtype=values.dtype, device=values.device)
+    return out.scatter_add_(0, dof.clamp(min=0).T, values.T)
+
+
+class _Sparse:
+    """Triangular solves on the host; for few touches also the columns of the inverse under their patches."""
+
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
+        self._factor, self._dof, self._device = factor, dof, device
+        nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
+        width = dof.shape[1]
+        self._whole: torch.Tensor | None = None
+        if len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES:
+            whole = np.zeros((len(dof), width, factor.size))
+            for b, own in enumerate(nodes):
+                whole[b, :3 * len(own)] = factor.whole_columns(own)
+            self._whole = torch.as_tensor(whole, device=device)
+        table = np.zeros((len(dof), width, width))
+        for b, own in enumerate(nodes):
+            table[b, :3 * len(own), :3 * len(own)] = factor.compliance(own)
+        self._compliance = torch.as_tensor(table, device=device)
+
+    def compliance(self) -> torch.Tensor:
+        return self._compliance
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        if self._whole is not None:
+            return torch.stack([f @ self._whole[b] for b, f in zip(touches.tolist(), force, strict=True)], dim=1)
+        free = torch.as_tensor(self._factor.free, device=force.device)[:, None]
+        return self.solve(spread(self._dof[touches], force, self._factor.size) * free)
+
+
+class _Dense:
+    """Products with the dense inverse on the GPU; forces on patches meet only the columns of all patches together."""
+
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
+        self._inverse = factor.dense(device)
+        self._dof = dof
+        together = torch.unique(dof[dof >= 0])
+        self._columns = self._inverse[:, together].contiguous()
+        place = torch.zeros(factor.size, dtype=torch.int64, device=dof.device)
+        place[together] = torch.arange(len(together), device=dof.device)
+        self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
+
+    def compliance(self) -> torch.Tensor:
+        real = (self._dof >= 0).to(torch.float64)
+        index = self._dof.clamp(min=0)
+        table = self._inverse[index[:, :, None], index[:, None, :]]
+        table = table * real[:, :, None] * real[:, None, :]
+        return 0.5 * (table + table.mT)
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        return self._inverse @ right
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        return self._columns @ spread(self._place[touches], force, self._columns.shape[1])

@@ -3,8 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
+
+
+class Reason(IntEnum):
+    """Why a frame did not converge."""
+
+    NONE = 0
+    ITERATIONS = 1
+    TIME = 2
+    STALLED = 3
+    NOT_FINITE = 4
+    PATCH = 5
+
+    @property
+    def text(self) -> str:
+        """In words, for people and datasets."""
+        return ("", "the iteration limit was reached, halved steps included", "the time limit of the frame was reached",
+                "no step lowers the potential any more, and the forces do not balance", "the state was not finite; the one before was kept",
+                "the contact patch kept growing")[self]
 
 
 @dataclass(frozen=True)
@@ -28,17 +47,20 @@ class SolverOptions:
 
 @dataclass(frozen=True)
 class Frames:
-    """What B touches of T frames gave; arrays (T, B) unless said.
+    """What B touches of T frames by K rigid bodies gave; arrays (T, B) unless said.
 
-    force: on the probe (T, B, 3) [N]. reaction: of the supports on the body (T, B, 3) [N].
-    converged: bool. residual: unbalanced over contact force [-]. iterations: Newton. cg_iterations: conjugate gradients.
-    force_balance: |force - reaction - weight| over the larger [-]. min_det_f: least det F [-]. energy: elastic [J].
-    penetration: deepest point of the surface inside the probe [m]. seconds: of the frame, shared by the batch (T,) [s].
+    force: on all bodies together (T, B, 3) [N]. body_force: on each (T, B, K, 3) [N]. reaction: of the supports on the object (T, B, 3) [N].
+    converged: bool. reason: why not, `Reason`. residual: unbalanced over contact force [-]. iterations: Newton. cg_iterations: conjugate
+    gradients. force_balance: |force - reaction - weight| over the larger [-]. min_det_f: least det F [-]. energy: elastic [J].
+    penetration: deepest point of the surface inside a body [m]. slipping: share of the points in contact that slip [-].
+    seconds: of the frame, shared by the batch (T,) [s].
     """
 
     force: np.ndarray
+    body_force: np.ndarray
     reaction: np.ndarray
     converged: np.ndarray
+    reason: np.ndarray
     residual: np.ndarray
     iterations: np.ndarray
     cg_iterations: np.ndarray
@@ -46,4 +68,5 @@ class Frames:
     min_det_f: np.ndarray
     energy: np.ndarray
     penetration: np.ndarray
+    slipping: np.ndarray
     seconds: np.ndarray

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
 from vsfsim.physics.elements.tet10 import EDGES, GAUSS_FAR, GAUSS_NEAR
@@ -105,3 +106,16 @@ def rest_stiffness_blocks(mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray) 
         for c in range(3):
             out[:, :, c, :, c] += (w * mu[:, q])[:, None, None] * dots
     return out.reshape(m, 30, 30)
+
+
+def assemble(points: int, elements: np.ndarray, blocks: np.ndarray) -> sp.csr_matrix:
+    """Sum element blocks into a stiffness of all ``points`` (3 n, 3 n) [N/m].
+
+    Args:
+        points: number of nodes n. elements: nodes of each element (m, a). blocks: (m, 3 a, 3 a) [N/m], rows node by node.
+    """
+    size = 3 * elements.shape[1]
+    dof = (3 * elements[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(elements), size)
+    row = np.repeat(dof, size, axis=1).ravel()
+    column = np.tile(dof, (1, size)).ravel()
+    return sp.coo_matrix((blocks.ravel(), (row, column)), shape=(3 * points, 3 * points)).tocsr()

@@ -10,7 +10,8 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.mesh import QuadraticMesh, quadratic_mesh
+from vsfsim.physics.mesh import QuadraticMesh, assemble, quadratic_mesh, rest_stiffness_blocks
+from vsfsim.physics.soundness import refuse_loose, sound
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,12 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         density: [kg/m^3]. gravity: [m/s^2], world. rotation (3, 3), translation (3,) [m]: object to world.
 
     Raises:
-        SceneError: the supports hold nothing, or fewer than three points that fix the body.
+        SceneError: the supports hold nothing, or fewer than three points that fix the body, or leave a part of it loose.
+        MeshError: the tetrahedra are flat, folded or not finite, see `sound`.
     """
+    solid, turned = sound(solid, where)
+    # a tetrahedron listed the wrong way round has its first two corners swapped, and each Gauss point lies near a corner
+    young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]], young_modulus) if turned.any() else young_modulus
     mesh = quadratic_mesh(solid)
     if fixed == "none":
         raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no single "
@@ -83,11 +88,13 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         raise SceneError(f"{where}: fixed = {fixed!r} holds {int(held.sum())} of {len(held)} nodes, on a line at most; "
                          f"the body could turn. {cure}; in its own frame it reaches from "
                          f"[{', '.join(f'{v:.4g}' for v in low)}] to [{', '.join(f'{v:.4g}' for v in high)}] m.")
+    refuse_loose(mesh.points, mesh.tets, held, where)
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if translation is None else np.asarray(translation, float)
     placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces, mesh.owner)
     mu, lam = lame(young_modulus, poisson_ratio)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
+    stiffness = assemble(len(placed.points), placed.tets, rest_stiffness_blocks(placed, mu, lam))
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
-                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor(placed, mu, lam, free))
+                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor.of(stiffness, free, placed.surface_nodes()))

@@ -3,7 +3,8 @@
     g(x) = distance to the surface, negative inside;   n = grad g;   C = Hessian of g (curvature of the offset surface)
 
 Sphere, capsule and plane are exact. A cylinder and a box have their edges rounded by `fillet`, so that the normal is
-continuous: a press on a mesh cannot resolve a sharper edge anyway.
+continuous: a press on a mesh cannot resolve a sharper edge anyway. A triangle mesh is baked into a grid (`distance_grid`),
+a C2 spline whose derivatives are the normal and the curvature. A set of shapes travels to the kernels as one struct (`rigid`).
 """
 
 import functools
@@ -12,9 +13,9 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 
-SPHERE, CAPSULE, CYLINDER, BOX, PLANE = range(5)
+SPHERE, CAPSULE, CYLINDER, BOX, PLANE, MESH = range(6)
 FILLET = 0.02  # of the smallest half-size
 
 
@@ -31,7 +32,17 @@ def encode(shape: ProbeShape) -> tuple[int, np.ndarray]:
             return BOX, np.array([*(0.5 * s for s in size), FILLET * 0.5 * min(size)])
         case Plane():
             return PLANE, np.zeros(4)
+        case MeshFile():
+            return MESH, np.zeros(4)
     raise AssertionError(shape)
+
+
+def grid(shape: MeshFile) -> Any:
+    """The baked `DistanceGrid` of a mesh probe."""
+    # the grid pulls in scipy.ndimage and trimesh; a sphere does not need them
+    from vsfsim.physics.distance_grid import baked
+
+    return baked(shape)
 
 
 def reach(shape: ProbeShape) -> float:
@@ -47,6 +58,8 @@ def reach(shape: ProbeShape) -> float:
             return 0.5 * float(np.linalg.norm(size))
         case Plane():
             return float("inf")
+        case MeshFile():
+            return float(np.linalg.norm(grid(shape).vertices, axis=1).max())
     raise AssertionError(shape)
 
 
@@ -54,6 +67,8 @@ def support(shape: ProbeShape, direction: np.ndarray) -> float:
     """How far the probe reaches from its origin along a unit ``direction`` (3,) of its own frame [m]."""
     d = np.abs(np.asarray(direction, float))
     match shape:
+        case MeshFile():
+            return float((grid(shape).vertices @ np.asarray(direction, float)).max())
         case Sphere(radius):
             return radius
         case Capsule(radius, length):
@@ -69,16 +84,33 @@ def support(shape: ProbeShape, direction: np.ndarray) -> float:
 
 @functools.cache
 def functions(real: type, module: str) -> Any:
-    """The Warp functions ``gap``, ``normal`` and ``curvature`` of (kind, size, x) for one scalar type, in the caller's ``module``.
+    """The Warp functions of a set of rigid shapes for one scalar type, in the caller's ``module``.
 
-    kind and size are those of `encode`; x is in the probe's frame [m]. They give the signed distance [m], its gradient (unit, outward)
-    and its Hessian (3, 3) [1/m].
+    Returns:
+        ``Bodies``: a wp.struct of arrays, filled by `vsfsim.physics.rigid.RigidBodies.upload`. Of (bodies, k, x), x in the frame of body k [m]:
+        ``gap``: signed distance [m]. ``normal``: its gradient (3,) [-], outward; unit for the analytic shapes, and for a mesh unit to the
+        error of its grid: near an edge that the spline rounds it is shorter, so that a force -k gap normal has a potential. Who needs a
+        direction (friction) normalises it with ``unit``. ``curvature``: the Hessian of the gap (3, 3) [1/m].
     """
     vec2 = wp.types.vector(length=2, dtype=real)
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     tiny = wp.constant(real(1e-12))
+
+    class Bodies:
+        kind: wp.array(dtype=wp.int32)  # (K,)
+        size: wp.array(dtype=vec4)  # (K,), as `encode`
+        # of a mesh's grid, see `vsfsim.physics.distance_grid`: where its coefficients start, its nodes, node (0, 0, 0), spacing, bounding box
+        start: wp.array(dtype=wp.int32)
+        nodes: wp.array(dtype=wp.vec3i)
+        origin: wp.array(dtype=vec3)
+        spacing: wp.array(dtype=real)
+        lower: wp.array(dtype=vec3)
+        upper: wp.array(dtype=vec3)
+        coefficients: wp.array(dtype=real)  # of all meshes, one after the other
+
+    Bodies = wp.struct(Bodies, module=module)
 
     @wp.func(module=module)
     def unit(v: vec3):
@@ -103,7 +135,7 @@ def functions(real: type, module: str) -> Any:
         return wp.length(out) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), zero) - r
 
     @wp.func(module=module)
-    def gap(kind: int, s: vec4, x: vec3):
+    def analytic_gap(kind: int, s: vec4, x: vec3):
         zero = real(0.0)
         if kind == 4:
             return x[2]
@@ -118,7 +150,7 @@ def functions(real: type, module: str) -> Any:
         return wp.length(nearest(kind, s, x)) - s[0]
 
     @wp.func(module=module)
-    def normal(kind: int, s: vec4, x: vec3):
+    def analytic_normal(kind: int, s: vec4, x: vec3):
         zero = real(0.0)
         one = real(1.0)
         if kind == 4:
@@ -156,9 +188,9 @@ def functions(real: type, module: str) -> Any:
         return unit(nearest(kind, s, x))
 
     @wp.func(module=module)
-    def curvature(kind: int, s: vec4, x: vec3):
+    def analytic_curvature(kind: int, s: vec4, x: vec3):
         # flat parts have none; the fillets' own curvature is left out (it matters on no mesh that we can afford)
-        n = normal(kind, s, x)
+        n = analytic_normal(kind, s, x)
         eye = mat33(real(1.0), real(0.0), real(0.0), real(0.0), real(1.0), real(0.0), real(0.0), real(0.0), real(1.0))
         if kind == 0:
             return (eye - wp.outer(n, n)) / wp.max(wp.length(x), tiny)
@@ -170,16 +202,114 @@ def functions(real: type, module: str) -> Any:
             return c / wp.max(wp.length(d), tiny)
         return mat33()
 
+    @wp.func(module=module)
+    def weights(t: real, order: int):
+        # cubic B-spline of the four nodes around a point at t (0..1) between the middle two, or its derivatives by t
+        one = real(1.0)
+        half = real(0.5)
+        r = one - t
+        if order == 0:
+            return vec4(r * r * r, real(4.0) - real(3.0) * t * t * (one + r), real(4.0) - real(3.0) * r * r * (one + t), t * t * t) / real(6.0)
+        if order == 1:
+            return vec4(-half * r * r, half * t * (real(3.0) * t - real(4.0)), half * (one + real(2.0) * t - real(3.0) * t * t), half * t * t)
+        return vec4(r, real(3.0) * t - real(2.0), one - real(3.0) * t, t)
+
+    @wp.func(module=module)
+    def cell_of(bodies: Bodies, k: int, x: vec3):
+        # the four nodes along each axis begin one before the cell; the last full cell serves the rim of the domain
+        c = (x - bodies.origin[k]) / bodies.spacing[k]
+        n = bodies.nodes[k]
+        return wp.vec3i(wp.clamp(int(wp.floor(c[0])), 1, n[0] - 3), wp.clamp(int(wp.floor(c[1])), 1, n[1] - 3), wp.clamp(int(wp.floor(c[2])), 1, n[2] - 3))
+
+    @wp.func(module=module)
+    def derivative(bodies: Bodies, k: int, x: vec3, a: int, b: int, c: int):
+        # d^(a+b+c) phi / dx^a dy^b dz^c at a point of the grid's domain
+        h = bodies.spacing[k]
+        cell = cell_of(bodies, k, x)
+        n = bodies.nodes[k]
+        t = (x - bodies.origin[k]) / h
+        wx = weights(t[0] - real(cell[0]), a)
+        wy = weights(t[1] - real(cell[1]), b)
+        wz = weights(t[2] - real(cell[2]), c)
+        four = int(4)  # noqa: RUF046, UP018  a variable in Warp, so that the loops are not unrolled into 64 copies
+        total = real(0.0)
+        for i in range(four):
+            for j in range(four):
+                row = bodies.start[k] + ((cell[0] - 1 + i) * n[1] + cell[1] - 1 + j) * n[2] + cell[2] - 1
+                along = real(0.0)
+                for m in range(four):
+                    along += wz[m] * bodies.coefficients[row + m]
+                total += wx[i] * wy[j] * along
+        for _i in range(a + b + c):
+            total = total / h
+        return total
+
+    @wp.func(module=module)
+    def within(bodies: Bodies, k: int, x: vec3):
+        # the nearest point of the box in which the spline holds
+        h = bodies.spacing[k]
+        o = bodies.origin[k]
+        n = bodies.nodes[k]
+        return vec3(wp.clamp(x[0], o[0] + h, o[0] + h * real(n[0] - 2)), wp.clamp(x[1], o[1] + h, o[1] + h * real(n[1] - 2)),
+                    wp.clamp(x[2], o[2] + h, o[2] + h * real(n[2] - 2)))
+
+    @wp.func(module=module)
+    def from_box(bodies: Bodies, k: int, x: vec3):
+        # vector from the bounding box to a point outside it
+        low = bodies.lower[k]
+        high = bodies.upper[k]
+        return x - vec3(wp.clamp(x[0], low[0], high[0]), wp.clamp(x[1], low[1], high[1]), wp.clamp(x[2], low[2], high[2]))
+
+    @wp.func(module=module)
+    def gap(bodies: Bodies, k: int, x: vec3):
+        if bodies.kind[k] < 5:
+            return analytic_gap(bodies.kind[k], bodies.size[k], x)
+        inside = within(bodies, k, x)
+        phi = derivative(bodies, k, inside, 0, 0, 0)
+        away = wp.length(x - inside)
+        if away > real(0.0):
+            return wp.max(phi - away, wp.length(from_box(bodies, k, x)))
+        return phi
+
+    @wp.func(module=module)
+    def normal(bodies: Bodies, k: int, x: vec3):
+        if bodies.kind[k] < 5:
+            return analytic_normal(bodies.kind[k], bodies.size[k], x)
+        if wp.length(x - within(bodies, k, x)) > real(0.0):
+            return unit(from_box(bodies, k, x))
+        return vec3(derivative(bodies, k, x, 1, 0, 0), derivative(bodies, k, x, 0, 1, 0), derivative(bodies, k, x, 0, 0, 1))
+
+    @wp.func(module=module)
+    def curvature(bodies: Bodies, k: int, x: vec3):
+        if bodies.kind[k] < 5:
+            return analytic_curvature(bodies.kind[k], bodies.size[k], x)
+        c = mat33()
+        if wp.length(x - within(bodies, k, x)) > real(0.0):
+            return c
+        c[0, 0] = derivative(bodies, k, x, 2, 0, 0)
+        c[1, 1] = derivative(bodies, k, x, 0, 2, 0)
+        c[2, 2] = derivative(bodies, k, x, 0, 0, 2)
+        c[0, 1] = derivative(bodies, k, x, 1, 1, 0)
+        c[1, 2] = derivative(bodies, k, x, 0, 1, 1)
+        c[0, 2] = derivative(bodies, k, x, 1, 0, 1)
+        c[1, 0] = c[0, 1]
+        c[2, 1] = c[1, 2]
+        c[2, 0] = c[0, 2]
+        return c
+
     class Functions:
         pass
 
     out = Functions()
-    out.gap, out.normal, out.curvature = gap, normal, curvature
+    out.Bodies, out.gap, out.normal, out.curvature, out.unit = Bodies, gap, normal, curvature, unit
+    out.vec3, out.vec4, out.real = vec3, vec4, real
     return out
 
 
 def distance(shape: ProbeShape, points: np.ndarray) -> np.ndarray:
     """Signed distance (...,) [m] of ``points`` (..., 3) in the probe's frame, on the host; as the kernels' `gap`."""
+    if isinstance(shape, MeshFile):
+        return grid(shape).distance(points)
     kind, s = encode(shape)
     x = np.asarray(points, float)
     if kind == PLANE:

@@ -1,50 +1,56 @@
-"""Quasi-static touches: every frame is an equilibrium of the body against the probe, found by Newton's method.
+"""Quasi-static touches: every frame is an equilibrium of the object against rigid bodies on prescribed paths.
 
-    Pi(u) = sum of element energies - load . u + contact energy    ->    minimum
-
-Projected Newton with a line search on Pi. Each linear system goes to `pcg`, preconditioned by the rest-state factor with
-the contact block inverted exactly. All touches of one object advance together, one column each. A frame that does not
-converge is approached again in halved steps, then marked; it is never passed off as data.
+All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last two frames drawn on,
+their contact put right by the condensed problem), is brought into balance by `Equilibrium`, and what does not converge is approached again:
+through softer contact, then in halved steps. A frame that fails all of it is marked with the reason, never passed off as data.
+With friction the way matters: every step remembers where each point of the surface stuck.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 
 import numpy as np
+import torch
 import warp as wp
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics.direction import newton_direction
+from vsfsim.physics import clock, condensed, path
 from vsfsim.physics.elasticity import Elasticity
-from vsfsim.physics.frames import Frames, SolverOptions
+from vsfsim.physics.equilibrium import Equilibrium, State
+from vsfsim.physics.factor import spread
+from vsfsim.physics.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.model import Model
+from vsfsim.physics.rigid import RigidBodies
 from vsfsim.physics.touching import Touching
 
-State = dict[str, np.ndarray]
+Rows = dict[str, np.ndarray]
 
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
+_KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
 
 class Solver:
-    """Touches of one body by one probe.
+    """Touches of one object by rigid bodies.
 
     Args:
-        model: the body. probe: its shape.
-        device: Warp device, "cpu" or "cuda:0". precision: "float32" or "float64" of elements and vectors (the factor
-        and the contact block are always double). options: limits.
+        model: the object. shapes: the rigid bodies (K).
+        friction: Coulomb's coefficient with the object, one for all or one for each body [-].
+        device: Warp device, "cpu" or "cuda:0". precision: "float32" or "float64" of elements and vectors (the rest-state inverse
+        and the contact are always double). options: limits.
         linear: answer with the rest state's linear elasticity (the `linear` tier) instead of Newton's method.
     """
 
-    def __init__(self, model: Model, probe: ProbeShape, *, device: str = "cpu", precision: str = "float64",
-                 options: SolverOptions | None = None, linear: bool = False):
-        self.model, self.probe = model, probe
+    def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *, friction: float | Sequence[float] = 0.0, device: str = "cpu",
+                 precision: str = "float64", options: SolverOptions | None = None, linear: bool = False):
+        self.model, self.bodies = model, RigidBodies(shapes)
+        self.friction = np.broadcast_to(np.asarray(friction, float), (len(self.bodies),)).copy()
         options = options or SolverOptions()
         if precision == "float32":
             # rounding of the nodal forces leaves about 1e-3 unbalanced; asking for less would only burn iterations
@@ -52,47 +58,65 @@ class Solver:
         self.options = options
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
         self.device, self.precision, self.linear = device, precision, linear
-        self.real = wp.float64 if precision == "float64" else wp.float32
-        self.elasticity = Elasticity(model, device=device, real=self.real)
+        self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
         weight = np.abs(model.load).sum()
         # forces under this are zero: a billionth of the softest modulus on one element face
         self._floor = max(1e-9 * float(model.young_modulus.min()) * model.element_size**2, 1e-6 * weight)
 
     def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
-        """Follow the probe through all frames.
+        """Follow the bodies through all frames.
 
         Args:
-            poses: probe to world (T, B, 4, 4), one column a touch; the first clear of the body, or nearly so.
-            keep: also keep the displacements of every frame in ``self.history`` (T entries of (3 n, B)) [m].
+            poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch. The first may be deep in the object:
+                the bodies then come in from outside.
+            keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the contact force on every
+                surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as `QuadraticMesh.surface_nodes`.
             progress: called with the number of finished frames.
         """
+        if poses.ndim == 4:
+            poses = poses[:, :, None]
+        threads = torch.get_num_threads()
+        torch.set_num_threads(1)  # so that the bits do not depend on the machine's load
+        try:
+            with torch.no_grad():
+                return self._run(poses, keep, progress)
+        finally:
+            torch.set_num_threads(threads)
+
+    def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
-        self.touching = Touching(self.model, self.probe, poses, device=self.device, real=self.real)
         self.elasticity.begin(batch)
-        self._set(np.zeros((3 * len(self.model.mesh.points), batch)))
-        self._settled: np.ndarray | None = None
-        columns = np.arange(batch)
-        self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
-        self._pushed_before = self._pushed
+        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device)
+        self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
+        every = self._balance.every
+        previous = path.outside(self.bodies, self.model, poses[0])
+        stride = path.stride(self.bodies)
+        self._pushed = torch.zeros_like(self.touching.rest)
         if self.linear:
-            self._sag = np.repeat(self.model.factor.solve((self.model.load * self.model.free)[:, None]), batch, axis=1)
-        rows: list[State] = []
+            sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
+            self._sag = torch.as_tensor(np.repeat(sag, batch, axis=1), device=self.device)
+        rows: list[Rows] = []
         self.history: list[np.ndarray] = []
-        known: list[tuple[np.ndarray, np.ndarray]] = []
-        previous = poses[0].copy()
+        self.surface_force: list[np.ndarray] = []
+        self._known: list[tuple[np.ndarray, torch.Tensor, torch.Tensor]] = []
         for t in range(frames):
             began = time.perf_counter()
             deadline = began + self.options.seconds
             if self.linear:
-                out = self._linear_frame(columns, poses[t])
+                out = self._linear_frame(previous, poses[t])
             else:
-                self._start(columns, poses[t], known)
-                out = self._advance(columns, previous, poses[t], deadline, self.options.halvings)
-                self._pushed_before, self._pushed = self._pushed, self._forces(columns)
+                self._balance.count()
+                for pose in path.pieces(previous, poses[t], stride, self.bodies):
+                    begin = self._balance.u.clone()
+                    self._start(every, previous, pose)
+                    self._advance(every, previous, pose, begin, deadline, self.options.halvings)
+                    self.touching.settle(every)
+                    previous = pose
+                    self._remember(pose, self.touching.nodal(every))
+                out = self._report(self._balance.evaluate(every))
             previous = poses[t]
-            known.append((poses[t], self._u()))
             if keep:
-                self.history.append(known[-1][1])
+                self._keep()
             out["seconds"] = np.full(batch, time.perf_counter() - began)
             rows.append(out)
             if progress is not None:
@@ -101,288 +125,191 @@ class Solver:
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
 
-    # ------------------------------------------------------------------------------------------ state
+    def _remember(self, pose: np.ndarray, pushed: torch.Tensor) -> None:
+        """Equilibria that later frames may begin from: all of them without friction, the last two with it."""
+        self._pushed = pushed
+        self._known.append((pose, self._balance.u.clone(), self._pushed))
+        most = _KEPT_BYTES["cpu" if self.device == "cpu" else "cuda"]
+        if self.touching.rubs or self._known[0][1].nbytes * len(self._known) > most:
+            del self._known[:-2]
 
-    def _u(self) -> np.ndarray:
-        return self.u.numpy().astype(np.float64).copy()
+    def _keep(self) -> None:
+        u = self._balance.u
+        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
+        force = np.zeros((len(self.model.mesh.points), 3, u.shape[1]))
+        for b, (patch, pushed) in enumerate(zip(self.touching.patches, self._pushed.cpu().numpy(), strict=True)):
+            force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)]
+        self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
-    def _set(self, u: np.ndarray, columns: np.ndarray | None = None) -> None:
-        if columns is not None:
-            whole = self._u()
-            whole[:, columns] = u
-            u = whole
-        self.u = wp.array(u, dtype=self.real, device=self.device)
+    # ------------------------------------------------------------------------------------------ one frame
 
-    def _forces(self, columns: np.ndarray) -> list[np.ndarray]:
-        return [self.touching.nodal(b) for b in columns]
-
-    def _evaluate(self, columns: np.ndarray, pose: np.ndarray) -> State:
-        """Forces, potential and residual of ``columns`` at the present displacements."""
-        self.elasticity.forces(columns, self.u)
-        self.touching.evaluate(columns, pose, self.u)
-        internal = self.elasticity.internal(columns)
-        pushed = np.zeros_like(internal)
-        for k, b in enumerate(columns):
-            pushed[self.touching.dof(b), k] = self.touching.nodal(b)
-        load = self.model.load[:, None]
-        energy, det = self.elasticity.totals(columns)
-        potential = energy + self.touching.energy[columns] - (load * self._u()[:, columns]).sum(axis=0)
-        residual = (load + pushed - internal) * self.model.free[:, None]
-        state = {"internal": internal, "contact": pushed, "potential": potential, "residual": residual,
-                 "energy": energy, "det": det}
-        state["measure"] = self._measure(state)
-        return state
-
-    def _measure(self, state: State) -> np.ndarray:
-        """Unbalanced force over acting force, per column: sums of the lengths of nodal vectors."""
-        def size(v: np.ndarray) -> np.ndarray:
-            return np.linalg.norm(v.reshape(-1, 3, v.shape[1]), axis=1).sum(axis=0)
-
-        acting = np.maximum(size(state["contact"]), size(self.model.load[:, None]))
-        return size(state["residual"]) / np.maximum(acting, self._floor)
-
-    # ------------------------------------------------------------------------------------------ frames
-
-    def _start(self, columns: np.ndarray, pose: np.ndarray, known: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
-        for seen, u in reversed(known):
-            if np.array_equal(seen, pose):
-                self._set(u)
-                return
-        self._evaluate(columns, pose)
-        touching = np.array([b for b in columns if self.touching.touches(b) or self._pushed[b].any()], dtype=int)
-        if not len(touching):
+        balance, touching = self._balance, self.touching
+        touching.begin(before, balance.u)
+        touching.move(pose)
+        if not touching.rubs:
+            for seen, u, _ in reversed(self._known):
+                same = (seen == pose).all(axis=(1, 2, 3))
+                if same.all():
+                    balance.u.copy_(u)
+                    return
+        balance.evaluate(columns)
+        meets = columns[touching.touches(columns) | (self._pushed[columns] != 0.0).any(dim=1)]
+        if not len(meets):
             return
-        now = self._u()
+        now = balance.u.clone()
         guesses = [(now, self._pushed)]
-        if len(known) > 1 and all(len(a) == len(b) for a, b in zip(self._pushed, self._pushed_before)):
-            (p1, u1), (p0, u0) = known[-1], known[-2]
-            step, last = pose[:, :3, 3] - p1[:, :3, 3], p1[:, :3, 3] - p0[:, :3, 3]
-            size = np.linalg.norm(last, axis=1)
-            ratio = np.where((step * last).sum(axis=1) > 0.0, np.linalg.norm(step, axis=1) / np.where(size > 0.0, size, 1.0), 0.0)
-            ratio = np.minimum(ratio, 2.0)
-            guesses.append((u1 + ratio * (u1 - u0), [a + r * (a - b) for a, b, r in zip(self._pushed, self._pushed_before, ratio)]))
-        best = np.full(len(touching), np.inf)
-        chosen = now.copy()
+        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
+            (p1, u1, f1), (p0, u0, f0) = self._known[-1], self._known[-2]
+            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
+            guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
+        chosen = now.clone()
         for base, pushed in guesses:
-            change, _ = self.touching.condensed(touching, pose, base, pushed, iterations=20, tolerance=1e-4)
-            trial = base[:, touching] + self._answer(touching, change)
-            self._set(trial, touching)
-            potential = self._evaluate(touching, pose)["potential"]
+            with clock.measure("prediction"):
+                change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets],
+                                            iterations=20, tolerance=1e-4)
+            balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
+            potential = balance.evaluate(meets)["potential"]
             better = potential < best
-            best = np.where(better, potential, best)
-            chosen[:, touching[better]] = trial[:, better]
-        self._set(now)
-        stay = self._evaluate(touching, pose)["potential"] <= best
-        chosen[:, touching[stay]] = now[:, touching[stay]]
-        self._set(chosen)
+            best = torch.where(better, potential, best)
+            chosen[:, meets[better]] = balance.u[:, meets[better]]
+        balance.u.copy_(now)
+        stay = balance.evaluate(meets)["potential"] <= best
+        chosen[:, meets[stay]] = now[:, meets[stay]]
+        balance.u.copy_(chosen)
 
-    def _answer(self, columns: np.ndarray, change: list[np.ndarray]) -> np.ndarray:
-        """Displacements (3 n, k) [m] of the body at rest under forces on the patches of ``columns``."""
-        right = np.zeros((len(self.model.free), len(columns)))
-        for k, b in enumerate(columns):
-            right[self.touching.dof(b), k] = change[k]
-        return self.model.factor.solve(right * self.model.free[:, None])
+    def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
+                 halvings: int) -> None:
+        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before`` into balance at ``pose`` (B, K, 4, 4).
 
-    def _advance(self, columns: np.ndarray, before: np.ndarray, pose: np.ndarray, deadline: float,
-                 halvings: int) -> State:
-        """Equilibria of ``columns`` at ``pose`` (B, 4, 4); those that fail are approached again in half steps."""
-        begin = self._good if halvings < self.options.halvings else self._before()
-        out = self._equilibrium(columns, pose, deadline)
-        failed = columns[~out["converged"][columns]]
-        if len(failed) and halvings > 0 and time.perf_counter() < deadline:
-            self._set(begin[:, failed], failed)
-            middle = pose.copy()
-            middle[failed, :3, 3] = 0.5 * (before[failed, :3, 3] + pose[failed, :3, 3])
-            self._good = begin
-            first = self._advance(failed, before, middle, deadline, halvings - 1)
-            self._good = self._u()
-            second = self._advance(failed, middle, pose, deadline, halvings - 1)
-            for key, values in out.items():
-                values[failed] = second[key][failed]
-                if key in ("iterations", "cg_iterations"):
-                    values[failed] += first[key][failed]
-        if halvings == self.options.halvings:
-            self._settled = self._u()
-        return out
+        The present displacements are the first guess. Touches that fail are approached again in half steps.
+        """
+        balance, touching = self._balance, self.touching
+        touching.begin(before, begin)
+        touching.move(pose)
+        memory = touching.memory()
+        self._equilibrium(columns, pose, begin, deadline)
+        failed = columns[torch.as_tensor(balance.reason[columns.cpu().numpy()] != Reason.NONE, device=self.device)]
+        if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
+            return
+        host = failed.cpu().numpy()
+        middle = pose.copy()
+        middle[host] = path.between(before[host], pose[host], 0.5)
+        balance.u[:, failed] = begin[:, failed]
+        touching.restore(failed, memory)
+        self._advance(failed, before, middle, begin, deadline, halvings - 1)
+        lost = host[balance.reason[host] != Reason.NONE]
+        reasons = balance.reason[lost].copy()
+        touching.settle(failed)
+        self._advance(failed, middle, pose, balance.u.clone(), deadline, halvings - 1)
+        if touching.rubs and len(lost):
+            balance.reason[lost] = reasons  # friction remembers the step that failed: what follows is no equilibrium of the true history
 
-    def _before(self) -> np.ndarray:
-        """Displacements at the end of the frame before this one."""
-        if self._settled is None:
-            return np.zeros(self.u.shape)
-        return self._settled
-
-    def _equilibrium(self, columns: np.ndarray, pose: np.ndarray, deadline: float) -> State:
-        opt, batch = self.options, self.u.shape[1]
-        newton, cg = np.zeros(batch, int), np.zeros(batch, int)
-        state = self._evaluate(columns, pose)
-        # a probe that went deep into a soft wall in one frame: come to it through softer contact
-        hard = columns[(np.abs(state["measure"] - 1.0) < 0.03) | (state["measure"] > _HARD)]
+    def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
+        balance, touching = self._balance, self.touching
+        state = balance.evaluate(columns)
+        # a body that went deep into a soft wall in one frame: come to it through softer contact
+        hard = columns[((state["measure"] - 1.0).abs() < 0.03) | (state["measure"] > _HARD)]
         if len(hard):
-            self._set(self._before()[:, hard], hard)
+            balance.u[:, hard] = begin[:, hard]
             for softening in _SOFTENINGS:
-                self.touching.softening[hard] = softening
-                self._newton(hard, pose, deadline, self._evaluate(hard, pose), _SOFT_TOLERANCE, newton, cg)
-            self.touching.softening[hard] = 1.0
-            state = self._evaluate(columns, pose)
-        for _ in range(4):  # a patch may have to grow
-            self._newton(columns, pose, deadline, state, opt.tolerance, newton, cg)
-            if not self.touching.grow(columns, pose, self._u()):
-                break
-            self._pushed = [np.zeros(len(self.touching.dof(b))) for b in range(batch)]
-            state = self._evaluate(columns, pose)
-        self.touching.evaluate(np.arange(batch), pose, self.u)
-        return self._report(columns, state, newton, cg)
-
-    def _newton(self, columns: np.ndarray, pose: np.ndarray, deadline: float, state: State, tolerance: float,
-                newton: np.ndarray, cg: np.ndarray) -> None:
-        """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state and the counts (B,)."""
-        stuck = np.zeros(len(columns), bool)
-        renew = np.ones(len(columns), bool)  # whose tangent must be made anew
-        safe = np.zeros(len(columns), bool)  # whose last step failed: they get the projected tangent
-        for _ in range(self.options.newton):
-            open_ = np.flatnonzero((state["measure"] > tolerance) & ~stuck)
-            if not len(open_) or time.perf_counter() > deadline:
-                break
-            active = columns[open_]
-            before = state["measure"][open_].copy()
-            # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
-            # and that of the step before is as good
-            far = (before > 0.3) | safe[open_]
-            fresh = renew[open_] | (before > 0.05)
-            for projected, which in ((True, fresh & far), (False, fresh & ~far)):
-                if which.any():
-                    self.elasticity.tangent(active[which], self.u, projected=projected)
-            direction, steps, negative = self._newton_direction(active, state["residual"][:, open_], near=~far)
-            if negative.any():
-                # not a bowl along some direction: take the projected tangent, which always is
-                self.elasticity.tangent(active[negative], self.u, projected=True)
-                bowl, more, _ = self._newton_direction(active[negative], state["residual"][:, open_[negative]],
-                                                near=np.zeros(int(negative.sum()), bool))
-                direction[:, negative] = bowl
-                steps += more
-            newton[active] += 1
-            cg[active] += steps
-            moved = self._step(active, open_, pose, self._correct(active, pose, direction), state)
-            still = np.flatnonzero(~moved)
-            if len(still):
-                self.touching.evaluate(active[still], pose, self.u)
-                moved[still] = self._step(active[still], open_[still], pose, direction[:, still], state)
-            renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
-            # no step helps, not even a projected one: rounding's floor, or nothing to be found
-            stuck[open_] = ~moved & safe[open_]
-            safe[open_] = ~moved
-            self.touching.evaluate(columns, pose, self.u)
-
-    def _newton_direction(self, columns: np.ndarray, residual: np.ndarray, *, near: np.ndarray) -> tuple[np.ndarray, int, np.ndarray]:
-        opt = self.options
-        direction, steps, negative, self._contact_stiffness = newton_direction(
-            self.elasticity, self.touching, self.model.factor, columns, residual, near=near,
-            tolerance=np.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, iterations=opt.cg)
-        return direction, steps, negative
-
-    def _correct(self, columns: np.ndarray, pose: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.
-
-        The difference between the true contact forces at the end of the step and the linearised ones is worked off by the condensed
-        problem. Where the contact stays as it is this changes nothing.
-        """
-        whole = self._u()
-        pushed = list(self._forces(range(whole.shape[1])))
-        for k, b in enumerate(columns):
-            dof = self.touching.dof(b)
-            n = len(dof)
-            pushed[b] = pushed[b] - self._contact_stiffness[b, :n, :n] @ direction[dof, k]
-        whole[:, columns] += direction
-        change, error = self.touching.condensed(columns, pose, whole, pushed, iterations=12, tolerance=1e-3)
-        useful = np.flatnonzero((error < 0.1) & np.array([bool(c.any()) for c in change]))
-        if len(useful):
-            direction = direction.copy()
-            direction[:, useful] += self._answer(columns[useful], [change[k] for k in useful])
-        return direction
-
-    def _step(self, columns: np.ndarray, at: np.ndarray, pose: np.ndarray, direction: np.ndarray, state: State) -> np.ndarray:
-        """Line search of ``columns``, whose entries in ``state`` are ``at``; updates state, returns who moved (k,)."""
-        taken, moved = self._line_search(columns, pose, direction, {k: v[..., at] for k, v in state.items()})
-        for key, value in taken.items():
-            state[key][..., at] = value
-        return moved
-
-    def _line_search(self, columns: np.ndarray, pose: np.ndarray, d: np.ndarray,
-                     state: State) -> tuple[State, np.ndarray]:
-        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
-
-        Returns the state after it, and which columns moved at all.
-        """
-        base = self._u()[:, columns]
-        slope = (state["residual"] * d).sum(axis=0)
-        step = np.ones(len(columns))
-        result = {k: v.copy() for k, v in state.items()}
-        chosen = base.copy()
-        pending = np.arange(len(columns))
-        for _ in range(12):
-            trial = base[:, pending] + step[pending] * d[:, pending]
-            self._set(trial, columns[pending])
-            new = self._evaluate(columns[pending], pose)
-            falls = new["potential"] <= state["potential"][pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < 0.5 * state["measure"][pending]) & (state["measure"][pending] < 0.05)
-            good = falls | shrinks
-            for key in result:
-                result[key][..., pending[good]] = new[key][..., good]
-            chosen[:, pending[good]] = trial[:, good]
-            pending = pending[~good]
-            if not len(pending):
-                break
-            step[pending] *= 0.5
-        self._set(chosen, columns)
-        return result, ~np.isin(np.arange(len(columns)), pending)
+                touching.softening[hard] = softening
+                balance.solve(hard, balance.evaluate(hard), _SOFT_TOLERANCE, deadline)
+            touching.softening[hard] = 1.0
+            state = balance.evaluate(columns)
+        for _ in range(4):
+            balance.solve(columns, state, self.options.tolerance, deadline)
+            lost = columns[~torch.isfinite(state["measure"])]
+            if len(lost):
+                balance.u[:, lost] = begin[:, lost]
+                balance.evaluate(lost)
+            grown = touching.grow(columns, pose, balance.u)
+            if grown:
+                self._pushed = torch.zeros_like(touching.rest)
+                state = balance.evaluate(columns)
+            if len(lost):
+                balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
+            if not grown:
+                return
+        balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
     # ------------------------------------------------------------------------------------------ the linear tier
 
-    def _linear_frame(self, columns: np.ndarray, pose: np.ndarray) -> State:
+    def _linear_frame(self, before: np.ndarray, pose: np.ndarray) -> Rows:
         """One frame of linear elasticity: the condensed contact problem, solved to its tolerance."""
-        none = [np.zeros(len(self.touching.dof(b))) for b in columns]
+        balance, touching = self._balance, self.touching
+        every = balance.every
+        touching.begin(before, balance.u)
+        touching.move(pose)
+        start = self._guess(pose)
         for _ in range(4):
-            pushed, error = self.touching.condensed(columns, pose, self._sag, none, iterations=100,
-                                                    tolerance=self.options.tolerance, start=self._pushed)
-            self._pushed = pushed
-            self._set(self._sag + self._answer(columns, pushed))
-            if not self.touching.grow(columns, pose, self._u()):
+            sag = touching.gather(self._sag)
+            with clock.measure("contact"):
+                pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100,
+                                                tolerance=self.options.tolerance, start=start)
+            balance.u.copy_(self._sag + touching.response.patch(every, pushed))
+            if not touching.grow(every, pose, balance.u):
                 break
-            none = [np.zeros(len(self.touching.dof(b))) for b in columns]
-        u = self._u()
-        self.touching.evaluate(columns, pose, self.u)
-        self.elasticity.forces(columns, self.u)
-        internal = self.model.factor.stiffness @ u
-        contact = np.zeros_like(u)
-        for k, b in enumerate(columns):
-            contact[self.touching.dof(b), k] = pushed[k]
-        load = self.model.load[:, None]
-        state = {"internal": internal, "contact": contact, "residual": (load + contact - internal) * self.model.free[:, None],
-                 "energy": 0.5 * (u * internal).sum(axis=0), "det": self.elasticity.totals(columns)[1]}
-        state["measure"] = np.maximum(self._measure(state), error)
-        batch = np.zeros(len(columns), int)
-        return self._report(columns, state, batch + 1, batch)
+            start = torch.zeros_like(touching.rest)
+        state = balance.evaluate(every)
+        u = balance.u.to(torch.float64)
+        internal = self._times_stiffness(u)
+        contact = spread(touching.dof, pushed, len(u))
+        state.update(internal=internal, contact=contact, residual=(balance.load + contact - internal) * balance.free,
+                     energy=0.5 * (u * internal).sum(dim=0))
+        state["measure"] = torch.maximum(balance.measure(state["residual"], contact), error)
+        touching.settle(every)
+        self._remember(pose, pushed)
+        balance.count()
+        balance.newton += 1
+        balance.reason[(state["measure"] > self._accept).cpu().numpy()] = Reason.ITERATIONS
+        return self._report(state)
+
+    def _guess(self, pose: np.ndarray) -> torch.Tensor:
+        """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn on."""
+        known = [(seen, pushed) for seen, _, pushed in self._known if pushed.shape == self._pushed.shape]
+        if not self.touching.rubs:
+            for seen, pushed in reversed(known):
+                if np.array_equal(seen, pose):
+                    return pushed
+        if len(known) < 2:
+            return self._pushed
+        (p0, f0), (p1, f1) = known[-2:]
+        return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)[:, None] * (f1 - f0)
+
+    def _times_stiffness(self, u: torch.Tensor) -> torch.Tensor:
+        """Rest stiffness times u (3 n, B)."""
+        if self.device == "cpu":
+            return torch.as_tensor(self.model.factor.stiffness @ u.numpy())
+        return self.model.factor.stiffness_on(self.device) @ u
 
     # ------------------------------------------------------------------------------------------ audit
 
-    def _report(self, columns: np.ndarray, state: State, newton: np.ndarray, cg: np.ndarray) -> State:
-        batch = self.u.shape[1]
-        shape3 = (-1, 3, len(columns))
-        on_body = state["contact"].reshape(shape3).sum(axis=0).T
-        held = ((state["internal"] - self.model.load[:, None] - state["contact"]) * (1.0 - self.model.free[:, None])).reshape(shape3).sum(axis=0).T
-        weight = self.model.load.reshape(-1, 3).sum(axis=0)
-        unbalanced = np.linalg.norm(held + on_body + weight, axis=1)
-        largest = np.maximum(np.maximum(np.linalg.norm(held, axis=1), np.linalg.norm(on_body, axis=1)), self._floor)
+    def _report(self, state: State) -> Rows:
+        """The rows of one frame from the state of all touches."""
+        balance, touching = self._balance, self.touching
+        every = balance.every
+        batch = len(every)
+        contact, internal = state["contact"], state["internal"]
+        on_object = contact.view(-1, 3, batch).sum(dim=0).T
+        held = ((internal - balance.load - contact) * (1.0 - balance.free)).view(-1, 3, batch).sum(dim=0).T
+        weight = balance.load.view(-1, 3).sum(dim=0)
+        unbalanced = (held + on_object + weight).norm(dim=1)
+        largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)
         values = {
-            "force": -on_body, "reaction": held, "converged": state["measure"] <= self._accept,
-            "residual": state["measure"], "iterations": newton[columns], "cg_iterations": cg[columns],
+            "force": -on_object, "body_force": touching.on_bodies(every), "reaction": held, "residual": state["measure"],
             "force_balance": unbalanced / largest, "min_det_f": state["det"], "energy": state["energy"],
-            "penetration": np.array([self.touching.penetration(b) for b in columns]),
+            "penetration": touching.penetration(every), "slipping": touching.slipping(every),
         }
-        out = {}
-        for key, value in values.items():
-            full = np.zeros((batch, *value.shape[1:]), value.dtype)
-            full[columns] = value
-            out[key] = full
+        out = {key: value.cpu().numpy() for key, value in values.items()}
+        reason = balance.reason.copy()
+        # with friction the limit that was renewed last counts; without, this is the state that Newton's method left
+        reason[(reason == Reason.NONE) & ~(out["residual"] <= self._accept)] = Reason.STALLED
+        if not touching.rubs:
+            # a step that stalled at rounding's floor may still be good enough; nothing of its way is remembered
+            reason[(out["residual"] <= self._accept) & (reason != Reason.PATCH)] = Reason.NONE
+        out["reason"], out["converged"] = reason, reason == Reason.NONE
+        out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
         return out

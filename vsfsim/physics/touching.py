@@ -1,207 +1,318 @@
-"""Contact of a batch of touches with one body: who can meet whom, gaps, forces, and the condensed problem.
+"""Contact of a batch of touches with one body: who can meet whom, gaps, forces, and the stiffness that they add.
 
-Each touch (column) has a patch: the boundary triangles that its probe can reach. On the patch's degrees of freedom the
-rest-state compliance A gives the elastic answer of the whole body, so the contact problem of linear elasticity,
-
-    u_S = u0_S + A (f(u_S) - f0),
-
-is small and dense; a semi-smooth Newton method with a line search on its energy solves it exactly. It is the `linear` tier, and the prediction of the others.
+Each touch (column) has a patch: the boundary triangles that its rigid bodies can reach. Everything is a tensor over all
+touches on the device, padded to the largest patch.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
+import torch
 import warp as wp
 
-from vsfsim.core.shape import ProbeShape
-from vsfsim.physics import contact, sdf
+from vsfsim.physics import contact
+from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
+from vsfsim.physics.rigid import RigidBodies
 
 
 class Touching:
     """Contact state of B touches on the device.
 
-    patches: one a touch. nodes: patch nodes on the device (B, s), -1 pads.
-    softening: factor on the contact stiffness of each touch (B,), 1 but on the way to a hard frame.
+    patches: one a touch. dof: degrees of freedom of the patches (B, 3 s), -1 pads. softening: factor on the contact stiffness of each
+    touch (B,), 1 but on the way to a hard frame. stick: tangential stiffness of stuck points over the normal one. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N],
+    energy (B,) [J] and slips (B, 6 f).
 
     Args:
-        model: the body. probe: its shape. poses: probe to world (T, B, 4, 4), to find what is in reach.
-        device: Warp device. real: `wp.float32` or `wp.float64`.
+        model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,) [-].
+        poses: bodies to world (T, B, K, 4, 4), to find what is in reach. device: Warp device.
     """
 
-    def __init__(self, model: Model, probe: ProbeShape, poses: np.ndarray, *, device: str, real: type):
-        self.model, self.probe, self.device, self.real = model, probe, device, real
-        self.kernels = contact.kernels(real)
-        kind, size = sdf.encode(probe)
-        self._kind, self._size = kind, self.kernels.vec4(size)
+    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str):
+        self.model, self.bodies, self.device = model, bodies, device
+        self.kernels = contact.kernels()
+        self.rubs = bool((friction > 0.0).any())
+        self.stick = contact.STICK
+        self._friction = wp.array(friction, dtype=wp.float64, device=device)
+        self._set = bodies.upload(self.kernels.sdf, device)
         self._shape = self.kernels.mat66(contact.SHAPE)
-        self._rest = wp.array(model.mesh.points, dtype=self.kernels.vec3, device=device)
-        self.patches = [contact.make_patch(model.mesh, self._reachable(poses[:, b]), model.surface_modulus)
-                        for b in range(poses.shape[1])]
-        self.softening = np.ones(poses.shape[1])
+        self._surface = model.mesh.surface_nodes()
+        self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
+        near = self._nearest(poses, torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]).cpu().numpy()
+        self.patches = [contact.make_patch(model.mesh, self._reachable(near[:, b]), model.surface_modulus) for b in range(poses.shape[1])]
+        self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self._upload()
 
-    def _reachable(self, path: np.ndarray) -> np.ndarray:
-        """Boundary triangles that the probe may meet on its way, by rest position and a margin for what bulges up."""
-        mesh = self.model.mesh
-        nodes = mesh.surface_nodes()
-        nearest = np.full(len(mesh.points), np.inf)
-        for pose in path:
-            local = (mesh.points[nodes] - pose[:3, 3]) @ pose[:3, :3]
-            nearest[nodes] = np.minimum(nearest[nodes], sdf.distance(self.probe, local))
-        deepest = max(0.0, -float(nearest.min()))
-        margin = 0.15 * deepest + 0.1 * self.model.element_size
-        return np.flatnonzero(nearest[mesh.faces].min(axis=1) < margin)
+    def _nearest(self, poses: np.ndarray, points: torch.Tensor) -> torch.Tensor:
+        """Least gap (s, B) [m] of points (s, 1 or B, 3) over the poses (T, B, K, 4, 4)."""
+        k = self.kernels
+        out = torch.empty((len(points), poses.shape[1]), dtype=torch.float64, device=self.device)
+        wp.launch(k.nearest, dim=out.shape, device=self.device, inputs=[
+            self._set, len(self.bodies), wp.array(poses[..., :3, 3], dtype=k.vec3, device=self.device),
+            wp.array(poses[..., :3, :3], dtype=k.mat33, device=self.device),
+            wp.from_torch(points.contiguous(), dtype=k.vec3), wp.from_torch(out)])
+        return out
+
+    def _reachable(self, gap: np.ndarray) -> np.ndarray:
+        """Boundary triangles that may be met on the way, by rest position (gap (s,) of the surface nodes) and a margin for what bulges up."""
+        nearest = np.full(len(self.model.mesh.points), np.inf)
+        nearest[self._surface] = gap
+        margin = 0.15 * max(0.0, -float(gap.min())) + 0.1 * self.model.element_size
+        return np.flatnonzero(nearest[self.model.mesh.faces].min(axis=1) < margin)
 
     def _upload(self) -> None:
-        batch = len(self.patches)
+        batch, k = len(self.patches), self.kernels
         faces = max(1, max(len(p.faces) for p in self.patches))
         nodes = max(1, max(len(p.nodes) for p in self.patches))
-        table = np.full((batch, faces, 6), -1, np.int32)
+        listed = np.full((batch, nodes), -1, np.int64)
+        local = np.zeros((batch, faces, 6), np.int32)
         stiffness = np.zeros((batch, faces, 6))
-        listed = np.full((batch, nodes), -1, np.int32)
+        shape = np.zeros((batch, faces, 6, nodes))
+        member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
-            table[b, : len(p.faces)] = self.model.mesh.faces[p.faces]
-            stiffness[b, : len(p.faces)] = p.stiffness
-            listed[b, : len(p.nodes)] = p.nodes
-        k, new = self.kernels, {"device": self.device}
-        self._faces = wp.array(table, dtype=wp.int32, **new)
-        self._stiffness = wp.array(stiffness, dtype=wp.float64, **new)
-        self.nodes = wp.array(listed, dtype=wp.int32, **new)
-        self._gap = wp.zeros((batch, faces, 6), dtype=wp.float64, **new)
-        self._normal = wp.zeros((batch, faces, 6), dtype=k.vec3, **new)
-        self._curvature = wp.zeros((batch, faces, 6), dtype=k.mat33, **new)
-        self._energy = wp.zeros((batch, faces), dtype=wp.float64, **new)
-        self._force = wp.zeros((batch, faces, 6), dtype=k.vec3, **new)
-        self._compliance: list[np.ndarray | None] = [None] * batch
+            f = len(p.faces)
+            listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b, p.faces] = p.nodes, p.local, p.stiffness, True
+            shape[b, np.arange(f)[:, None, None], np.arange(6)[None, :, None], p.local[:, None, :]] = contact.SHAPE[None]
+
+        def tensor(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(values, device=self.device)
+
+        def zeros(*size: int) -> torch.Tensor:
+            return torch.zeros(size, dtype=torch.float64, device=self.device)
+
+        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
+        self.dof = tensor(dof)
+        self._index = self.dof.clamp(min=0)
+        self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
+        self.real = (self.dof >= 0).to(torch.float64)
+        self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
+        self._points = tensor(shape.reshape(batch, 6 * faces, nodes))
+        self._member = tensor(member)
+        self._local = wp.array(local, dtype=wp.int32, device=self.device)
+        self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
+        size = (batch, 6 * faces)
+        self.gap, self.energy_of_face = torch.full(size, 1e30, dtype=torch.float64, device=self.device), zeros(batch, faces)
+        self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
+        self._rows, self._bend = zeros(*size, 3, 3), zeros(*size, 3, 3)
+        self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
+        # friction's memory: anchors in the frame of their body, their owners, the limit and the tangent plane
+        self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(*size)
+        self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
+        cut = (batch, faces, 6)
+        view = {"dtype": k.vec3}
+        self._w = {
+            "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)), "slips": wp.from_torch(self.slips.view(cut)),
+            "normal": wp.from_torch(self.normal.view(*cut, 3), **view), "force": wp.from_torch(self.force.view(*cut, 3), **view),
+            "rows": wp.from_torch(self._rows.view(*cut, 3, 3), dtype=k.mat33), "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
+            "energy": wp.from_torch(self.energy_of_face), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
+            "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view), "across": wp.from_torch(self._across.view(*cut, 3), **view),
+            "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
+            "softening": wp.from_torch(self.softening),
+        }
+        self.response: Response = response(self.model.factor, self.dof, device=self.device)
+        self.compliance = self.response.compliance()
+
+    # ------------------------------------------------------------------------------------------ poses and history
+
+    def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
+        k = self.kernels
+        return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device), wp.array(pose[..., :3, :3], dtype=k.mat33, device=self.device))
+
+    def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """A step begins: bodies at ``before`` (B, K, 4, 4), displacements u (3 n, B) [m]. Friction counts way from here."""
+        self._before, self._u_before = self._placed(before), u.clone()
+        self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
+
+    def move(self, pose: np.ndarray) -> None:
+        """The bodies are at ``pose`` (B, K, 4, 4) from now on."""
+        self._pose = self._placed(pose)
+
+    def gather(self, u: torch.Tensor) -> torch.Tensor:
+        """Displacements (B, 3 s) [m] of all patches out of u (3 n, B)."""
+        return u.gather(0, self._index.T).T.to(torch.float64) * self.real
+
+    def positions(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Positions (B, 3 s) [m] of the patches' nodes."""
+        return self.rest + displacement
 
     # ------------------------------------------------------------------------------------------ evaluation
 
-    def evaluate(self, columns: np.ndarray, pose: np.ndarray, u: wp.array) -> None:
-        """Gaps, normals and forces of ``columns`` at ``pose`` (B, 4, 4) for displacements u (3 n, B) [m]."""
-        wp.launch(self.kernels.evaluate, dim=(self._faces.shape[1], len(columns)), device=self.device, inputs=[
-            self._rest, self._shape, self._kind, self._size, wp.array(columns, dtype=wp.int32, device=self.device),
-            self._faces, self._stiffness, wp.array(self.softening, dtype=wp.float64, device=self.device), wp.array(pose[:, :3, 3], dtype=self.kernels.vec3, device=self.device),
-            wp.array(pose[:, :3, :3], dtype=self.kernels.mat33, device=self.device), u,
-            self._gap, self._normal, self._curvature, self._energy, self._force])
-        # one look at the results serves the host: they are small (the patches only)
-        self.gap, self.normal = self._gap.numpy(), self._normal.numpy()
-        self.curvature, self.force = self._curvature.numpy(), self._force.numpy()
-        self.energy = self._energy.numpy().sum(axis=1)
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their patches."""
+        w = self._w
+        self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
+        wp.launch(self.kernels.evaluate, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+            self._shape, self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"],
+            self.stick, *self._pose, w["x"], w["anchor"], w["owner"], w["limit"], w["across"],
+            w["gap"], w["body"], w["normal"], w["force"], w["rows"], w["bend"], w["slips"], w["energy"]])
 
-    def dof(self, b: int) -> np.ndarray:
-        """Degrees of freedom of touch ``b``'s patch (3 s,)."""
-        return (3 * self.patches[b].nodes[:, None] + np.arange(3)).ravel()
+    def lag(self, columns: torch.Tensor) -> None:
+        """Renew friction's limit and tangent plane from what `evaluate` found last."""
+        if self.rubs:
+            w = self._w
+            wp.launch(self.kernels.lag, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+                self._shape, self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"], self._friction,
+                *self._pose, w["x"], *self._before, w["before"], w["gap"], w["body"], w["normal"],
+                w["anchor"], w["owner"], w["limit"], w["across"]])
 
-    def nodal(self, b: int) -> np.ndarray:
-        """Contact forces of touch ``b`` on its patch's degrees of freedom (3 s,) [N]."""
-        p = self.patches[b]
-        out = np.zeros((len(p.nodes), 3))
-        np.add.at(out, p.local, self.force[b, : len(p.faces)])
-        return out.ravel()
+    def settle(self, columns: torch.Tensor) -> None:
+        """The step is done: let slipping points drag their anchors, and forget those that left."""
+        if self.rubs and len(columns):
+            w = self._w
+            wp.launch(self.kernels.settle, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
+                self._shape, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, contact.STICK, *self._pose, w["x"], w["gap"], w["body"],
+                w["limit"], w["across"], w["anchor"], w["owner"]])
 
-    def rows(self, b: int, *, geometric: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Active rows (m, 3 s), their stiffness (m,) [N/m] and the geometric block (3 s, 3 s) [N/m] of touch ``b``."""
-        p = self.patches[b]
-        f = len(p.faces)
-        rows, stiffness, bend = contact.contact_matrices(
-            p, self.gap[b, :f], self.normal[b, :f], self.curvature[b, :f], bend=geometric)
-        return rows * self.model.free[self.dof(b)], self.softening[b] * stiffness, self.softening[b] * bend
+    def memory(self) -> tuple[torch.Tensor, ...]:
+        """Friction's memory, to return to if a step fails; see `restore`."""
+        return (self._anchor.clone(), self._owner.clone(), self._limit.clone(), self._across.clone()) if self.rubs else ()
 
-    def compliance(self, b: int) -> np.ndarray:
-        """Rest-state compliance of touch ``b``'s patch (3 s, 3 s) [m/N], 0 where held."""
-        if self._compliance[b] is None:
-            free = self.model.free[self.dof(b)]
-            self._compliance[b] = self.model.factor.compliance(self.patches[b].nodes) * free * free[:, None]
-        return self._compliance[b]
+    def restore(self, columns: torch.Tensor, memory: tuple[torch.Tensor, ...]) -> None:
+        """Set friction's memory of ``columns`` back."""
+        for mine, theirs in zip((self._anchor, self._owner, self._limit, self._across), memory, strict=False):
+            if mine.shape == theirs.shape:
+                mine[columns] = theirs[columns]
 
-    def touches(self, b: int) -> bool:
-        """Is any Gauss point of touch ``b`` inside the probe?"""
-        return bool((self.gap[b, : len(self.patches[b].faces)] < 0.0).any())
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of the contact (k,) [J]."""
+        return self.energy_of_face[columns].sum(dim=1)
 
-    def penetration(self, b: int) -> float:
-        """Deepest Gauss point of touch ``b`` [m]."""
-        return -float(min(0.0, self.gap[b, : len(self.patches[b].faces)].min(initial=0.0)))
+    def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces (k, 3 s) [N] on the patches' nodes."""
+        return (self._points[columns].mT @ self.force[columns]).flatten(1)
 
-    # ------------------------------------------------------------------------------------------ the condensed problem
+    def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Force on every rigid body (k, K, 3) [N]."""
+        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+        return -(held.mT @ self.force[columns])
 
-    def condensed(self, columns: np.ndarray, pose: np.ndarray, base: np.ndarray, pushed: list[np.ndarray], *,
-                  iterations: int, tolerance: float, start: list[np.ndarray] | None = None) -> tuple[list[np.ndarray], np.ndarray]:
-        """Change of the contact forces when the probes go to ``pose``, the body answering as at rest.
+    def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """Is any Gauss point inside a body? (k,) bool."""
+        return (self.gap[columns] < 0.0).any(dim=1)
+
+    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
+        """Deepest Gauss point (k,) [m]."""
+        return (-self.gap[columns].amin(dim=1)).clamp(min=0.0)
+
+    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """Share of the Gauss points in contact that slip (k,) [-]; 0 without contact."""
+        inside = (self.gap[columns] < 0.0).sum(dim=1)
+        return self.slips[columns].sum(dim=1) / inside.clamp(min=1)
+
+    # ------------------------------------------------------------------------------------------ stiffness
+
+    def stiffness(self, columns: torch.Tensor, bend: torch.Tensor | None = None) -> torch.Tensor:
+        """Contact stiffness (k, 3 s, 3 s) [N/m] on the patches.
 
         Args:
-            columns: touches. pose: (B, 4, 4). base: displacements before (3 n, B) [m].
-            pushed: contact forces before, on each patch's degrees of freedom [N]. iterations: limit.
-            tolerance: relative error of the patch's displacements. start: changes to begin with, or None for none.
-
-        Returns:
-            Changes on each patch's degrees of freedom [N], in the order of ``columns``, and the relative errors left.
+            columns: touches (k,). bend: whose counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
         """
-        trial = np.array(base, dtype=np.float64)
-        q = {b: np.zeros(3 * len(self.patches[b].nodes)) for b in columns}  # forces sought; u_S = base + A q throughout
-        for b, known in zip(columns, start or [], strict=False):
-            if len(known) == len(q[b]):
-                q[b] = known
-                trial[self.dof(b), b] += self.compliance(b) @ known
-        dq, move, level, slope = dict(q), dict(q), dict.fromkeys(columns, np.inf), dict.fromkeys(columns, 0.0)
-        step = dict.fromkeys(columns, 1.0)
-        error = dict.fromkeys(columns, np.inf)
-        best = {b: (np.inf, q[b]) for b in columns}
-        running = list(columns)
-        for _ in range(iterations):
-            self.evaluate(np.array(running), pose, wp.array(trial, dtype=self.real, device=self.device))
-            for b in list(running):
-                a, dof = self.compliance(b), self.dof(b)
-                energy = 0.5 * (trial[dof, b] - base[dof, b]) @ q[b] + pushed[b] @ (trial[dof, b] - base[dof, b]) + self.energy[b]
-                if energy > level[b] - 1e-4 * step[b] * slope[b] + 1e-12 * abs(level[b]) and step[b] > 1e-4:
-                    # too far: back half of what is left of this step
-                    step[b] *= 0.5
-                    q[b] = q[b] - step[b] * dq[b]
-                    trial[dof, b] -= step[b] * move[b]
-                    continue
-                rho = self.nodal(b) - pushed[b] - q[b]
-                miss = a @ rho
-                error[b] = float(np.abs(miss).max(initial=0.0) / max(np.abs(trial[dof, b]).max(initial=0.0), 1e-9))
-                if error[b] < best[b][0]:
-                    best[b] = (error[b], self.nodal(b) - pushed[b])
-                if error[b] < tolerance:
-                    running.remove(b)
-                    continue
-                rows, stiffness, _ = self.rows(b, geometric=False)
-                small = rows @ a @ rows.T
-                small[np.diag_indices_from(small)] += 1.0 / stiffness
-                dq[b] = rho - rows.T @ np.linalg.solve(small, rows @ miss)
-                move[b] = a @ dq[b]
-                level[b], slope[b], step[b] = energy, dq[b] @ miss, 1.0
-                q[b] = q[b] + dq[b]
-                trial[dof, b] += move[b]
-            if not running:
-                break
-        return [best[b][1] for b in columns], np.array([best[b][0] for b in columns])
+        rows = self.rows(columns)
+        out = rows.mT @ rows
+        if bend is not None and bool(bend.any()):
+            points, which = self._active(columns[bend])
+            out[bend] += _assemble(points, which(self._bend)) * self.free[columns[bend]][:, :, None] * self.free[columns[bend]][:, None, :]
+        return out
+
+    def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
+        """Of the points in contact, padded to the most: shape values (k, a, s), 0 where padded, and what picks them from a table (B, 6 f, ...)."""
+        active = (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
+        most = max(1, int(active.sum(dim=1).amax()))
+        on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
+        order = order[:, :most]
+        return (self._points[columns[:, None], order] * on[:, :most, None], lambda table: table[columns[:, None], order])
+
+    def rows(self, columns: torch.Tensor) -> torch.Tensor:
+        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness."""
+        points, which = self._active(columns)
+        roots = which(self._rows)
+        if not self.rubs:
+            roots = roots[:, :, :1]
+        k, a, s = points.shape
+        rows = (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)
+        return rows * self.free[columns][:, None, :]
+
+    def block(self, columns: torch.Tensor) -> ContactBlock:
+        """The contact of ``columns``, ready to be inverted together with the body at rest."""
+        rows = self.rows(columns)
+        # of the patch only the nodes that touch count
+        used = (rows != 0.0).any(dim=1).view(len(columns), -1, 3).any(dim=2)
+        most = max(1, int(used.sum(dim=1).amax()))
+        nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+        dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
+        rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
+        own = self.compliance[columns[:, None, None], dof[:, :, None], dof[:, None, :]]
+        inner = rows @ own @ rows.mT
+        inner.diagonal(dim1=1, dim2=2).add_(1.0)
+        return ContactBlock(dof, rows, torch.linalg.cholesky(inner), self.free.shape[1])
 
     # ------------------------------------------------------------------------------------------ nothing slips through
 
-    def grow(self, columns: np.ndarray, pose: np.ndarray, u: np.ndarray) -> bool:
-        """Extend the patch of any touch whose probe has met surface outside it; True if one grew.
+    def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """Extend the patch of any touch whose bodies have met surface outside it; True if one grew.
 
         Args:
-            columns: touches. pose: (B, 4, 4). u: displacements (3 n, B) [m].
+            columns: touches (k,). pose: (B, K, 4, 4). u: displacements (3 n, B) [m].
         """
         mesh = self.model.mesh
-        surface = mesh.surface_nodes()
-        grown = False
-        for b in columns:
-            inside = np.zeros(len(mesh.points), bool)
-            x = mesh.points[surface] + u.reshape(-1, 3, u.shape[1])[surface, :, b]
-            inside[surface] = sdf.distance(self.probe, (x - pose[b, :3, 3]) @ pose[b, :3, :3]) < 0.0
-            met = np.flatnonzero(inside[mesh.faces].any(axis=1))
-            extra = np.setdiff1d(met, self.patches[b].faces)
+        surface = torch.as_tensor(self._surface, device=self.device)
+        points = torch.as_tensor(mesh.points[self._surface], device=self.device)[:, None] + u.view(-1, 3, u.shape[1])[surface].transpose(1, 2)
+        inside = torch.zeros((len(mesh.points), u.shape[1]), dtype=torch.bool, device=self.device)
+        inside[surface] = self._nearest(pose[None], points) < 0.0
+        met = inside[self._faces].any(dim=1).T & ~self._member  # (B, faces)
+        if not bool(met[columns].any()):
+            return False
+        old = [p.faces for p in self.patches]
+        kept = self.memory()
+        for b in columns.tolist():
+            extra = np.flatnonzero(met[b].cpu().numpy())
             if len(extra):
                 near = np.zeros(len(mesh.points), bool)
                 near[mesh.faces[extra]] = True
                 faces = np.union1d(self.patches[b].faces, np.flatnonzero(near[mesh.faces].any(axis=1)))
                 self.patches[b] = contact.make_patch(mesh, faces, self.model.surface_modulus)
-                grown = True
-        if grown:
-            self._upload()
-        return grown
+        self._upload()
+        if self.rubs:
+            for b, faces in enumerate(old):
+                at = torch.as_tensor(6 * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(6), device=self.device).flatten()
+                for mine, theirs in zip((self._anchor, self._owner, self._limit, self._across), kept, strict=True):
+                    mine[b, at] = theirs[b, :len(at)]
+            self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
+        return True
+
+
+def _assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
+    """Sum over points q of N_q^T stiff_q N_q: shape values (k, q, s) and (k, q, 3, 3) give (k, 3 s, 3 s)."""
+    k, q, s = points.shape
+    right = (stiff[:, :, :, :, None] * points[:, :, None, None, :]).reshape(k, q, 9 * s)
+    out = points.mT @ right
+    return out.view(k, s, 3, 3, s).permute(0, 1, 2, 4, 3).reshape(k, 3 * s, 3 * s)
+
+
+@dataclass(frozen=True)
+class ContactBlock:
+    """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
+
+    ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches: the contact
+    forces that answer v when the body gives way as at rest.
+    """
+
+    dof: torch.Tensor
+    rows: torch.Tensor
+    inner: torch.Tensor
+    width: int
+
+    def pick(self, which: torch.Tensor) -> ContactBlock:
+        """That of some of the touches (j,)."""
+        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width)
+
+    def apply(self, v: torch.Tensor) -> torch.Tensor:
+        """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
+        own = self.rows @ v.gather(1, self.dof)[:, :, None]
+        force = self.rows.mT @ torch.cholesky_solve(own, self.inner)
+        return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.core.scene import PressSpec, TouchSpec
+from vsfsim.core.rigid import PressSpec, RigidBody
+from vsfsim.core.rotation import between, rotation_matrix
+from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import Plane, ProbeShape
 
 FRAME_SECONDS = 1.0 / 30.0  # the Punyo's frame rate
@@ -40,16 +42,44 @@ def _poses(positions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 
 def press_path(spec: PressSpec, probe: ProbeShape) -> np.ndarray:
-    """Poses (T, 4, 4) of a one-off press: in, hold, and back along the same line."""
-    start, stop = np.array(spec.start), np.array(spec.stop)
-    inward = straight(start, stop, spec.frames)
+    """Poses (T, 4, 4) of a one-off press: along its path, hold, and back the same way."""
+    inward = np.stack([pose_at(spec, probe, k) for k in range(1, spec.inward + 1)])
     parts = [inward, np.repeat(inward[-1:], spec.hold, axis=0)]
     if spec.retract:
-        # frames of the way in where their number agrees, so that both ways meet the same equilibria
-        back = np.concatenate([inward[::-1][1:], start[None]])
+        # frames of the way in where their number allows, so that both ways meet the same equilibria
+        back = np.concatenate([inward[::-1][1:], pose_at(spec, probe, 0)[None]])
         at = np.linspace(-1, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract <= len(back) else None
-        parts.append(back[at] if at is not None else straight(stop, start, spec.retract))
-    return _poses(np.concatenate(parts), turn_to(stop - start, probe))
+        parts.append(back[at] if at is not None else np.stack([pose_at(spec, probe, spec.inward * (1 - k / spec.retract)) for k in range(1, spec.retract + 1)]))
+    return np.concatenate(parts)
+
+
+def pose_at(spec: PressSpec, probe: ProbeShape, frame: float) -> np.ndarray:
+    """Pose (4, 4) of the probe at ``frame`` of the way in: 0 is the first point of the path, `PressSpec.inward` the last."""
+    ends = np.cumsum((0, *spec.frames))
+    part = int(np.clip(np.searchsorted(ends, frame, side="left") - 1, 0, len(spec.frames) - 1))
+    share = (frame - ends[part]) / spec.frames[part]
+    a, b = (np.array(p) for p in spec.path[part:part + 2])
+    out = np.eye(4)
+    out[:3, 3] = a + share * (b - a)
+    if spec.rotation is None:
+        out[:3, :3] = turn_to(np.array(spec.path[1]) - np.array(spec.path[0]), probe)
+    else:
+        out[:3, :3] = between(rotation_matrix(spec.rotation[part]), rotation_matrix(spec.rotation[part + 1]), share)
+    return out
+
+
+def body_poses(scene: Scene, poses: np.ndarray) -> np.ndarray:
+    """Poses (T, K, 4, 4) of all rigid bodies of a scene, in the order of `Scene.bodies`, for poses (T, 4, 4) of the probe."""
+    with_probe = [poses @ _place(part) for part in scene.parts]
+    fixed = [np.broadcast_to(_place(obstacle), poses.shape) for obstacle in scene.obstacles]
+    return np.stack([poses, *with_probe, *fixed], axis=1)
+
+
+def _place(body: RigidBody) -> np.ndarray:
+    out = np.eye(4)
+    out[:3, :3] = rotation_matrix(body.rotation)
+    out[:3, 3] = body.position
+    return out
 
 
 def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np.ndarray, *,

@@ -1,0 +1,109 @@
+"""Coulomb friction: stick, slip, history, and the bounds that hold whatever the body."""
+
+import numpy as np
+import pytest
+
+from vsfsim.core.shape import Plane, Sphere
+from vsfsim.physics.frames import SolverOptions
+from vsfsim.physics.solver import Solver
+
+SIZE = (0.04, 0.04, 0.02)
+E, NU = 1e5, 0.3
+TIGHT = SolverOptions(tolerance=1e-5, cg_tolerance=1e-3)
+USUAL = SolverOptions(tolerance=5e-4)  # the fem tier's
+
+
+@pytest.fixture(scope="module")
+def model(block):
+    return block(SIZE, 0.01, young_modulus=E, poisson_ratio=NU)
+
+
+def drag(line, probe, start, down, sideways):
+    """Down in 3 frames, then the given sideways positions [m]."""
+    x0, y0, z0 = start
+    path = [[x0, y0, z0 - down * k / 3] for k in (0, 1, 2, 3)] + [[x0 + x, y0, z0 - down] for x in sideways]
+    return line(path, probe)
+
+
+def plate(line, down, sideways):
+    return drag(line, Plane(), (0.0, 0.0, SIZE[2]), down, sideways)
+
+
+def test_a_dragged_plate_slides_at_mu_times_the_normal_force(model, line, device):
+    mu = 0.3
+    frames = Solver(model, Plane(), friction=mu, device=device, options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.006]))
+    assert frames.converged.all()
+    along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
+    # every point slips the same way, so the sum of the limits is the limit of the sum
+    assert -along[-1] / normal[-1] == pytest.approx(mu, rel=1e-4)
+    # and nowhere is it passed: sums of forces on a flat plate are bounded by the sum of the limits
+    assert (np.abs(along) <= mu * normal * (1.0 + 1e-4) + 1e-6).all()
+    assert (frames.force_balance < 1e-3).all()
+    assert np.abs(frames.force[:4, 0, :2]).max() < 1e-3 * normal[3], "pressed straight down: the sum of the friction is nil"
+
+
+def test_with_much_friction_the_top_is_glued(model, line, device):
+    """No point slips: the force is that of a top which follows the plate, the same for any larger coefficient."""
+    forces = []
+    for mu in (50.0, 500.0):
+        frames = Solver(model, Plane(), friction=mu, device=device, options=TIGHT).run(plate(line, 0.001, [0.0002, 0.0005]))
+        assert frames.converged.all() and (frames.slipping[3:] == 0.0).all()
+        forces.append(frames.force[:, 0])
+    assert forces[0] == pytest.approx(forces[1], rel=1e-4, abs=1e-4)
+    # a glued block of side 40 mm and height 20 mm under simple shear: G A x / h bounds it from above, since the sides are free to bend
+    shear = E / (2 * (1 + NU)) * SIZE[0] * SIZE[1] * 0.0005 / SIZE[2]
+    assert 0.6 * shear < -forces[0][-1, 0] < shear * 1.02
+
+
+def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line, device):
+    mu = 0.4
+    sideways = [0.0003, 0.0006, 0.001, 0.002, 0.003, 0.002, 0.001, 0.0, -0.001, -0.002]
+    frames = Solver(model, Sphere(0.015), friction=mu, device=device, options=USUAL).run(
+        drag(line, Sphere(0.015), (-0.0, 0.0, SIZE[2] + 0.015), 0.003, sideways))
+    assert frames.converged.all()
+    along, normal = frames.force[4:, 0, 0], frames.force[4:, 0, 2]
+    assert (along[2:5] < 0.0).all() and (along[-3:] > 0.0).all(), "the force on the ball points back along its way"
+    # the ball's curvature adds a part of the normal pressure: the rise of the ploughed wall, which is of the order of slip over radius
+    assert (np.abs(along) < (mu + 0.35) * normal).all()
+    # a loop that turns back loses energy: the force at the same place differs between the ways
+    out, back = along[sideways.index(0.001)], along[6]
+    assert back - out > 0.5 * mu * normal[2]
+
+
+def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(model, line, device):
+    frames = Solver(model, Plane(), friction=0.0, device=device, options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.001, 0.0]))
+    assert np.abs(frames.force[:, 0, :2]).max() < 1e-6 * frames.force[3, 0, 2]
+    assert (frames.slipping == 0.0).all()
+
+
+def test_holding_still_changes_nothing(model, line, device):
+    frames = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
+    # points that slip sit exactly on their limit: the step that holds still finds them in balance within the tolerance
+    assert frames.force[-1] == pytest.approx(frames.force[-3], rel=2e-3, abs=1e-4)
+    assert (frames.iterations[-2:] <= 1).all()
+
+
+def test_small_steps_and_large_ones_agree_where_everything_slips(model, line, device):
+    few = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.006]))
+    many = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, np.linspace(0.001, 0.006, 6)))
+    # the normal force depends on the way in the corners; the quotient does not
+    assert few.force[-1, 0, 0] / few.force[-1, 0, 2] == pytest.approx(many.force[-1, 0, 0] / many.force[-1, 0, 2], rel=2e-3)
+
+
+def test_two_fingers_pinch_and_lift(block, line, device):
+    """Two balls press a rod from both sides and pull it up: friction alone carries the pull."""
+    model = block((0.02, 0.02, 0.06), 0.01, young_modulus=E, poisson_ratio=NU)
+    r, squeeze = 0.008, 0.003
+    rows = []
+    for inward, up in [(0.0, 0.0), (0.5, 0.0), (1.0, 0.0), (1.0, 0.0004), (1.0, 0.0008)]:
+        x = 0.01 + r - squeeze * inward
+        rows.append([[-x, 0.0, 0.045 + up], [x, 0.0, 0.045 + up]])
+    poses = np.tile(np.eye(4), (len(rows), 1, 2, 1, 1))
+    poses[:, 0, :, :3, 3] = rows
+    frames = Solver(model, (Sphere(r), Sphere(r)), friction=(0.8, 0.8), device=device, options=TIGHT).run(poses)
+    assert frames.converged.all()
+    left, right = frames.body_force[-1, 0]
+    assert left[0] < 0.0 < right[0] and left[0] == pytest.approx(-right[0], rel=0.02)  # the mesh is not quite symmetric
+    assert frames.force[-1, 0, 2] < 0.0, "the object is pulled up, so it pulls the fingers down"
+    assert frames.reaction[-1, 0, 2] == pytest.approx(frames.force[-1, 0, 2], rel=1e-3)
+    assert frames.body_force[-1, 0].sum(axis=0) == pytest.approx(frames.force[-1, 0], rel=1e-9, abs=1e-12)

@@ -1,0 +1,278 @@
+"""A set of rigid shapes, and triangle meshes among them: errors of the baked distance, its derivatives, and what broken files give."""
+
+import functools
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+
+from vsfsim.core.errors import MeshError
+from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
+from vsfsim.physics import sdf
+from vsfsim.physics.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline, winding_number
+from vsfsim.physics.rigid import RigidBodies
+
+RADIUS = 0.02
+
+
+@functools.cache
+def kernel():
+    F = sdf.functions(wp.float64, "test_rigid")
+
+    @wp.kernel(module="test_rigid", enable_backward=False)
+    def evaluate(bodies: F.Bodies, k: int, x_in: wp.array(dtype=F.vec3), gap_out: wp.array(dtype=wp.float64),
+                 normal_out: wp.array(dtype=F.vec3), curvature_out: wp.array(dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64))):
+        i = wp.tid()
+        gap_out[i] = F.gap(bodies, k, x_in[i])
+        normal_out[i] = F.normal(bodies, k, x_in[i])
+        curvature_out[i] = F.curvature(bodies, k, x_in[i])
+
+    return F, evaluate
+
+
+def evaluate(bodies, k, x, device):
+    F, launch = kernel()
+    gap = wp.array(np.full(len(x), np.nan), dtype=wp.float64, device=device)
+    normal = wp.array(np.full((len(x), 3), np.nan), dtype=F.vec3, device=device)
+    curvature = wp.array(np.full((len(x), 3, 3), np.nan), dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64), device=device)
+    wp.launch(launch, dim=len(x), device=device, inputs=[bodies.upload(F, device), k, wp.array(x, dtype=F.vec3, device=device), gap, normal, curvature])
+    return gap.numpy(), normal.numpy(), curvature.numpy()
+
+
+def icosphere(subdivisions):
+    ball = trimesh.creation.icosphere(subdivisions=subdivisions, radius=RADIUS)
+    return np.array(ball.vertices), np.array(ball.faces)
+
+
+def shell(count, inner, outer):
+    """Points (count, 3) [m] between two radii, and these."""
+    rng = np.random.default_rng(3)
+    d = rng.standard_normal((count, 3))
+    r = rng.uniform(inner, outer, count)
+    return d / np.linalg.norm(d, axis=1)[:, None] * r[:, None], r
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory):
+    """A fine meshed ball as a file of its own cache."""
+    folder = tmp_path_factory.mktemp("ball")
+    trimesh.creation.icosphere(subdivisions=4, radius=RADIUS).export(folder / "ball.ply")
+    return MeshFile(str(folder / "ball.ply"), 1.0)
+
+
+def test_the_spline_is_of_fourth_order_in_value_and_second_in_curvature():
+    # on the exact distance of a sphere, so that facets play no part
+    value, bend = [], []
+    x, r = shell(5000, 0.9 * RADIUS, 1.1 * RADIUS)
+    exact = (np.eye(3) - np.einsum("ni,nj->nij", x, x) / r[:, None, None] ** 2) / r[:, None, None]
+    from scipy import ndimage
+    for n in (16, 32, 64):
+        h = 2 * RADIUS / n
+        axis = h * (np.arange(2 * n) - (n - 0.5))
+        at = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+        coefficients = spline(np.linalg.norm(at, axis=-1) - RADIUS)
+        first = axis[(2 * n - len(coefficients)) // 2]
+
+        def phi(y, c=coefficients, o=first, h=h):
+            return ndimage.map_coordinates(c, ((y - o) / h).T, order=3, prefilter=False)
+
+        value.append(np.abs(phi(x) - (r - RADIUS)).max())
+        e = 1e-3 * h
+        step = np.array([e, 0, 0])
+        bend.append(np.abs((phi(x + step) - 2 * phi(x) + phi(x - step)) / e**2 - exact[:, 0, 0]).max())
+    orders = np.log2(np.array(value)[:-1] / np.array(value)[1:])
+    assert orders.min() > 3.7, orders
+    assert np.log2(np.array(bend)[:-1] / np.array(bend)[1:]).min() > 1.8
+    assert value[1] < 1e-5 * RADIUS  # at the default spacing of a ball
+
+
+def test_a_meshed_ball_converges_to_the_ball_with_its_facets():
+    # facets lie up to edge^2 / (8 R) under the sphere: mesh and grid refined together are of second order
+    worst = []
+    x, r = shell(4000, 0.9 * RADIUS, 1.03 * RADIUS)
+    for subdivisions, cells in ((2, 16), (3, 32), (4, 64)):
+        grid = bake(*icosphere(subdivisions), spacing=2 * RADIUS / cells)
+        worst.append(np.abs(grid.distance(x) - (r - RADIUS)).max())
+    orders = np.log2(np.array(worst)[:-1] / np.array(worst)[1:])
+    assert orders.min() > 1.8, (orders, worst)
+    assert worst[-1] < 2e-3 * RADIUS
+
+
+@pytest.mark.parametrize("place", ["surface", "edge of the grid"])
+def test_gap_normal_and_curvature_of_a_mesh_are_derivatives_of_one_function(ball, device, place):
+    bodies = RigidBodies([Sphere(0.01), ball])
+    grid = sdf.grid(ball)
+    rng = np.random.default_rng(0)
+    low, high = grid.domain()
+    x = shell(500, 0.9 * RADIUS, 1.1 * RADIUS)[0] if place == "surface" else np.clip(rng.uniform(1.2 * low, 1.2 * high, (500, 3)), low, high)
+    gap, normal, curvature = evaluate(bodies, 1, x, device)
+    assert np.abs(gap - bodies.distance(1, x)).max() < 1e-15
+    h = 1e-6
+    if place != "surface":
+        x = x * (1 - 1e-3)  # the difference must stay in the domain
+        gap, normal, curvature = evaluate(bodies, 1, x, device)
+    ahead, behind = ([evaluate(bodies, 1, x + s * h * e, device) for e in np.eye(3)] for s in (1, -1))
+    slope = np.stack([(a[0] - b[0]) / (2 * h) for a, b in zip(ahead, behind)], axis=1)
+    # rounding 1e-17 / h = 1e-11; truncation h^2 times a third derivative, at most 1 / spacing^2 = 3e6: 1e-6
+    assert np.abs(slope - normal).max() < 2e-6
+    bend = np.stack([(a[1] - b[1]) / (2 * h) for a, b in zip(ahead, behind)], axis=2)
+    # curvatures are ~ 100 / m; where the difference straddles a cell's face the third derivative jumps: h x 3e6
+    assert np.abs(bend - curvature).max() < 5.0 and np.quantile(np.abs(bend - curvature), 0.95) < 0.05
+    assert np.abs(curvature - np.swapaxes(curvature, 1, 2)).max() == 0.0
+
+
+def test_the_ball_against_the_exact_sphere(ball, device):
+    bodies = RigidBodies([ball])
+    x, r = shell(5000, 0.95 * RADIUS, 1.02 * RADIUS)
+    gap, normal, _ = evaluate(bodies, 0, x, device)
+    # chords of 2.2 mm edges on R 20 mm lie edge^2 / (8 R) = 3e-5 m under the sphere, 1.5e-3 R; facets tilt by edge / (2 R) = 0.05
+    assert np.abs(gap - (r - RADIUS)).max() < 1.6e-3 * RADIUS
+    length = np.linalg.norm(normal, axis=1)
+    # neighbouring facets are turned by 0.11: a spline over that kink is off by a share of it
+    assert np.abs(length - 1.0).max() < 0.02
+    assert np.abs(normal - x / r[:, None]).max() < 0.06
+
+
+def test_beyond_the_grid_the_gap_never_overestimates_and_is_right_in_size(ball, device):
+    bodies = RigidBodies([ball])
+    x, r = shell(3000, 0.03, 0.5)
+    gap, normal, curvature = evaluate(bodies, 0, x, device)
+    assert np.abs(gap - bodies.distance(0, x)).max() < 1e-15
+    exact = r - RADIUS
+    assert (gap > 0.0).all() and (gap <= exact * (1 + 1e-6) + 2e-3 * RADIUS).all()
+    # the box around a ball: a corner is sqrt(3) R away
+    assert (exact - gap).max() < (np.sqrt(3.0) - 1.0) * RADIUS + 1e-4
+    outside = (np.abs(x) > sdf.grid(ball).domain()[1] + 1e-6).any(axis=1)
+    assert np.abs(np.linalg.norm(normal[outside], axis=1) - 1.0).max() < 1e-12 and (np.einsum("ni,ni->n", normal, x)[outside] > 0.0).all()
+    assert np.isfinite(curvature).all() and outside.any()
+
+
+def test_continuity_across_the_rim_of_the_grid(ball):
+    low, high = sdf.grid(ball).domain()
+    rng = np.random.default_rng(5)
+    x = np.clip(rng.uniform(1.3 * low, 1.3 * high, (2000, 3)), low, high)
+    out = x + 1e-9 * np.where(x == low, -1.0, np.where(x == high, 1.0, 0.0))
+    assert np.abs(sdf.distance(ball, out) - sdf.distance(ball, x)).max() < 1e-8
+
+
+def test_many_bodies_in_one_struct(ball, device, tmp_path):
+    box = trimesh.creation.box((0.02, 0.01, 0.03))
+    box.apply_translation((1.0, 0.0, 0.0))
+    box.export(tmp_path / "box.stl")
+    shapes = [ball, Plane(), MeshFile(str(tmp_path / "box.stl"), 1.0), Capsule(0.01, 0.03), ball]
+    bodies = RigidBodies(shapes)
+    assert len(bodies) == 5 and bodies.shapes == tuple(shapes)
+    x = shell(500, 0.005, 0.04)[0]
+    for k in range(5):
+        assert np.abs(evaluate(bodies, k, x, device)[0] - bodies.distance(k, x)).max() < 1e-15
+    F, _ = kernel()
+    up = bodies.upload(F, device)
+    stored = sdf.grid(ball).coefficients.size + sdf.grid(shapes[2]).coefficients.size
+    assert up.coefficients.shape == (stored,), "a mesh given twice is stored once"
+    # the box's own frame is the centre of its bounding box
+    assert bodies.reach(2) == pytest.approx(0.5 * np.linalg.norm((0.02, 0.01, 0.03)), rel=1e-6)
+    assert sdf.support(shapes[2], np.array([0.0, 1.0, 0.0])) == pytest.approx(0.005, rel=1e-5)
+
+
+def test_edges_are_rounded_by_a_share_of_the_spacing():
+    cube = trimesh.creation.box((0.03, 0.03, 0.03))
+    errors = []
+    for h in (0.002, 0.001):
+        grid = bake(np.array(cube.vertices), np.array(cube.faces), spacing=h)
+        x = shell(20000, 0.0, 0.03)[0]
+        # outside the corner rounding is exact distance, inside it has medial planes; both kinks are O(h)
+        near = np.abs(exact_distance(grid.vertices, grid.faces, x)) < 0.003
+        errors.append(np.abs(grid.distance(x) - exact_distance(grid.vertices, grid.faces, x))[near].max() / h)
+    assert max(errors) < 0.25, errors
+    away = np.array([[0.0, 0.0, 0.0145], [0.003, -0.002, 0.0155]])
+    assert grid.distance(away) == pytest.approx([-0.0005, 0.0005], abs=1e-6), "flat faces are exact"
+
+
+def test_exact_distance_and_winding_number():
+    v, f = icosphere(3)
+    x = shell(400, 0.0, 0.05)[0]
+    number = winding_number(v, f, x)
+    assert np.abs(number - np.rint(number)).max() < 1e-9
+    distance = exact_distance(v, f, x)
+    assert ((distance < 0) == (number > 0.5)).all()
+    # brute force over corners, edges and faces is bounded by the corners alone
+    corner = np.linalg.norm(x[:, None] - v[None], axis=2).min(axis=1)
+    assert (np.abs(distance) <= corner + 1e-12).all() and (np.abs(distance) >= corner - 0.004).all()
+
+
+def broken(kind):
+    """A ball with something wrong, and what the note must say."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=RADIUS)
+    if kind == "hole":
+        ball.update_faces(ball.triangles_center[:, 2] < 0.9 * RADIUS)
+        return ball, "not watertight"
+    if kind == "inside out":
+        ball.faces = ball.faces[:, ::-1]
+        return ball, "inside out"
+    if kind == "wound at random":
+        turned = np.random.default_rng(0).random(len(ball.faces)) < 0.3
+        ball.faces[turned] = ball.faces[turned][:, ::-1]
+        return ball, "wound inconsistently"
+    other = ball.copy()
+    other.apply_translation((0.008, 0.0, 0.0))
+    return trimesh.util.concatenate([ball, other]), "overlap"
+
+
+@pytest.mark.parametrize("kind", ["hole", "inside out", "wound at random", "overlap"])
+def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
+    mesh, word = broken(kind)
+    mesh.export(tmp_path / "b.ply")
+    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), cache=tmp_path / "cache")
+    assert any(word in note for note in grid.notes), grid.notes
+    centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
+    x = shell(4000, 0.0, 0.035)[0]
+    world = x + centre
+    exact = np.linalg.norm(world, axis=1) - RADIUS
+    if kind == "overlap":
+        exact = np.minimum(exact, np.linalg.norm(world - [0.008, 0, 0], axis=1) - RADIUS)
+    if kind == "hole":
+        cut = world[:, 2] < 0.8 * RADIUS
+        x, exact = x[cut], exact[cut]
+    far = np.abs(exact) > 0.05 * RADIUS
+    assert ((grid.distance(x) < 0) == (exact < 0))[far].all()
+    near = (exact > 0) & (exact < 0.1 * RADIUS)
+    # facets of a level-3 ball 6e-3 R, fTetWild 0.1 % of the diagonal, 3.5e-3 R; inside, min() of two balls is only a bound
+    assert near.sum() > 100 and np.abs(grid.distance(x) - exact)[near].max() < 0.012 * RADIUS
+
+
+def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
+    mesh, _ = broken("hole")
+    path = tmp_path / "b.ply"
+    mesh.export(path)
+    cache = tmp_path / "cache"
+    first = baked(MeshFile(str(path), 1.0), cache=cache)
+    stored = list(cache.glob("distance-*.npz"))
+    assert len(stored) == 1
+    from vsfsim.physics import distance_grid
+    distance_grid._baked.cache_clear()
+    again = baked(MeshFile(str(path), 1.0), cache=cache)
+    assert again is not first and (again.coefficients == first.coefficients).all() and again.notes == first.notes
+    stored[0].write_bytes(b"rubbish")
+    distance_grid._baked.cache_clear()
+    assert np.isfinite(baked(MeshFile(str(path), 1.0), cache=cache).coefficients).all()
+    mesh.apply_scale(1.5)
+    mesh.export(path)
+    assert baked(MeshFile(str(path), 1.0), cache=cache).upper == pytest.approx(1.5 * first.upper, rel=0.02), "an edited file is read again"
+
+
+def test_the_spacing_rule_and_its_memory_bound():
+    assert spacing_rule(np.array([0.04, 0.04, 0.04])) == pytest.approx(0.04 / 64)
+    assert spacing_rule(np.array([0.1, 0.012, 0.012])) == pytest.approx(0.012 / 20)
+    for size in ([0.1, 0.001, 0.001], [0.2, 0.2, 0.001], [1.0, 0.5, 0.002]):
+        h = spacing_rule(np.array(size))
+        assert np.prod(np.ceil(np.array(size) / h) + 2 * PAD + 3) <= 2_000_000
+
+
+@pytest.mark.parametrize(("text", "word"), [("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nf 1 2 3\n", "flat sheet"), ("nonsense", "no faces"), (None, "cannot be read")])
+def test_files_that_are_no_solid_are_refused(tmp_path, text, word):
+    path = tmp_path / "x.obj"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(MeshError, match=word):
+        RigidBodies([Box((0.1, 0.1, 0.1)), MeshFile(str(path))])

@@ -1,0 +1,46 @@
+"""`vsfsim bench ...`: what things cost, printed by the product itself."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from vsfsim.core.errors import VsfsimError, did_you_mean
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver.")
+
+
+@app.callback()
+def _group() -> None:
+    pass
+
+
+@app.command()
+def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+           tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 2048) on a GPU.")] = None,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate.bench_solver import bench, table
+    from vsfsim.physics.tiers import TIERS
+
+    _check_device(device)
+    for name in tier or []:
+        if name not in TIERS:
+            raise VsfsimError(f"--tier is '{name}'. {did_you_mean(name, TIERS)}")
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches,
+                   progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

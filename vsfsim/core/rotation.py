@@ -1,0 +1,39 @@
+"""Rotations as rotation vectors: axis times angle [rad], right-handed; (0, 0, pi / 2) is a quarter turn about +z."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def rotation_matrix(vector: np.ndarray | tuple[float, ...]) -> np.ndarray:
+    """Matrix (3, 3) of a rotation vector (3,) [rad] (Rodrigues)."""
+    v = np.asarray(vector, float)
+    angle = float(np.linalg.norm(v))
+    if angle == 0.0:
+        return np.eye(3)
+    x, y, z = v / angle
+    k = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+
+
+def rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) [rad] of a matrix (3, 3), its angle from 0 to pi; through the quaternion, exact to rounding near both ends."""
+    m = np.asarray(matrix, float)
+    # the largest of the four squares makes the others safe to divide (Shepperd 1978)
+    squares = np.array([1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2]])
+    a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
+    d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
+    rows = np.array([[squares[0], a, b, c], [a, squares[1], d, e], [b, d, squares[2], f], [c, e, f, squares[3]]])
+    q = rows[int(squares.argmax())]
+    q = q / np.linalg.norm(q)
+    if q[0] < 0.0:
+        q = -q
+    sine = float(np.linalg.norm(q[1:]))
+    if sine == 0.0:
+        return np.zeros(3)
+    return 2.0 * np.arctan2(sine, q[0]) * q[1:] / sine
+
+
+def between(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
+    """The rotation (3, 3) at ``share`` (0..1) of the shortest way from ``first`` to ``last`` (3, 3), at constant angular velocity."""
+    return first @ rotation_matrix(share * rotation_vector(first.T @ last))

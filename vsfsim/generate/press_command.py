@@ -1,0 +1,54 @@
+"""What `vsfsim press` does: one press or several meshes of it, then the pictures and files that were asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.scene import SceneFile
+from vsfsim.generate import press as presses
+from vsfsim.generate.press_text import text as table
+
+
+def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precision: str, refine: int | None, plot: Path | None, picture: Path | None,
+          save: Path | None, progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
+    """Run it, write the files; returns the text to print, the object for JSON, and whether every frame converged.
+
+    Args:
+        loaded: the scene. seed, tier, device, precision: as `press.press`. refine: number of meshes, or None for one.
+        plot, picture, save: files to write, or None. progress: called with (done, in all, what).
+
+    Raises:
+        VsfsimError: the scene cannot be built, or a file cannot be written.
+    """
+    keep = picture is not None or save is not None
+    scene = loaded.sample(seed)
+    words, found = [], {}
+    if refine is None:
+        result = presses.press(scene, tier=tier, device=device, precision=precision, seed=seed, keep=keep, progress=progress)
+        good = bool(result.converged.all())
+    else:
+        from vsfsim.generate import refine as refinement
+
+        results, convergence = refinement.refine(scene, refine, tier=tier, device=device, precision=precision, seed=seed, cache=None, keep=keep, progress=progress)
+        result = results[-1]
+        good = all(bool(r.converged.all()) for r in results)
+        words = ["", f"Force at full depth on {refine} meshes:", refinement.text(results, convergence)]
+        found = {"refinement": {**convergence.table(), "meshes": [r.table() for r in results]}}
+        words += [f"note: {note}" for note in results[0].notes if note not in result.notes]
+    if plot is not None:
+        from vsfsim.generate.press_plot import plot as draw
+
+        draw(result, loaded.name, plot)
+    if picture is not None:
+        from vsfsim.generate.press_picture import picture as paint
+
+        paint(result, loaded.name, picture, device=device)
+        words.append(f"picture: {picture}")
+    if save is not None:
+        from vsfsim.generate.press_file import save as write
+
+        write(result, save)
+        words.append(f"saved: {save}")
+    return "\n".join([table(result), *words]), {**result.table(), **found}, good

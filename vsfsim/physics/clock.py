@@ -1,0 +1,47 @@
+"""Where the solver's time goes: off by default, switched on by `vsfsim bench solver`."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import torch
+
+_running = False
+_spent: dict[str, list[float]] = defaultdict(lambda: [0, 0.0])
+
+
+@contextmanager
+def measure(part: str) -> Iterator[None]:
+    """Count the time of a block under ``part``; waits for the GPU before and after, so only while the clock runs."""
+    if not _running:
+        yield
+        return
+    _wait()
+    began = time.perf_counter()
+    yield
+    _wait()
+    entry = _spent[part]
+    entry[0] += 1
+    entry[1] += time.perf_counter() - began
+
+
+def start() -> None:
+    """Begin to count, from zero."""
+    global _running
+    _spent.clear()
+    _running = True
+
+
+def stop() -> dict[str, tuple[int, float]]:
+    """Stop; returns calls and seconds of every part."""
+    global _running
+    _running = False
+    return {part: (int(calls), seconds) for part, (calls, seconds) in _spent.items()}
+
+
+def _wait() -> None:
+    if torch.cuda.is_available():
+        torch.cuda.synchronize()
