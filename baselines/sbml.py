@@ -26,7 +26,7 @@ class Sbml:
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
+        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.

@@ -65,7 +65,8 @@ def test_the_fast_continuous_field_finds_it(scene):
     touched = np.unique(np.concatenate([c.particle for c in contacts]))
     # A smooth field has no sharp step at the object's border: the threshold is lower, still four times the cover's density.
     shift, turn = errors(scene, stiffness_pose(known, particles[touched], density(model, particles[touched]), threshold=4e8, tries=16))
-    assert shift < 0.012 and turn < 0.3
+    # Blurred over cells of 4 mm, on an object of which 9 mm are felt.
+    assert shift < 0.012 and turn < 0.4
 
 
 @pytest.mark.slow
