@@ -35,7 +35,7 @@ class Sbml:
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
         noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq. 15 takes its ten
-            readings for independent; 3 N is 1 N times sqrt(10). On 24 shoes (16 to train) the zero-shot error is 4.5 N with 3 and 5.6 N with 1.
+            readings for independent; 3 N is 1 N times sqrt(10). docs/methods.md has figures.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
