@@ -47,9 +47,9 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
 
 
 @app.command()
-def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the model, about.")] = 2000,
-            touches: Annotated[int, typer.Option(min=1, help="Touches of a dome of 217 vertices.")] = 40,
-            frames: Annotated[int, typer.Option(min=2, help="Frames of a touch.")] = 15,
+def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the model, about.")] = 1000,
+            touches: Annotated[int, typer.Option(min=1, help="Touches of a dome of 217 vertices.")] = 20,
+            frames: Annotated[int, typer.Option(min=2, help="Frames of a touch.")] = 10,
             literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True) -> None:
     """Time and memory of every estimator beside its literal dense form, at equal answers."""
     from vsfsim.vsf.side_by_side import compare, table
