@@ -11,7 +11,7 @@ import typer
 
 from vsfsim.core.errors import VsfsimError, did_you_mean
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver.")
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver and of the estimators.")
 
 
 @app.callback()
@@ -45,3 +45,14 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     print(table(result))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the model, about.")] = 1000,
+            touches: Annotated[int, typer.Option(min=1, help="Touches of a dome of 217 vertices.")] = 20,
+            frames: Annotated[int, typer.Option(min=2, help="Frames of a touch.")] = 10,
+            literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True) -> None:
+    """Time and memory of every estimator beside its literal dense form, at equal answers."""
+    from vsfsim.vsf.side_by_side import compare, table
+
+    print(table(compare(particles, touches, frames, literal=literal, progress=lambda done, total, what: print(f"  {what} ...", file=sys.stderr, flush=True))))
