@@ -77,7 +77,7 @@ def layer_of(path: Path) -> str:
 
 def layer_of_module(module: str) -> str:
     """The row of the table that ``vsfsim.x.y`` belongs to."""
-    return module.split(".")[1] if "." in module else "top"
+    return module.split(".")[1].replace("cli_bench", "cli") if "." in module else "top"
 
 
 def imports(tree: ast.Module, module: str):

@@ -27,8 +27,7 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""
     from vsfsim.cli import _check_device, _check_writable
-    from vsfsim.generate.bench_solver import bench, table
-    from vsfsim.physics.tiers import TIERS
+    from vsfsim.generate.bench_solver import TIERS, bench, table
 
     _check_device(device)
     for name in tier or []:

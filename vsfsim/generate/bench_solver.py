@@ -27,6 +27,9 @@ from vsfsim.robot.press import press_path, touch_path
 REFERENCES = {"indent-homogeneous": ("S1", 9.70, 0.004), "indent": ("S2", 14.48, 0.01)}
 """Scene: case, force at full depth [N] and its relative error (hexahedra and conforming quadratic tetrahedra, extrapolated)."""
 
+TIERS = tuple(tiers.TIERS)
+"""Names that `--tier` takes."""
+
 _SPREAD = 0.015  # the batch's touches lie in a square of this half-width about the middle of the top [m]
 _TOUCH = TouchSpec(count=1, depth=0.005, approach=0.002, force_limit=1e9, frames=(4, 20, 4, 12))  # 40 frames
 _SAME = 8  # touches of a GPU batch that are run on the CPU as well
@@ -38,8 +41,8 @@ Progress = Callable[[str], None]
 class OneTouch:
     """One press of one object, the second one.
 
-    case, tier, precision, device: what. tets, unknowns: of the mesh. force: at full depth, along the press [N]. error: of it against the
-    reference [-]. step_seconds: CPU time of a load step [s]. newton, cg, back_solves, tangents, products: numbers a step.
+    case, tier, precision, device: what was run. tets, unknowns: number of them [-]. force: at full depth, along the press [N]. error: of it
+    against the reference [-]. step_seconds: CPU time of a load step [s]. newton, cg, back_solves, tangents, products: numbers a step [-].
     back_solve_ms, tangent_ms, product_ms: of one [ms]. residual, balance: the worst of the press [-]. factor_seconds: once an object [s].
     """
 
@@ -69,9 +72,9 @@ class OneTouch:
 class Batch:
     """Many touches of one object together.
 
-    tier, device, touches, frames, unknowns: what. seconds: of the whole batch [s]. per_second: touches a second.
-    newton, cg: iterations of a frame, on average. converged: share of the frames. parts: seconds spent in each part of the solver, from
-    another run (the clock waits for the device). difference: largest difference of a force from the CPU's over the largest force, or None.
+    tier, device: what was run. touches, frames, unknowns: number of them [-]. seconds: of the whole batch [s]. per_second: touches [1/s].
+    newton, cg: iterations of a frame, on average [-]. converged: share of the frames [-]. parts: spent in each part of the solver [s], from
+    another run (the clock waits for the device). difference: largest difference of a force from the CPU's over the largest force [-], or None.
     """
 
     tier: str
