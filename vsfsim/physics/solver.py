@@ -92,7 +92,7 @@ class Solver:
         self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
         every = self._balance.every
         previous = path.outside(self.bodies, self.model, poses[0], self.touching.first_gap)
-        stride = path.stride(self.bodies)
+        stride = path.stride(self.bodies, path.mean_thickness(self.model))
         self._pushed = torch.zeros_like(self.touching.rest)
         if self.linear:
             sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
