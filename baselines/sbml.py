@@ -142,7 +142,7 @@ class Sbml:
         self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
         self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name, value in arrays.items()})
 
-    def _build(self, kind: type, size: int, spread):  # noqa: ANN001, ANN202  torch's classes are not imported here
+    def _build(self, kind: type, size: int, spread):
         import torch
 
         with torch.random.fork_rng(devices=[]):
@@ -154,7 +154,7 @@ class Sbml:
             self._raw[id(model)] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
         return self._raw[id(model)]
 
-    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):  # noqa: ANN202
+    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
         import torch
 
         from vsfsim.vsf.evidence import Evidence
@@ -166,7 +166,7 @@ class Sbml:
         features = self._normaliser(raw)[evidence.touched]
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device) for x in (features, part.features)), evidence)
 
-    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):  # noqa: ANN202
+    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):
         """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3, "initialisation")."""
         from vsfsim.vsf.meta_prior import Spread
 

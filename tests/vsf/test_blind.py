@@ -41,7 +41,7 @@ def errors(scene, found):
 
 
 def point_estimate(scene, w, z, noise):
-    known, _, _, particles, contacts = scene
+    _known, _, _, particles, _contacts = scene
     volume = SPACING**2 * 0.5 * SPACING
     stiffness = map_estimate(w, z, noise_std=noise, prior_mean=SOFT * volume, prior_var=(STIFF * volume) ** 2).mean / volume
     touched = np.diff(w.tocsc().indptr) > 0

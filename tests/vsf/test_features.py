@@ -98,7 +98,7 @@ def test_one_particle_and_particles_out_of_sight(view):
 
 
 def test_refusals(view):
-    with pytest.raises(VsfError, match="no features called 'locul'.*Did you mean 'local'"):
+    with pytest.raises(VsfError, match=r"no features called 'locul'.*Did you mean 'local'"):
         particle_features("locul", view, particles(), spacing=0.005)
     with pytest.raises(VsfError, match="at least one world position"):
         particle_features("local", view, np.zeros((0, 3)), spacing=0.005)

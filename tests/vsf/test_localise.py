@@ -87,7 +87,7 @@ def test_errors_by_hand_and_refusals():
     shift, turn = pose_errors(pose(0.5, [0.03, 0.04, 0]), pose(0.2, [0, 0, 0]))
     assert shift == pytest.approx(0.05) and turn == pytest.approx(0.3)
     known = KnownObject.of(*wedge())
-    with pytest.raises(VsfError, match="lower the threshold .the stiffest has 3"):
+    with pytest.raises(VsfError, match=r"lower the threshold .the stiffest has 3"):
         stiffness_pose(known, np.zeros((50, 3)), np.full(50, 3.0), threshold=10.0)
     with pytest.raises(VsfError, match="4 contact points are too few"):
         contact_pose(known, np.zeros((4, 3)))

@@ -25,7 +25,12 @@ from vsfsim.bench.protocol import Draw, Recording, divide, record, specimen, sup
 from vsfsim.bench.reached import reached
 from vsfsim.bench.result import QUERY_COLUMNS, Result, Score, machine, peak_memory_mib, versions
 from vsfsim.bench.task import ALL, Task
-from vsfsim.bench.uncertainty import STIFFNESS_UNCERTAINTY, reading_uncertainty, stiffness_uncertainty, touch_uncertainty
+from vsfsim.bench.uncertainty import (
+    STIFFNESS_UNCERTAINTY,
+    reading_uncertainty,
+    stiffness_uncertainty,
+    touch_uncertainty,
+)
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by

@@ -7,6 +7,7 @@ so the default here is the softplus; `output="relu"` is the paper's, with a floo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -65,7 +66,7 @@ class MetaPrior(nn.Module):
         if not 0.0 <= dropout < 1.0 or not spread.std > 0.0:
             raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread {spread.std!r} (greater than 0).")
         widths, layers = [size, *hidden], []
-        for a, b in zip(widths[:-1], widths[1:]):
+        for a, b in itertools.pairwise(widths):
             layers += [nn.Linear(a, b), nn.ReLU(), nn.Dropout(dropout)]
         self.he = nn.Sequential(*layers, nn.Linear(widths[-1], 2))
         self.output, self.unit = output, spread.std
