@@ -1,5 +1,7 @@
 """The way between poses: nothing slips through, whatever the step."""
 
+import itertools
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -41,7 +43,7 @@ def test_pieces_are_short_even_and_end_where_they_should():
     def placed(p):
         return corners @ p[0, 0, :3, :3].T + p[0, 0, :3, 3]
 
-    for p, q in zip(steps[:-1], steps[1:], strict=True):
+    for p, q in itertools.pairwise(steps):
         assert np.linalg.norm(placed(q) - placed(p), axis=1).max() <= 0.005 + 1e-12
         assert q[0, 0, :3, :3] @ q[0, 0, :3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
 

@@ -44,7 +44,7 @@ class Tier:
 TIERS: dict[str, Tier] = {
     "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
     "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
-    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-6),
+    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4),
     "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3),
     "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4),
     "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4),

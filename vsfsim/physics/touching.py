@@ -45,9 +45,9 @@ class Touching:
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
         rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
         self.first_gap = self._nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
-        near = self._nearest(poses, rest).cpu().numpy()
         self._area = model.mesh.face_area()
-        self.patches = [self._patch(self._reachable(near[:, b])) for b in range(poses.shape[1])]
+        reachable = self._reachable(self._nearest(poses, rest)).cpu().numpy()
+        self.patches = [self._patch(np.flatnonzero(within)) for within in reachable]
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self._upload()
 
@@ -61,12 +61,12 @@ class Touching:
             wp.from_torch(points.contiguous(), dtype=k.vec3), wp.from_torch(out)])
         return out
 
-    def _reachable(self, gap: np.ndarray) -> np.ndarray:
-        """Boundary triangles that may be met on the way, by rest position (gap (s,) of the surface nodes) and a margin for what bulges up."""
-        nearest = np.full(len(self.model.mesh.points), np.inf)
-        nearest[self._surface] = gap
-        margin = 0.15 * max(0.0, -float(gap.min())) + 0.1 * self.model.element_size
-        return np.flatnonzero(nearest[self.model.mesh.faces].min(axis=1) < margin)
+    def _reachable(self, gap: torch.Tensor) -> torch.Tensor:
+        """Boundary triangles (B, f) bool that may be met on the way, by rest position (gap (s, B) of the surface nodes) and a margin for what bulges up."""
+        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype, device=self.device)
+        nearest[torch.as_tensor(self._surface, device=self.device)] = gap
+        margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
+        return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
     def _patch(self, faces: np.ndarray) -> contact.Patch:
         return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces])
