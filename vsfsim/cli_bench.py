@@ -22,7 +22,7 @@ def _group() -> None:
 @app.command()
 def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 2048) on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 4096) on a GPU.")] = None,
            compare: Annotated[bool, typer.Option(help="On a GPU: run a few touches on the CPU as well and compare the forces.")] = True,
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""

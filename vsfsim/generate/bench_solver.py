@@ -176,7 +176,7 @@ def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, to
 
     Args:
         device: Warp device. tiers_asked: which, or None for linear to fem-fine. touches: of a batch; None for 4 on a CPU and,
-            on a GPU, 256 (nonlinear) or 2,048 (linear: it has less to do for each). compare: a GPU's batch with the CPU's forces.
+            on a GPU, 256 (nonlinear) or 4,096 (linear: it has less to do for each). compare: a GPU's batch with the CPU's forces.
 
     Returns:
         Lists "one_touch" and "batch" of plain dictionaries, fields as `OneTouch` and `Batch`.
@@ -189,7 +189,7 @@ def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, to
                 progress(f"{name} at {tier}, {precision}")
                 singles.append(asdict(one_touch(name, tier, device=device, precision=precision)))
     for tier in [t for t in chosen if t in ("linear", "fem-coarse", "fem")]:
-        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[tier].nonlinear else 2048)
+        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[tier].nonlinear else 4096)
         progress(f"a batch of {count} touches at {tier}")
         batches.append(asdict(batch(tier, count, device=device, compare=compare)))
     return {"one_touch": singles, "batch": batches}

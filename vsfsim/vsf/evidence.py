@@ -46,7 +46,7 @@ class _Block:
 class Evidence:
     """The readings of one object, reduced.
 
-    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior changes.
+    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior changes, in nats [-].
     readings: how many there were. shared: components beside the heterogeneous ones, s.
     """
 

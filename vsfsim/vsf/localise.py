@@ -29,7 +29,8 @@ _GRID = 32  # cells along the longest edge of the inside test
 class KnownObject:
     """A closed triangle mesh, and what localisation asks of it.
 
-    surface: points spread evenly over it (s, 3) [m]. low, cell, inside: a grid of inside/outside, from its lower corner [m].
+    surface: points spread evenly over it (s, 3) [m]. low: lower corner (3,) [m],
+    cell: spacing [m] of a grid, inside: whether its nodes are inside (i, j, k) bool.
     """
 
     surface: np.ndarray
@@ -72,7 +73,7 @@ class KnownObject:
 
 @dataclass(frozen=True)
 class Pose:
-    """transform: object to world (4, 4) [m]. loss: of eq. 7 with the points left out, or the registration's own for `contact_pose`."""
+    """transform: object to world (4, 4) [m]. loss: [-] of eq. 7 with the points left out, or the registration's own for `contact_pose`."""
 
     transform: np.ndarray
     loss: float

@@ -33,8 +33,8 @@ _SMALL = 500_000
 class Spread:
     """What the training objects' own fits say about their stiffnesses [N/m], for the initial uncertainty (SBML section 3.3).
 
-    mean: of all touched particles. std: of one particle around it. shared_std: of a shared component (of the objects' means for HO, of the
-    segments' for SEG); 0 for HE.
+    mean: of all touched particles [N/m]. std: of one particle around it [N/m]. shared_std: of a shared component (of the objects' means for
+    HO, of the segments' for SEG) [N/m]; 0 for HE.
     """
 
     mean: float
@@ -110,7 +110,7 @@ class MetaPrior(nn.Module):
 
 @dataclass(frozen=True)
 class Training:
-    """How `train` went. best: epoch whose weights were kept. train, validation: NLL a reading, by epoch (epoch 0 is before any step)."""
+    """How `train` went. best: epoch whose weights were kept. train, validation: NLL of a reading in nats [-], by epoch (epoch 0 is before any step)."""
 
     best: int
     train: tuple[float, ...]

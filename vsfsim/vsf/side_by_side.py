@@ -30,8 +30,9 @@ NOISE, MEAN, STD = 0.05, 20.0, 30.0
 
 @dataclass(frozen=True)
 class Workload:
-    """Observation matrices of a synthetic palpation. pressure: force sums (T_all, n) [m], with readings and the touch of each; dense: contact
-    forces (T_all N 3, n) [m], with readings. frame: rows of ``dense`` in a frame."""
+    """Observation matrices of a synthetic palpation. pressure: force sums (T_all, n) [m]. pressure_z: their readings (T_all,) [N].
+    touch: which touch each is of (T_all,). dense: contact forces (T_all N 3, n) [m]. dense_z: their readings (T_all N 3,) [N].
+    frame: rows of ``dense`` in a frame."""
 
     pressure: sparse.csr_matrix
     pressure_z: np.ndarray
@@ -152,8 +153,8 @@ def online_literal(load: Workload) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class Comparison:
-    """One estimator. seconds, mib: ours; literal_seconds, literal_mib: the literal form's, None where it would not fit (see `reason`).
-    difference: largest, over the largest value of the answer."""
+    """One estimator. seconds: ours [s]. mib: ours [MiB]. literal_seconds: the literal form's [s], literal_mib: its memory [MiB], None where it
+    would not fit (see `reason`). difference: largest, over the largest value of the answer [-]."""
 
     name: str
     seconds: float

@@ -122,7 +122,7 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
 
 @dataclass(frozen=True)
 class _Whitener:
-    """Rows of readings A = W / noise and the Cholesky factor of A P A^T + 1, P the prior's covariance. shared: A G (r, s)."""
+    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P A^T + 1 (r, r)."""
 
     a: sparse.csr_matrix
     shared: np.ndarray
