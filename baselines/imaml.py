@@ -147,7 +147,7 @@ class Imaml:
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
 
-    def _build(self, inputs: int, outputs: int):  # noqa: ANN202  torch is not imported here
+    def _build(self, inputs: int, outputs: int):
         from vsfsim.baselines.implicit_maml import Network
 
         return Network(inputs, outputs, token=len(self._scale["token_mean"]), hidden=HIDDEN, encoder=ENCODER)
@@ -161,7 +161,7 @@ class Imaml:
         cut = int(rng.integers(1, len(touches)))
         return [tuple(np.concatenate([touches[i][k] for i in part]) for k in (0, 1)) for part in (order[:cut], order[cut:])]
 
-    def _batch(self, parts: Sequence[tuple[np.ndarray, np.ndarray]], tokens: Sequence[np.ndarray]):  # noqa: ANN202
+    def _batch(self, parts: Sequence[tuple[np.ndarray, np.ndarray]], tokens: Sequence[np.ndarray]):
         import torch
 
         from vsfsim.baselines.implicit_maml import Batch

@@ -15,6 +15,7 @@ leading task axis.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -46,7 +47,7 @@ class Network:
         self.encoder = [token, *encoder] if token else []
         widths = [inputs + (encoder[-1] if token else 0), *hidden, outputs]
         for sizes in (self.encoder, widths):
-            self.shapes += list(zip(sizes[:-1], sizes[1:]))
+            self.shapes += list(itertools.pairwise(sizes))
         self.split = max(len(self.encoder) - 1, 0)
 
     def start(self, generator: torch.Generator) -> Parameters:
@@ -113,7 +114,7 @@ def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: 
     return _conjugate_gradients(apply, list(right), cg_steps), loss.detach()
 
 
-def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:  # noqa: ANN001  a function of parameters
+def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
     """Solve A x = right for every task by itself."""
     def dot(a: Parameters, b: Parameters) -> torch.Tensor:
         return sum((x * y).flatten(1).sum(dim=1) for x, y in zip(a, b))

@@ -46,6 +46,10 @@ class PointVsf:
         """Readings (T, 1) of touches not made yet."""
         return self._posterior.predict(touches)
 
+    def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Standard deviations (T, 1) of those readings."""
+        return self._posterior.predict_std(touches)
+
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)

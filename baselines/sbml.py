@@ -26,7 +26,7 @@ class Sbml:
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
+        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
@@ -34,7 +34,8 @@ class Sbml:
         validation: fraction of the training objects that only stop the training (at least one of them if there are two).
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
-        noise_std: of a reading, in its unit: what the particle model cannot explain, see `point-vsf`.
+        noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq. 15 takes its ten
+            readings for independent; 3 N is 1 N times sqrt(10). docs/methods.md has figures.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
@@ -43,7 +44,7 @@ class Sbml:
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "", seed: int = 0, rate: float = 1e-4,
                  epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus", validation: float = 0.25, spacing: float = 0.005,
-                 friction: float = 0.0, noise_std: float = 1.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
+                 friction: float = 0.0, noise_std: float = 3.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
                  device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
@@ -100,6 +101,10 @@ class Sbml:
         """Readings (T, 1) of touches not made yet."""
         return self._posterior.predict(touches)
 
+    def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Standard deviations (T, 1) of those readings."""
+        return self._posterior.predict_std(touches)
+
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
@@ -137,7 +142,7 @@ class Sbml:
         self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
         self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name, value in arrays.items()})
 
-    def _build(self, kind: type, size: int, spread):  # noqa: ANN001, ANN202  torch's classes are not imported here
+    def _build(self, kind: type, size: int, spread):
         import torch
 
         with torch.random.fork_rng(devices=[]):
@@ -149,7 +154,7 @@ class Sbml:
             self._raw[id(model)] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
         return self._raw[id(model)]
 
-    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):  # noqa: ANN202
+    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
         import torch
 
         from vsfsim.vsf.evidence import Evidence
@@ -161,7 +166,7 @@ class Sbml:
         features = self._normaliser(raw)[evidence.touched]
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device) for x in (features, part.features)), evidence)
 
-    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):  # noqa: ANN202
+    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):
         """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3, "initialisation")."""
         from vsfsim.vsf.meta_prior import Spread
 

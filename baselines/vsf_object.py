@@ -21,7 +21,7 @@ from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
-from vsfsim.vsf.structured import structured_map, structured_std
+from vsfsim.vsf.structured import reading_std, structured_map, structured_std
 
 
 @dataclass(frozen=True)
@@ -132,6 +132,14 @@ class Posterior:
     def predict(self, actions: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of each action."""
         return [(self.model.observe(action) @ self.stiffness)[:, None] for action in actions]
+
+    def predict_std(self, actions: Sequence[Action]) -> list[np.ndarray]:
+        """Standard deviations (T, 1) of the readings: what is left of the springs', and the noise of a reading."""
+        out = []
+        for action in actions:
+            std = reading_std(self.rows, self.model.observe(action), noise_std=self.model.settings.noise_std, prior=self.prior)
+            out.append(np.hypot(std, self.model.settings.noise_std)[:, None])
+        return out
 
     def density(self, points: np.ndarray) -> Estimate:
         """Stiffness density around ``points`` (k, 3) [m]: mean and std (k,) [N/m^4].

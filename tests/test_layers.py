@@ -30,7 +30,7 @@ MAY_IMPORT = {
 }
 """Layers that a layer may import, besides itself."""
 
-LAZILY = {"cli": {"core", "data", "generate", "bench"}}
+LAZILY = {"cli": {"core", "data", "generate", "bench", "vsf"}}
 """Layers that a layer may import inside a function."""
 
 BY_NAME = {"physics": {"scenes"}}
@@ -77,7 +77,7 @@ def layer_of(path: Path) -> str:
 
 def layer_of_module(module: str) -> str:
     """The row of the table that ``vsfsim.x.y`` belongs to."""
-    return module.split(".")[1] if "." in module else "top"
+    return module.split(".")[1].replace("cli_bench", "cli") if "." in module else "top"
 
 
 def imports(tree: ast.Module, module: str):

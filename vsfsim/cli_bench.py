@@ -11,7 +11,7 @@ import typer
 
 from vsfsim.core.errors import VsfsimError, did_you_mean
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver.")
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver and of the estimators.")
 
 
 @app.callback()
@@ -22,12 +22,12 @@ def _group() -> None:
 @app.command()
 def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 2048) on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 4096) on a GPU.")] = None,
+           compare: Annotated[bool, typer.Option(help="On a GPU: run a few touches on the CPU as well and compare the forces.")] = True,
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""
     from vsfsim.cli import _check_device, _check_writable
-    from vsfsim.generate.bench_solver import bench, table
-    from vsfsim.physics.tiers import TIERS
+    from vsfsim.generate.bench_solver import TIERS, bench, table
 
     _check_device(device)
     for name in tier or []:
@@ -36,7 +36,7 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches,
+    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches, compare=compare,
                    progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     if stdout:
         print(json.dumps(result, indent=1))
@@ -44,3 +44,14 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     print(table(result))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the model, about.")] = 1000,
+            touches: Annotated[int, typer.Option(min=1, help="Touches of a dome of 217 vertices.")] = 20,
+            frames: Annotated[int, typer.Option(min=2, help="Frames of a touch.")] = 10,
+            literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True) -> None:
+    """Time and memory of every estimator beside its literal dense form, at equal answers."""
+    from vsfsim.vsf.side_by_side import compare, table
+
+    print(table(compare(particles, touches, frames, literal=literal, progress=lambda done, total, what: print(f"  {what} ...", file=sys.stderr, flush=True))))

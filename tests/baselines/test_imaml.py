@@ -111,5 +111,5 @@ def test_refusals(tmp_path):
     method = Imaml(epochs=1)
     method.meta_fit([specimen(mock_view(0, split="train"), parse_task(MOCK_TASK, "mock"))])
     method.save(tmp_path)
-    with pytest.raises(MethodError, match="was learned with {'vision': False"):
+    with pytest.raises(MethodError, match=r"was learned with {'vision': False"):
         ImamlVision().load(tmp_path)

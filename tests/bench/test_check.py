@@ -28,10 +28,11 @@ def test_optional_functions_are_optional():
     ("Flat", "predicts before any touch (0-shot)"),
     ("Mutates", "leaves its input alone"),
     ("Negative", "stiffness is finite and not negative"),
+    ("NegativeStd", "predict_std is finite and not negative"),
     ("AnswersNan", "adapts to touches and predicts (5-shot)"),
     ("Crashes", "adapts to touches and predicts (5-shot)"),
 ])
 def test_a_broken_clause_is_named(name, clause):
     assert clause in failed(f"toy_methods:{name}")
-    if name in ("SwallowsNan", "Negative", "Mutates"):
+    if name in ("SwallowsNan", "Negative", "NegativeStd", "Mutates"):
         assert failed(f"toy_methods:{name}") == [clause]

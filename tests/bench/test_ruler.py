@@ -50,6 +50,19 @@ def test_a_constant_scores_what_a_hand_computes(task, toy_dataset, toy_views):
     assert len(result.queries["n"]) == 2 * 4 * 4 * 3  # objects x query touches x shots x seeds
 
 
+def test_an_std_is_scored_where_it_is_given(task, toy_dataset, toy_views):
+    result = evaluate("toy_methods:Sure", task, toy_dataset, parameters={"value": 2.0})
+    errors = [abs(2.0 + float(f @ touch.axis)) for view in toy_views[1:] for touch in (view.touches[i] for i in divide(view, task.protocol).query) for f in touch.force]
+    want = {"nll": np.mean([0.5 * (e / 2.0) ** 2 for e in errors]) + np.log(2.0) + 0.5 * np.log(2 * np.pi),
+            "coverage50": np.mean([e <= 0.6744897501960817 * 2.0 for e in errors]), "coverage90": np.mean([e <= 1.6448536269514722 * 2.0 for e in errors])}
+    for metric, value in want.items():
+        for label in result.shots:
+            assert result.scores[metric][label].mean == pytest.approx(value, rel=1e-12), (metric, label)
+    assert "nll" not in evaluate("toy_methods:Constant", task, toy_dataset, seeds=1).scores
+    with pytest.raises(MethodError, match="is negative"):
+        evaluate("toy_methods:NegativeStd", task, toy_dataset, seeds=1)
+
+
 def test_support_and_query_never_meet_and_the_query_never_changes(task, toy_dataset, toy_views, answers):
     evaluate("toy_methods:Oracle", task, toy_dataset)
     adapted, asked = toy_methods.LOG[0::2], toy_methods.LOG[1::2]

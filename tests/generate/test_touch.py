@@ -12,7 +12,6 @@ from vsfsim.core.shape import Sphere
 from vsfsim.generate import touch
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness, voxel_sample
 from vsfsim.physics import sdf
-from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.solver import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.04)
@@ -157,7 +156,7 @@ def test_probe_stiffness_of_a_half_space(block, graded):
     held = (model.free == 0.0).reshape(-1, 3)
     held[:, :2] |= model.mesh.points[:, :2] < 1e-12
     free = np.where(held, 0.0, 1.0).ravel()
-    model = dataclasses.replace(model, free=free, factor=RestFactor(model.factor.stiffness, free, model.mesh.surface_nodes()))
+    model = model.hold(free)
     found = 4.0 * probe_stiffness(model, np.array([[0.0, 0.0, size]]), np.array([[0.0, 0.0, 1.0]]))[0]
     exact = 3 * np.pi**2 * PROBE_RADIUS * young_modulus / (16 * (1 - nu**2))
     print(f"probe stiffness {found:.2f} N/m, closed form {exact:.2f} N/m, {found / exact - 1:+.2%}")

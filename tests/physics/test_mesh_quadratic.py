@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.solid import Solid
 from vsfsim.physics.blocks import ball, box
-from vsfsim.physics.elements.tet10 import EDGES
+from vsfsim.physics.elements.tet10_shape import EDGES
 from vsfsim.physics.mesh import gauss_points, quadratic_mesh
 from vsfsim.physics.model import gravity_load, held_nodes
 

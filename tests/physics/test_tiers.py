@@ -1,5 +1,6 @@
 """Tiers: the cheapest that is enough, refusals that say what would do, element sizes."""
 
+import dataclasses
 import os
 import re
 from pathlib import Path
@@ -12,6 +13,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
+from vsfsim.physics.solver import Solver
 
 SCENE = """
 name = "t"
@@ -30,6 +32,7 @@ def scene(*, needs='["normal-force"]', shape="{ box = [0.06, 0.06, 0.03] }", you
 
 @pytest.mark.parametrize(("needs", "tier"), [
     ("[]", "linear"), ('["normal-force"]', "linear"), ('["appearance", "normal-force"]', "linear"),
+    ('["contact"]', "vsf"), ('["appearance"]', "vsf"), ('["contact", "coupling"]', "spring"), ('["coupling", "bulging"]', "fem-coarse"),
     ('["bulging"]', "fem-coarse"), ('["normal-force", "large-deformation", "bulging"]', "fem"),
 ])
 def test_auto_takes_the_cheapest_that_shows_every_need(needs, tier):
@@ -46,9 +49,9 @@ def test_what_is_asked_for_beats_the_scenes_own_and_more_than_enough_is_fine():
     (dict(needs='["large-deformation"]'), "fem-coarse", "t.toml: the scene needs large-deformation, which tier 'fem-coarse' cannot show; use 'fem' or above."),
     (dict(needs='["bulging", "large-deformation"]'), "linear", "needs bulging, large-deformation, which tier 'linear' cannot show; use 'fem' or above."),
     (dict(), "fem-corse", "unknown tier 'fem-corse'. Did you mean 'fem-coarse'?"),
-    (dict(), "spring", "tier 'spring' is not built yet; take one of linear, fem-coarse, fem, fem-fine, or auto."),
-    (dict(more='tier = "vsf"'), None, "t.toml [object]: tier 'vsf' is not built yet"),
-    (dict(), "fine", "unknown tier 'fine'. Did you mean 'fem-fine'? Allowed: auto, fem, fem-coarse, fem-fine, linear."),
+    (dict(), "spring", "t.toml: the scene needs normal-force, which tier 'spring' cannot show; use 'linear' or above."),
+    (dict(needs='["coupling"]', more='tier = "vsf"'), None, "needs coupling, which tier 'vsf' cannot show; use 'spring' or above."),
+    (dict(), "fine", "unknown tier 'fine'. Did you mean 'fem-fine'? Allowed: auto, fem, fem-coarse, fem-fine, linear, spring, vsf."),
 ])
 def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -64,6 +67,38 @@ def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked,
 def test_what_cannot_be_held_or_modelled_is_refused(more, message):
     with pytest.raises(SceneError, match=re.escape(message)):
         tiers.build(scene(more=more), "linear")
+
+
+def test_a_foundation_refuses_what_squeezes_out_sideways_and_a_network_says_what_it_ignores():
+    soft = dataclasses.replace(scene(needs='["contact"]').object, poisson_ratio=0.48)
+    with pytest.raises(SceneError, match=r"poisson_ratio = 0\.48 is too high for tier 'vsf'.*At most 0\.47 is allowed; use 'spring' or above"):
+        tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft), "vsf")
+    assert tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft)) == "spring"
+    given = scene(needs='["coupling"]', more="resolution = 0.015")
+    model = tiers.build(given, tiers.choose(given))
+    assert [block.kind for block in model.blocks] == ["spring"]
+    assert any("ignores poisson_ratio = 0.3" in note for note in model.solid.notes)
+    quarter = dataclasses.replace(given, object=dataclasses.replace(given.object, poisson_ratio=0.25))
+    assert not any("poisson_ratio" in note for note in tiers.build(quarter, "spring").solid.notes)
+
+
+@pytest.mark.parametrize(("tier", "kind"), [("vsf", "anchor"), ("spring", "spring")])
+def test_the_cheap_tiers_press_and_their_supports_carry_the_force(tier, kind, line, device):
+    given = scene(needs="[]", more="resolution = 0.01")
+    model = tiers.build(given, tier)
+    assert {block.kind for block in model.blocks} == {kind}
+    probe = Sphere(0.02)
+    solver = Solver(model, probe, device=device, options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
+    frames = solver.run(line([[0.0, 0.0, z] for z in (0.0501, 0.049, 0.047, 0.049, 0.0501)], probe))
+    assert frames.converged.all()
+    force = frames.force[:, 0, 2]
+    # Hertz for 3 mm is 10 N on a half-space of this material: neither tier is that, both are of its size
+    assert force[0] == 0.0 and 2.0 < force[2] < 20.0 and force[2] > 2.0 * force[1]
+    # frictionless: the way out is the way in
+    assert force[3] == pytest.approx(force[1], rel=5e-3) and force[4] == pytest.approx(0.0, abs=1e-6)
+    # anchors are supports: what they pull is in the reaction
+    assert (frames.force_balance < 5e-3).all()
+    assert frames.reaction[2, 0, 2] == pytest.approx(force[2], rel=5e-3) or frames.reaction[2, 0, 2] == pytest.approx(-force[2], rel=5e-3)
 
 
 def test_a_finer_tier_is_finer_and_the_scenes_resolution_wins():

@@ -1,6 +1,5 @@
 """The solver against closed forms: homogeneous states, layers, beams, order of convergence, symmetry."""
 
-import dataclasses
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ from scipy.optimize import brentq
 
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.solver import Solver, SolverOptions
 
 TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
@@ -18,7 +16,7 @@ TIGHT = SolverOptions(tolerance=1e-7, cg_tolerance=1e-4)
 def rollers(model, held):
     """The same body held in single directions: mask (n, 3)."""
     free = np.where(held, 0.0, 1.0).ravel()
-    return dataclasses.replace(model, free=free, factor=RestFactor(model.factor.stiffness, free, model.mesh.surface_nodes()))
+    return model.hold(free)
 
 
 def walls(model, *, all_sides):
@@ -79,10 +77,10 @@ def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confin
         assert np.abs(deformed - homogeneous).max() < 1e-6 * SIZE[2]
 
 
-@pytest.mark.parametrize("resolution", [0.02, 0.01])
-def test_two_layers_are_springs_in_series(block, line, device, resolution):
+@pytest.mark.parametrize(("resolution", "contrast"), [(0.02, 1e3), (0.01, 1e3), (0.02, 1e6), (0.02, 1e8)])
+def test_two_layers_are_springs_in_series(block, line, device, resolution, contrast):
     """Heterogeneous E: at confined sides the law is linear, P = (lambda + 2 mu)(s - 1), so this holds at any depth and on any mesh."""
-    size, soft, stiff, nu = (0.04, 0.04, 0.04), 1e4, 1e7, 0.3
+    size, soft, stiff, nu = (0.04, 0.04, 0.04), 1e4, 1e4 * contrast, 0.3
     model = block(size, resolution, young_modulus=lambda x: np.where(x[..., 2] > 0.02, soft, stiff), poisson_ratio=nu)
     model = rollers(model, walls(model, all_sides=True))
     frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.039], [0, 0, 0.035]], Plane()))
@@ -109,7 +107,10 @@ def test_bonded_base_does_not_matter_without_poissons_effect(block, line, device
 def beam(block, line, device, resolution, *, nu, length=0.2, side=0.02, gravity=-1e-3, options=TIGHT):
     """Tip deflection [m] and elastic energy [J] of a cantilever along x."""
     young_modulus, density = 1e6, 1000.0
-    model = block((length, side, side), resolution, young_modulus=young_modulus, poisson_ratio=nu, density=density, gravity=(0, 0, gravity),
+    # cells of exactly this size: the default meshing gives a thin body two layers, and meshes that do not halve show no order
+    long, thick = round(length / resolution), round(side / resolution)
+    ticks = (np.linspace(-0.5, 0.5, long + 1) * length, np.linspace(-0.5, 0.5, thick + 1) * side, np.linspace(0.0, side, thick + 1))
+    model = block((length, side, side), resolution, ticks=ticks, young_modulus=young_modulus, poisson_ratio=nu, density=density, gravity=(0, 0, gravity),
                   fixed=(-0.5 * length - 1e-6, -1, -1, -0.5 * length + 1e-6, 1, 1))
     solver = Solver(model, Sphere(0.01), device=device, options=options)
     frames = solver.run(far_away(line, Sphere(0.01)), keep=True)

@@ -6,7 +6,7 @@ from scipy import optimize, sparse
 
 from vsfsim.vsf.composition import Composition, GaussianPrior, segment
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.structured import structured_map, structured_std
+from vsfsim.vsf.structured import reading_std, structured_map, structured_std
 
 
 def blobs(seed=0):
@@ -58,6 +58,11 @@ def test_map_and_std_are_those_of_the_dense_program(m, n, s):
     np.testing.assert_allclose(result.mean, expected, atol=1e-9 * expected.max())
     std = structured_std(sparse.csr_matrix(w), noise_std=noise, prior=prior)
     np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))), rtol=1e-9)
+    query = rng.normal(size=(7, n))
+    posterior = np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w)
+    std = reading_std(sparse.csr_matrix(w), sparse.csr_matrix(query), noise_std=noise, prior=prior)
+    np.testing.assert_allclose(std, np.sqrt(np.einsum("ij,jk,ik->i", query, posterior, query)), rtol=1e-8)
+    np.testing.assert_allclose(reading_std(sparse.csr_matrix((0, n)), sparse.csr_matrix(query), noise_std=noise[:0], prior=prior), np.sqrt(np.einsum("ij,jk,ik->i", query, covariance, query)))
 
 
 def test_a_shared_component_carries_a_touch_to_untouched_particles():

@@ -88,7 +88,7 @@ def test_refusals_say_what_to_do(checkpoint, tmp_path, monkeypatch):
         particle_features("dinov2-s", camera_view(), particles(), spacing=0.005)
     with pytest.raises(VsfError, match="dinov2_vitb14"):
         dinov2.Dinov2.load("base")
-    with pytest.raises(VsfError, match="have the sha256 .* not 00ff"):
+    with pytest.raises(VsfError, match=r"have the sha256 .* not 00ff"):
         dinov2.Dinov2.load("small", f"{path}@00ff")
     (tmp_path / "text.pth").write_text("hello")
     with pytest.raises(VsfError, match="cannot be read"):

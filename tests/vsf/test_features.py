@@ -39,7 +39,7 @@ def test_a_coarse_grid_of_features_reads_the_same_place(view):
     np.testing.assert_allclose(project(coarse, geometry)[geometry.visible], geometry.pixel[geometry.visible], atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["local", "xyzrgb"])
+@pytest.mark.parametrize("name", ["local", "local-full", "xyzrgb"])
 def test_the_background_does_not_leak_in(view, name):
     rgb = view.rgb.copy()
     rgb[~view.mask] = [255, 0, 255]
@@ -56,7 +56,8 @@ def test_the_local_descriptor_tells_colours_textures_and_depth_apart(view):
     rough[columns < 32] *= rng.uniform(0.3, 1.7, view.mask.shape)[columns < 32][:, None]
     textured = dataclasses.replace(view, rgb=np.clip(rough, 0, 255).astype(np.uint8))
     points = particles()
-    features = particle_features("local", textured, points, spacing=0.005)
+    features = particle_features("local-full", textured, points, spacing=0.005)
+    assert features.shape[1] == 32 and particle_features("local", textured, points, spacing=0.005).shape[1] == 11
     assert features.dtype == np.float32 and np.isfinite(features).all()
     top = points[:, 2] > 0.025
     left, right = features[top & (points[:, 0] < -0.01)], features[top & (points[:, 0] > 0.01)]
@@ -75,7 +76,7 @@ def test_a_camera_twice_as_far_sees_much_the_same(view):
     pose = view.camera_pose.copy()
     pose[2, 3] += 0.37
     far = dataclasses.replace(view, depth=np.where(view.mask, 0.74, 0).astype(np.float32), intrinsics=k, camera_pose=pose)
-    near, away = (particle_features("local", v, particles()[particles()[:, 2] > 0.025], spacing=0.005) for v in (view, far))
+    near, away = (particle_features("local-full", v, particles()[particles()[:, 2] > 0.025], spacing=0.005) for v in (view, far))
     np.testing.assert_allclose(near[:, :18], away[:, :18], atol=0.05)
 
 
@@ -92,12 +93,12 @@ def test_the_normaliser_has_zero_mean_unit_variance_and_leaves_constants_alone()
 
 def test_one_particle_and_particles_out_of_sight(view):
     for points in (np.array([[0.0, 0.0, 0.02]]), np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]])):
-        for name in ("local", "xyzrgb"):
+        for name in ("local", "local-full", "xyzrgb"):
             assert np.isfinite(particle_features(name, view, points, spacing=0.005)).all()
 
 
 def test_refusals(view):
-    with pytest.raises(VsfError, match="no features called 'locul'.*Did you mean 'local'"):
+    with pytest.raises(VsfError, match=r"no features called 'locul'.*Did you mean 'local'"):
         particle_features("locul", view, particles(), spacing=0.005)
     with pytest.raises(VsfError, match="at least one world position"):
         particle_features("local", view, np.zeros((0, 3)), spacing=0.005)

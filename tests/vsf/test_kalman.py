@@ -50,7 +50,7 @@ def test_twenty_thousand_particles_with_dense_forces_in_seconds():
     rng = np.random.default_rng(0)
     truth = rng.uniform(5, 50, 20_000)
     frames = []
-    for touch in range(6):
+    for _touch in range(6):
         particle = rng.choice(20_000, 1_000, replace=False)
         corner = rng.integers(0, 120, (1_000, 3))
         u = rng.uniform(0, 0.01, (1_000, 3))

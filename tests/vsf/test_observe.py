@@ -149,7 +149,7 @@ def test_refusals():
         pressure_rows(moved, 9, np.tile([0, 0, 1.0], (3, 1)), area=0.0)
     with pytest.raises(VsfError, match=r"\(T, J, 3\) with T = 3"):
         joint_torque_rows(moved, np.zeros((9, 3)), np.zeros((2, 7, 3)), np.zeros((2, 7, 3)))
-    with pytest.raises(VsfError, match="only|but 2 rest positions"):
+    with pytest.raises(VsfError, match="but 2 rest positions"):
         joint_torque_rows(moved, np.zeros((2, 3)), np.zeros((3, 7, 3)), np.zeros((3, 7, 3)))
     with pytest.raises(VsfError, match="must be finite"):
         stick(np.full((1, 3), np.nan), base[None], triangles)

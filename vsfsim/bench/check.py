@@ -105,6 +105,7 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Fi
         ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
         ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
         ("stiffness is finite and not negative", lambda: _stiffness(fitted(), mock)),
+        ("predict_std is finite and not negative", lambda: _predict_std(fitted(), mock)),
     )
     return tuple(_try(clause, test) for clause, test in clauses)
 
@@ -252,6 +253,16 @@ def _stiffness(method: Method, mock: _Mock) -> None:
             values = np.asarray(getattr(estimate, key), float)
             if values.shape != (3,) or not np.isfinite(values).all() or (values < 0).any():
                 raise MethodError(f"stiffness of 3 points has {key} {values!r}; it must be 3 finite numbers >= 0.")
+
+
+def _predict_std(method: Method, mock: _Mock) -> None:
+    if not hasattr(method, "predict_std"):
+        raise _NotOffered("no predict_std()")
+    for support in ([], mock.support):
+        method.adapt(mock.view, support)
+        spread = checked_prediction(method.predict_std(mock.actions), mock.actions, [f"touch {i} (predict_std)" for i in range(len(mock.actions))])
+        if any((std < 0.0).any() for std in spread):
+            raise MethodError("predict_std gave a negative standard deviation; it must be 0 or greater.")
 
 
 def _digest(mock: _Mock) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.bench.method import (
+    Action,
     Method,
     build_method,
     checked_prediction,
@@ -24,6 +25,12 @@ from vsfsim.bench.protocol import Draw, Recording, divide, record, specimen, sup
 from vsfsim.bench.reached import reached
 from vsfsim.bench.result import QUERY_COLUMNS, Result, Score, machine, peak_memory_mib, versions
 from vsfsim.bench.task import ALL, Task
+from vsfsim.bench.uncertainty import (
+    STIFFNESS_UNCERTAINTY,
+    reading_uncertainty,
+    stiffness_uncertainty,
+    touch_uncertainty,
+)
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
@@ -82,6 +89,7 @@ class _Run:
     progress: Progress
     rows: list[dict[str, Any]] = field(default_factory=list)
     stiffness: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)
+    spread: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)  # of readings, one row a query touch
     timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0, "adapts": 0, "predicts": 0})
 
     def all(self) -> None:
@@ -131,10 +139,23 @@ class _Run:
         self.timing["adapts"] += 1
         self.timing["predicts"] += len(actions)
         names = [f"touch {i} of {where}" for i in subject.draw.query]
-        for index, prediction in zip(subject.draw.query, checked_prediction(answer, actions, names)):
+        answer = checked_prediction(answer, actions, names)
+        self._spread(method, subject, label, seed, actions, answer, names)
+        for index, prediction in zip(subject.draw.query, answer):
             errors = touch_errors(prediction, subject.recording.clean[index], subject.recording.readings[index].valid)
             self.rows.append({"object": subject.record.name, "shot": label, "seed": seed, "touch": index, **errors})
         self._stiffness(method, subject, label, seed, where)
+
+    def _spread(self, method: Method, subject: _Subject, label: str, seed: int, actions: list[Action], answer: list[np.ndarray], names: list[str]) -> None:
+        if not hasattr(method, "predict_std"):
+            return
+        with self._timed("predict_s", f"predict_std for {names[0]}"):
+            spread = method.predict_std(actions)
+        for index, prediction, std in zip(subject.draw.query, answer, checked_prediction(spread, actions, names)):
+            if (std < 0.0).any():
+                raise MethodError(f"predict_std for touch {index} of {subject.record.name} is negative; a standard deviation is 0 or greater.")
+            row = touch_uncertainty(prediction, std, subject.recording.clean[index], subject.recording.readings[index].valid)
+            self.spread.setdefault((label, seed), []).append({"object": subject.record.name, **row})
 
     def _stiffness(self, method: Method, subject: _Subject, label: str, seed: int, where: str) -> None:
         if not hasattr(method, "stiffness") or np.count_nonzero(subject.reached) < 3:
@@ -142,18 +163,23 @@ class _Run:
         truth = subject.record.truth
         assert truth is not None
         with self._timed("predict_s", f"stiffness for {where}"):
-            estimate = np.asarray(method.stiffness(truth.probe_points[subject.reached]).mean, float)
+            given = method.stiffness(truth.probe_points[subject.reached])
+        estimate, std = np.asarray(given.mean, float), np.asarray(given.std, float)
         if estimate.shape != (int(subject.reached.sum()),) or not np.isfinite(estimate).all() or (estimate < 0).any():
             raise MethodError(f"stiffness for {where} must be a finite, non-negative mean a point, ({int(subject.reached.sum())},); it has shape {estimate.shape}.")
         scores = stiffness_scores(estimate, truth.probe_stiffness[subject.reached])
         if scores is not None:
-            self.stiffness.setdefault((label, seed), []).append(scores)
+            sure = stiffness_uncertainty(estimate, std, truth.probe_stiffness[subject.reached]) if std.shape == estimate.shape and np.isfinite(std).all() else None
+            self.stiffness.setdefault((label, seed), []).append({**scores, **(sure or {})})
 
     def _repeat(self, subject: _Subject, label: str, seed: int) -> None:
         first = self.seeds[0]
         self.rows += [{**row, "seed": seed} for row in self.rows if row["object"] == subject.record.name and row["shot"] == label and row["seed"] == first]
         if (label, first) in self.stiffness:
             self.stiffness[label, seed] = self.stiffness[label, first]
+        mine = [row for row in self.spread.get((label, first), []) if row["object"] == subject.record.name]
+        if mine:
+            self.spread.setdefault((label, seed), []).extend(mine)
 
     @contextmanager
     def _timed(self, key: str, what: str) -> Iterator[None]:
@@ -168,14 +194,23 @@ class _Run:
             self.timing[key] += time.perf_counter() - start
 
     def scores(self) -> dict[str, dict[str, Score]]:
-        return {**scores_of(self.rows, self.task.protocol.labels, self.seeds), **self._stiffness_scores()}
+        return {**scores_of(self.rows, self.task.protocol.labels, self.seeds), **self._spread_scores(), **self._stiffness_scores()}
+
+    def _spread_scores(self) -> dict[str, dict[str, Score]]:
+        out: dict[str, dict[str, Score]] = {}
+        for label in self.task.protocol.labels if self.spread else ():
+            seeds = [reading_uncertainty(self.spread[label, seed]) for seed in self.seeds]
+            for metric in seeds[0]:
+                out.setdefault(metric, {})[label] = Score.of([scores[metric] for scores in seeds])
+        return out
 
     def _stiffness_scores(self) -> dict[str, dict[str, Score]]:
         out: dict[str, dict[str, Score]] = {}
         for label in self.task.protocol.labels:
             parts = [self.stiffness.get((label, seed), []) for seed in self.seeds]
             if all(parts):
-                for metric in STIFFNESS_METRICS:
+                # An object without a std (or an estimate that is 0 everywhere) takes a metric from the whole row.
+                for metric in (m for m in (*STIFFNESS_METRICS, *STIFFNESS_UNCERTAINTY) if all(m in part for parts_ in parts for part in parts_)):
                     out.setdefault(metric, {})[label] = Score.of([float(np.mean([part[metric] for part in seed_parts])) for seed_parts in parts])
         return out
 

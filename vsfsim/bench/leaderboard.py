@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from vsfsim.bench.metrics import STIFFNESS_METRICS
+from vsfsim.bench.metrics import READING_METRICS
 from vsfsim.bench.result import Result, Score
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
@@ -108,7 +108,7 @@ def score_table(result: Result, metric: str) -> str:
     order = [metric, *(m for m in result.scores if m != metric)]
     rows = []
     for name in order:
-        unit = "" if name in STIFFNESS_METRICS else f" [{result.unit}]"
+        unit = f" [{result.unit}]" if name in READING_METRICS else ""
         rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
     return "\n".join(_aligned([head, *rows]))
 

@@ -75,7 +75,8 @@ class Estimate:
 class Method(Protocol):
     """An estimator of how an object answers touch.
 
-    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` after `adapt`; ``save(folder: Path)`` and
+    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` and ``predict_std(touches) -> standard deviations (T, d) of the readings, one array
+    a touch`` after `adapt`; ``save(folder: Path)`` and
     ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes keyword arguments only; if one is called
     ``seed``, the method is built and meta-fitted anew for every seed of the task.
     """

@@ -13,6 +13,8 @@ small cone over its displacement, SBML appendix C.4):
 stiffness_spearman    rank correlation of s and k, ties sharing their mean rank; 0 if s is the same everywhere
 stiffness_log10       mean |log10 s - log10 k - c|, with the one allowed scale c = median(log10 s - log10 k) over s > 0;
                       an s at or near 0 counts as a tenth of the softest k times that scale
+stiffness_f1          how well the stiff points are told from the soft ones: k is cut in two where the classes of log10 k differ most (Otsu
+                      1979), s at the threshold that is best for it (Neural VSF table I chooses one for each method, too)
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from collections.abc import Sequence
 import numpy as np
 
 READING_METRICS = ("rmse", "rmse_pooled", "mae", "mae_pooled")
-STIFFNESS_METRICS = ("stiffness_spearman", "stiffness_log10")
+STIFFNESS_METRICS = ("stiffness_spearman", "stiffness_log10", "stiffness_f1")
 
 
 def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float]:
@@ -55,11 +57,38 @@ def stiffness_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float
     """
     if len(truth) < 3 or not np.any(estimate > 0):
         return None
-    positive = estimate > 0
-    scale = float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
+    scale = stiffness_scale(estimate, truth)
     floor = 0.1 * truth.min() * 10.0**scale
     error = np.abs(np.log10(np.maximum(estimate, floor)) - np.log10(truth) - scale)
-    return {"stiffness_spearman": spearman(estimate, truth), "stiffness_log10": float(error.mean())}
+    return {"stiffness_spearman": spearman(estimate, truth), "stiffness_log10": float(error.mean()), "stiffness_f1": best_f1(estimate, stiff_points(truth))}
+
+
+def stiffness_scale(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """The one allowed scale c [decades]: the median of log10 s - log10 k over s > 0, of which there must be one."""
+    positive = estimate > 0
+    return float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
+
+
+def stiff_points(truth: np.ndarray) -> np.ndarray:
+    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are equal."""
+    order = np.sort(np.log10(truth))
+    count = np.arange(1, len(order))
+    below = np.cumsum(order)[:-1] / count
+    above = (order.sum() - np.cumsum(order)[:-1]) / (len(order) - count)
+    between = count * (len(order) - count) * (above - below) ** 2
+    if len(order) < 2 or not between.max() > 0.0:
+        return np.zeros(len(truth), bool)
+    return np.log10(truth) > order[int(np.argmax(between))]
+
+
+def best_f1(estimate: np.ndarray, positive: np.ndarray) -> float:
+    """Largest F1 score of ``estimate >= threshold`` against ``positive`` (k,) bool over all thresholds; 0 if nothing is positive."""
+    order = np.argsort(-estimate, kind="stable")
+    hit = np.cumsum(positive[order])
+    last = np.append(np.diff(estimate[order]) != 0.0, True)  # points of one value fall on one side together
+    if not positive.any():
+        return 0.0
+    return float(np.max((2.0 * hit / (np.arange(1, len(hit) + 1) + positive.sum()))[last]))
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:

@@ -31,7 +31,7 @@ from vsfsim.core.shape import Family, MeshFile, ObjectShape, ProbeShape, parse_o
 from vsfsim.core.table import Table
 
 TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
-NEEDS = ("normal-force", "bulging", "large-deformation", "appearance")
+NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 _DISTRIBUTIONS = ("uniform", "loguniform", "choice")
 
 

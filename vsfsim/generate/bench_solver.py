@@ -27,6 +27,9 @@ from vsfsim.robot.press import press_path, touch_path
 REFERENCES = {"indent-homogeneous": ("S1", 9.70, 0.004), "indent": ("S2", 14.48, 0.01)}
 """Scene: case, force at full depth [N] and its relative error (hexahedra and conforming quadratic tetrahedra, extrapolated)."""
 
+TIERS = tuple(tiers.TIERS)
+"""Names that `--tier` takes."""
+
 _SPREAD = 0.015  # the batch's touches lie in a square of this half-width about the middle of the top [m]
 _TOUCH = TouchSpec(count=1, depth=0.005, approach=0.002, force_limit=1e9, frames=(4, 20, 4, 12))  # 40 frames
 _SAME = 8  # touches of a GPU batch that are run on the CPU as well
@@ -38,8 +41,8 @@ Progress = Callable[[str], None]
 class OneTouch:
     """One press of one object, the second one.
 
-    case, tier, precision, device: what. tets, unknowns: of the mesh. force: at full depth, along the press [N]. error: of it against the
-    reference [-]. step_seconds: CPU time of a load step [s]. newton, cg, back_solves, tangents, products: numbers a step.
+    case, tier, precision, device: what was run. tets, unknowns: number of them [-]. force: at full depth, along the press [N]. error: of it
+    against the reference [-]. step_seconds: CPU time of a load step [s]. newton, cg, back_solves, tangents, products: numbers a step [-].
     back_solve_ms, tangent_ms, product_ms: of one [ms]. residual, balance: the worst of the press [-]. factor_seconds: once an object [s].
     """
 
@@ -69,9 +72,9 @@ class OneTouch:
 class Batch:
     """Many touches of one object together.
 
-    tier, device, touches, frames, unknowns: what. seconds: of the whole batch [s]. per_second: touches a second.
-    newton, cg: iterations of a frame, on average. converged: share of the frames. parts: seconds spent in each part of the solver, from
-    another run (the clock waits for the device). difference: largest difference of a force from the CPU's over the largest force, or None.
+    tier, device: what was run. touches, frames, unknowns: number of them [-]. seconds: of the whole batch [s]. per_second: touches [1/s].
+    newton, cg: iterations of a frame, on average [-]. converged: share of the frames [-]. parts: spent in each part of the solver [s], from
+    another run (the clock waits for the device). difference: largest difference of a force from the CPU's over the largest force [-], or None.
     """
 
     tier: str
@@ -137,8 +140,11 @@ def batch_poses(scene: Scene, touches: int) -> np.ndarray:
     return np.stack(out, axis=1)
 
 
-def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-homogeneous") -> Batch:
-    """Many touches of one object at ``tier``, run twice: once to warm up, once for the time; then once more for its parts."""
+def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-homogeneous", compare: bool = True) -> Batch:
+    """Many touches of one object at ``tier``, run twice: once to warm up, once for the time; then once more for its parts.
+
+    ``compare``: also run the first few on the CPU, if ``device`` is another.
+    """
     scene = _scene(name)
     model = _model(scene, tier)
     poses = batch_poses(scene, touches)
@@ -156,7 +162,7 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
     run()
     parts = {part: spent for part, (_, spent) in clock.stop().items()}
     difference = None
-    if device != "cpu":
+    if compare and device != "cpu":
         few = min(_SAME, touches)
         host = _solver(scene, model, tier, "cpu", "float64").run(poses[:, :few])
         difference = float(np.abs(frames.force[:, :few] - host.force).max() / np.abs(host.force).max())
@@ -164,13 +170,13 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
                  float(frames.cg_iterations.mean()), float(frames.converged.mean()), parts, difference)
 
 
-def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, touches: int | None = None,
+def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, touches: int | None = None, compare: bool = True,
           progress: Progress = lambda _: None) -> dict[str, Any]:
     """All of it.
 
     Args:
         device: Warp device. tiers_asked: which, or None for linear to fem-fine. touches: of a batch; None for 4 on a CPU and,
-            on a GPU, 256 (nonlinear) or 2,048 (linear: it has less to do for each).
+            on a GPU, 256 (nonlinear) or 4,096 (linear: it has less to do for each). compare: a GPU's batch with the CPU's forces.
 
     Returns:
         Lists "one_touch" and "batch" of plain dictionaries, fields as `OneTouch` and `Batch`.
@@ -183,9 +189,9 @@ def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, to
                 progress(f"{name} at {tier}, {precision}")
                 singles.append(asdict(one_touch(name, tier, device=device, precision=precision)))
     for tier in [t for t in chosen if t in ("linear", "fem-coarse", "fem")]:
-        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[tier].nonlinear else 2048)
+        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[tier].nonlinear else 4096)
         progress(f"a batch of {count} touches at {tier}")
-        batches.append(asdict(batch(tier, count, device=device)))
+        batches.append(asdict(batch(tier, count, device=device, compare=compare)))
     return {"one_touch": singles, "batch": batches}
 
 

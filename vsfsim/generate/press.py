@@ -135,7 +135,7 @@ def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float,
     poses = press_path(spec, scene.probe)
     first = pose_at(spec, scene.probe, 0)
     inside = overlap(model, scene.probe, first, str(scene.source))
-    compile_kernels(solver_kernels(precision), device, progress=progress)
+    compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
     axis = direction(scene)
     gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:1 + len(scene.parts)], body_poses(scene, first[None])[0], strict=False))
     linear = not tiers.TIERS[chosen].nonlinear

@@ -13,7 +13,7 @@ from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import AUDIT_COLUMNS, Touch, View
 from vsfsim.physics import sdf
-from vsfsim.physics.frames import Frames, SolverOptions
+from vsfsim.physics.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import times, touch_path, turn_to
@@ -186,9 +186,9 @@ def audit(frames: Frames, column: int) -> dict[str, np.ndarray]:
     return {name: getattr(frames, name)[:, column] for name in AUDIT_COLUMNS}
 
 
-NOT_CONVERGED = "the solver did not reach its tolerance, halved steps included"
 OUT_OF_BALANCE = "force on the probe and reaction of the supports differ by over 0.1 %"
 _BALANCE = 1e-3  # design: the audit's limit
+REASONS = (*(reason.text for reason in Reason if reason != Reason.NONE), OUT_OF_BALANCE)
 
 
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
@@ -198,4 +198,5 @@ def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
-        reason=np.where(converged, 0, np.where(found, 2, 1)), reason_names=(NOT_CONVERGED, OUT_OF_BALANCE), audit=audit(frames, k))
+        # the solver's own reasons keep their codes, the audit's comes after them
+        reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:, k])), reason_names=REASONS, audit=audit(frames, k))

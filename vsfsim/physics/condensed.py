@@ -19,7 +19,7 @@ _SLACK = 1e-12  # of the energy: rounding of the sum over the patch
 _BLUNT = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness, stage by stage
 _ROUGH = 1e-3  # tolerance of the stages that only lead the way
 _LEAST = 1e-4  # shortest step of the line search
-_SHRINK = 0.6  # of the touches still run: then the others are left behind
+_SHRINK = 0.8  # of the touches still run: then the others are left behind
 
 
 def solve(touching: Touching, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int, tolerance: float,

@@ -324,15 +324,13 @@ class Patch:
     stiffness: np.ndarray
 
 
-def make_patch(mesh: QuadraticMesh, faces: np.ndarray, modulus: np.ndarray) -> Patch:
-    """The patch of the given boundary triangles.
+def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray) -> Patch:
+    """The patch of some boundary triangles.
 
     Args:
-        mesh: the mesh. faces: indices (f,). modulus: Young's modulus under every boundary triangle (all,) [Pa].
+        mesh: the mesh. faces: their indices (f,). area: their areas (f,) [m^2]. modulus: Young's modulus under them (f,) [Pa].
     """
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
-    area = mesh.face_area()[faces]
-    size = np.sqrt(area)
-    pressure_per_metre = PENALTY * modulus[faces] / size
+    pressure_per_metre = PENALTY * modulus / np.sqrt(area)
     stiffness = (area * pressure_per_metre)[:, None] * WEIGHTS[None, :]
     return Patch(faces, nodes, local.reshape(len(faces), 6), stiffness)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import warp as wp
@@ -27,13 +28,13 @@ def _start() -> None:
 _start()
 
 
-def solver_kernels(precision: str) -> list[Any]:
-    """One kernel of each module that the solver launches at a precision."""
-    from vsfsim.physics import contact
-    from vsfsim.physics.elements import tet10
+def solver_kernels(precision: str, kinds: Iterable[str] = ("tet10",)) -> list[Any]:
+    """One kernel of each module that the solver launches at a precision, for a model of these ``kinds`` of elements."""
+    from vsfsim.physics import contact, elasticity
 
     real = wp.float64 if precision == "float64" else wp.float32
-    return [tet10.kernels(real).evaluate, contact.kernels().evaluate]
+    elements = [importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels(real).forces for kind in kinds]
+    return [*elements, elasticity.kernels(real).gather, contact.kernels().evaluate]
 
 
 def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int, int, str], None] | None = None) -> None:

@@ -124,6 +124,11 @@ class Equilibrium:
             if time.perf_counter() > deadline:
                 self.reason[host] = Reason.TIME
                 break
+            spent = torch.as_tensor(self.cg[host] >= self.options.cg_frame, device=self.device)
+            if bool(spent.any()):
+                stuck[open_[spent]] = True
+                held[open_[spent]] = False
+                continue
             before = state["measure"][open_]
             # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
             # and that of the step before is as good

@@ -151,15 +151,17 @@ class Response(Protocol):
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
 
 
-def response(factor: RestFactor, dof: torch.Tensor, *, device: str) -> Response:
+def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True) -> Response:
     """The answer of a body to forces on given patches.
 
     Args:
         factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
+        exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the time
+            (good for predictions and as a preconditioner).
     """
     if device != "cpu" and factor.size <= _DENSE:
         return _Dense(factor, dof, device)
-    return _Sparse(factor, dof, device)
+    return _Sparse(factor, dof, device, exact)
 
 
 def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
@@ -171,13 +173,13 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
 class _Sparse:
     """Triangular solves on the host; for few touches also the columns of the inverse under their patches."""
 
-    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool):
         self._factor, self._dof, self._device = factor, dof, device
         nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
         self._whole: torch.Tensor | None = None
         if len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES:
-            whole = np.zeros((len(dof), width, factor.size))
+            whole = np.zeros((len(dof), width, factor.size), np.float64 if exact else np.float32)
             for b, own in enumerate(nodes):
                 whole[b, :3 * len(own)] = factor.whole_columns(own)
             self._whole = torch.as_tensor(whole, device=device)
@@ -194,7 +196,8 @@ class _Sparse:
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         if self._whole is not None:
-            return torch.stack([f @ self._whole[b] for b, f in zip(touches.tolist(), force, strict=True)], dim=1)
+            real = self._whole.dtype
+            return torch.stack([f.to(real) @ self._whole[b] for b, f in zip(touches.tolist(), force, strict=True)], dim=1).to(force.dtype)
         free = torch.as_tensor(self._factor.free, device=force.device)[:, None]
         return self.solve(spread(self._dof[touches], force, self._factor.size) * free)
 
@@ -222,4 +225,6 @@ class _Dense:
         return self._inverse @ right
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        if not self._columns.shape[1]:  # no touch reaches anything
+            return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
         return self._columns @ spread(self._place[touches], force, self._columns.shape[1])

@@ -8,7 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from vsfsim.core.solid import TET_FACES, Solid, boundary_faces, tet_volumes
-from vsfsim.physics.elements.tet10 import EDGES, GAUSS_FAR, GAUSS_NEAR
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.elements.tet10_shape import EDGES, GAUSS_FAR, GAUSS_NEAR
 
 # The six nodes of face k of a tetrahedron: its three corners (as TET_FACES winds them), then the edges between them.
 _EDGE_OF = {frozenset(map(int, e)): 4 + i for i, e in enumerate(EDGES)}
@@ -22,7 +23,7 @@ FACE_NODES = np.array([
 class QuadraticMesh:
     """Ten-node tetrahedra with straight sides, in the object's frame.
 
-    points: nodes (n, 3) [m], the corners first. tets: (m, 10), corners then the edges of `tet10.EDGES`.
+    points: nodes (n, 3) [m], the corners first. tets: (m, 10), corners then the edges of `tet10_shape.EDGES`.
     gradients: of the four barycentric coordinates (m, 4, 3) [1/m]. volume: (m,) [m^3].
     faces: boundary triangles (f, 6), corners then edge nodes, wound outwards. owner: tetrahedron behind each (f,).
     """
@@ -79,43 +80,13 @@ def quadratic_mesh(solid: Solid) -> QuadraticMesh:
                          faces6.astype(np.int32), owner)
 
 
-def rest_stiffness_blocks(mesh: QuadraticMesh, mu: np.ndarray, lam: np.ndarray) -> np.ndarray:
-    """Element stiffness at rest, i.e. of linear elasticity, (m, 30, 30) [N/m], rows node by node.
-
-    Args:
-        mesh: the mesh. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa].
-    """
-    m = len(mesh.tets)
-    out = np.zeros((m, 10, 3, 10, 3))
-    for q in range(4):
-        bary = np.full(4, GAUSS_FAR)
-        bary[q] = GAUSS_NEAR
-        shape = np.zeros((10, 4))
-        shape[np.arange(4), np.arange(4)] = 4.0 * bary - 1.0
-        for e, (i, j) in enumerate(EDGES):
-            shape[4 + e, i] = 4.0 * bary[j]
-            shape[4 + e, j] = 4.0 * bary[i]
-        dn = np.einsum("ak,mkc->mac", shape, mesh.gradients)
-        w = 0.25 * mesh.volume
-        product = np.einsum("mai,mbj->maibj", dn, dn)
-        out += (w * lam[:, q])[:, None, None, None, None] * product
-        swapped = product.transpose(0, 1, 4, 3, 2)
-        dots = np.einsum("mac,mbc->mab", dn, dn)
-        shear = (w * mu[:, q])[:, None, None, None, None]
-        out += shear * swapped
-        for c in range(3):
-            out[:, :, c, :, c] += (w * mu[:, q])[:, None, None] * dots
-    return out.reshape(m, 30, 30)
-
-
-def assemble(points: int, elements: np.ndarray, blocks: np.ndarray) -> sp.csr_matrix:
-    """Sum element blocks into a stiffness of all ``points`` (3 n, 3 n) [N/m].
-
-    Args:
-        points: number of nodes n. elements: nodes of each element (m, a). blocks: (m, 3 a, 3 a) [N/m], rows node by node.
-    """
-    size = 3 * elements.shape[1]
-    dof = (3 * elements[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(elements), size)
-    row = np.repeat(dof, size, axis=1).ravel()
-    column = np.tile(dof, (1, size)).ravel()
-    return sp.coo_matrix((blocks.ravel(), (row, column)), shape=(3 * points, 3 * points)).tocsr()
+def assemble(points: int, blocks: tuple[Block, ...]) -> sp.csr_matrix:
+    """Stiffness of all ``blocks`` at rest, supports not held, (3 n, 3 n) [N/m], for n = ``points`` nodes."""
+    total = sp.csr_matrix((3 * points, 3 * points))
+    for block in blocks:
+        values = block.element.rest_stiffness(block)
+        size = values.shape[1]
+        dof = (3 * block.nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(block), size)
+        row, column = np.repeat(dof, size, axis=1).ravel(), np.tile(dof, (1, size)).ravel()
+        total = total + sp.coo_matrix((values.ravel(), (row, column)), shape=total.shape).tocsr()
+    return total

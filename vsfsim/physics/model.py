@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,16 +11,20 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
+from vsfsim.physics.elements import tet10
+from vsfsim.physics.elements.block import Block
 from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.mesh import QuadraticMesh, assemble, quadratic_mesh, rest_stiffness_blocks
+from vsfsim.physics.mesh import QuadraticMesh, assemble, quadratic_mesh
 from vsfsim.physics.soundness import refuse_loose, sound
+
+Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
 
 
 @dataclass(frozen=True)
 class Model:
     """One body in the world frame.
 
-    mesh: quadratic tetrahedra, world frame. young_modulus: at the Gauss points (m, 4) [Pa]. mu, lam: Lamé's constants (m, 4) [Pa].
+    mesh: quadratic tetrahedra, world frame. blocks: its elements. young_modulus: at the Gauss points of the mesh (m, 4) [Pa].
     free: 1 where a degree of freedom may move (3 n,). load: gravity's nodal forces (3 n,) [N].
     surface_modulus: modulus under each boundary triangle (f,) [Pa].
     solid: where it came from. element_size: cube root of the mean volume of a hexahedron's worth of tets [m].
@@ -26,15 +32,26 @@ class Model:
     """
 
     mesh: QuadraticMesh
+    blocks: tuple[Block, ...]
     young_modulus: np.ndarray
-    mu: np.ndarray
-    lam: np.ndarray
     free: np.ndarray
     load: np.ndarray
     surface_modulus: np.ndarray
     solid: Solid
     element_size: float
     factor: RestFactor = field(repr=False)
+
+    def grounding(self) -> np.ndarray:
+        """Stiffness with which anchors tie each degree of freedom to the ground (3 n,) [N/m]; their pull is a support reaction."""
+        out = np.zeros(len(self.free))
+        for block in self.blocks:
+            if block.kind == "anchor":
+                np.add.at(out.reshape(-1, 3), block.nodes[:, 0], block.parameters["stiffness"][:, None])
+        return out
+
+    def hold(self, free: np.ndarray) -> Model:
+        """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
+        return dataclasses.replace(self, free=free, factor=RestFactor(self.factor.stiffness, free, self.mesh.surface_nodes()))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -49,6 +66,16 @@ def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: fl
     return ((points >= low - 1e-9) & (points <= high + 1e-9)).all(axis=1)
 
 
+def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
+    """The elements of a solid: quadratic tetrahedra.
+
+    Args:
+        mesh: placed. young_modulus: at the Gauss points (m, 4) [Pa]. poisson_ratio: nu, 0 to 0.4999.
+    """
+    mu, lam = lame(young_modulus, poisson_ratio)
+    return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam),)
+
+
 def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np.ndarray:
     """Consistent nodal weight (3 n,) [N]: -1/20 of a tetrahedron's weight on each corner, 1/5 on each edge node."""
     share = np.array([-0.05] * 4 + [0.2] * 6)
@@ -59,7 +86,8 @@ def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np
 
 def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float, fixed: str | tuple[float, ...],
                 bottom_tolerance: float, where: str, density: float = 1000.0, gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
-                rotation: np.ndarray | None = None, translation: np.ndarray | None = None) -> Model:
+                rotation: np.ndarray | None = None, translation: np.ndarray | None = None,
+                elements: Elements = tetrahedra) -> Model:
     """Put a solid into the world, hold it and factorise its rest state.
 
     Args:
@@ -67,6 +95,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         young_modulus: E at the Gauss points of its quadratic mesh (m, 4) [Pa].
         poisson_ratio: nu. fixed, bottom_tolerance: see `held_nodes`. where: scene and section, for messages.
         density: [kg/m^3]. gravity: [m/s^2], world. rotation (3, 3), translation (3,) [m]: object to world.
+        elements: makes the blocks of elements of the placed mesh, from (mesh, young_modulus, poisson_ratio).
 
     Raises:
         SceneError: the supports hold nothing, or fewer than three points that fix the body, or leave a part of it loose.
@@ -92,9 +121,9 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if translation is None else np.asarray(translation, float)
     placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces, mesh.owner)
-    mu, lam = lame(young_modulus, poisson_ratio)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
-    stiffness = assemble(len(placed.points), placed.tets, rest_stiffness_blocks(placed, mu, lam))
+    blocks = elements(placed, young_modulus, poisson_ratio)
+    stiffness = assemble(len(placed.points), blocks)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
-    return Model(placed, young_modulus, mu, lam, free, gravity_load(placed, density, np.asarray(gravity)),
+    return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor.of(stiffness, free, placed.surface_nodes()))

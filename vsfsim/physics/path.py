@@ -11,15 +11,21 @@ from vsfsim.core.shape import Plane
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
 
-_PART = 0.5  # of the thinnest body's inner radius: a wall that is met then lies in its nearer half, and is pushed the right way
+_PART = 0.5  # of the thinnest body's inner radius: a wall that is met then lies in its nearer half, and is pushed the right way;
+# and not further than the wall is thick, or its other side is met as well
 _MOST = 100  # pieces of one frame
 _DEEP = 0.2  # of the same radius: a first pose deeper than this is come to from outside
 _SAMPLES = 4000
 
 
-def stride(bodies: RigidBodies) -> float:
-    """Longest way [m] that the bodies may go in one step; infinite for planes."""
-    return _PART * min(_inner_radius(bodies, k) for k in range(len(bodies)))
+def stride(bodies: RigidBodies, thickness: float) -> float:
+    """Longest way [m] that the bodies may go in one step against an object of this mean ``thickness`` [m], see `mean_thickness`."""
+    return min(thickness, _PART * min(_inner_radius(bodies, k) for k in range(len(bodies))))
+
+
+def mean_thickness(model: Model) -> float:
+    """Twice the volume over the surface [m]: of a sheet or a hollow body its wall."""
+    return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
 
 
 def _inner_radius(bodies: RigidBodies, k: int) -> float:
@@ -62,14 +68,20 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
     return np.minimum(np.where(((now * last).sum(axis=1) > 0.0) & (size > 0.0), even, 0.0), 2.0)
 
 
-def outside(bodies: RigidBodies, model: Model, pose: np.ndarray) -> np.ndarray:
-    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in it, else moved straight out of it."""
+def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray) -> np.ndarray:
+    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in it, else moved straight out of it.
+
+    Args:
+        bodies: the bodies. model: the object. pose: (B, K, 4, 4). gap: least gap of each touch there (B,) [m].
+    """
     out = pose.copy()
+    if (gap >= 0.0).all():
+        return out
     surface = model.mesh.points[model.mesh.surface_nodes()]
     for k in range(len(bodies)):
         inner = _inner_radius(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
-        for b in range(len(pose)):
+        for b in np.flatnonzero(gap < -deep):
             turn, at = pose[b, k, :3, :3], pose[b, k, :3, 3]
 
             def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at) -> float:

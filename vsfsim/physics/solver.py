@@ -32,6 +32,7 @@ Rows = dict[str, np.ndarray]
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
+_WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
 _KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
@@ -59,6 +60,7 @@ class Solver:
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
         self.device, self.precision, self.linear = device, precision, linear
         self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
+        self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         weight = np.abs(model.load).sum()
         # forces under this are zero: a billionth of the softest modulus on one element face
         self._floor = max(1e-9 * float(model.young_modulus.min()) * model.element_size**2, 1e-6 * weight)
@@ -86,15 +88,17 @@ class Solver:
     def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
-        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device)
+        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
         self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
         every = self._balance.every
-        previous = path.outside(self.bodies, self.model, poses[0])
-        stride = path.stride(self.bodies)
+        previous = path.outside(self.bodies, self.model, poses[0], self.touching.first_gap)
+        stride = path.stride(self.bodies, path.mean_thickness(self.model))
         self._pushed = torch.zeros_like(self.touching.rest)
         if self.linear:
             sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
             self._sag = torch.as_tensor(np.repeat(sag, batch, axis=1), device=self.device)
+        else:
+            self._take_up_weight(previous)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -142,6 +146,35 @@ class Solver:
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
+
+    def _take_up_weight(self, pose: np.ndarray) -> None:
+        """The equilibrium under the load alone, which all touches begin from: in parts, as large as they converge in few iterations."""
+        balance, touching = self._balance, self.touching
+        if not self.model.load.any():
+            return
+        deadline = time.perf_counter() + self.options.seconds
+        first, whole = balance.every[:1], balance.load
+        touching.begin(pose, balance.u)
+        touching.move(pose)
+        touching.softening[:] = 0.0  # nothing touches yet
+        balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
+        linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
+        slope = torch.as_tensor(linear, dtype=balance.real, device=self.device)
+        done, part, u = 0.0, 1.0, torch.zeros_like(slope)
+        while done < 1.0 and part >= _WEIGHT_LEAST and time.perf_counter() < deadline:
+            share = min(part, 1.0 - done)
+            balance.load = (done + share) * whole
+            balance.u[:, :1] = u + share * slope
+            balance.count()
+            balance.solve(first, balance.evaluate(first), self.options.tolerance, deadline)
+            if balance.reason[0] == Reason.NONE:
+                slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
+                done, part = done + share, 2.0 * part
+            else:
+                part = 0.5 * share
+        balance.load, balance.options = whole, self.options
+        balance.u[:] = u
+        touching.softening[:] = 1.0
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
@@ -193,7 +226,9 @@ class Solver:
         touching.move(pose)
         memory = touching.memory()
         self._equilibrium(columns, pose, begin, deadline)
-        failed = columns[torch.as_tensor(balance.reason[columns.cpu().numpy()] != Reason.NONE, device=self.device)]
+        asked = columns.cpu().numpy()
+        again = (balance.reason[asked] != Reason.NONE) & (balance.cg[asked] < self.options.cg_frame)
+        failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
             return
         host = failed.cpu().numpy()
@@ -296,7 +331,9 @@ class Solver:
         batch = len(every)
         contact, internal = state["contact"], state["internal"]
         on_object = contact.view(-1, 3, batch).sum(dim=0).T
-        held = ((internal - balance.load - contact) * (1.0 - balance.free)).view(-1, 3, batch).sum(dim=0).T
+        held = (internal - balance.load - contact) * (1.0 - balance.free)
+        # anchors tie the object to the ground: what they pull is a reaction of the supports
+        held = (held - self._grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
         weight = balance.load.view(-1, 3).sum(dim=0)
         unbalanced = (held + on_object + weight).norm(dim=1)
         largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)

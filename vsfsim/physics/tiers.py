@@ -16,20 +16,24 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics import sdf
 from vsfsim.physics.conform import snap_to_inclusions
 from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.elements.spring import POISSON_RATIO
+from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.frames import SolverOptions
 from vsfsim.physics.mesh import gauss_points
-from vsfsim.physics.model import Model, build_model
+from vsfsim.physics.model import Elements, Model, build_model, tetrahedra
+from vsfsim.physics.network import spring_network
 
 
 @dataclass(frozen=True)
 class Tier:
     """One rung.
 
-    nonlinear: large deformation and a nonlinear law, or the rest state's linear response.
+    elements: what fills the body. nonlinear: Newton's method, or the rest state's linear response (exact for anchors, whose law is linear).
     body: element size over the body's size (cube root of its bounding box, see `body_limit`). probe: element size over the probe's radius.
     family: element size of a procedural family [m]. tolerance: of the equilibrium, see `SolverOptions`.
     """
 
+    elements: Elements
     nonlinear: bool
     body: float
     probe: float
@@ -38,10 +42,12 @@ class Tier:
 
 
 TIERS: dict[str, Tier] = {
-    "linear": Tier(False, 1 / 8, 1 / 2, 0.017, 1e-6),
-    "fem-coarse": Tier(True, 1 / 8, 1 / 2, 0.017, 1e-3),
-    "fem": Tier(True, 1 / 13, 1 / 3, 0.014, 5e-4),
-    "fem-fine": Tier(True, 1 / 16, 1 / 4.5, 0.011, 1e-4),
+    "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
+    "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
+    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4),
+    "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3),
+    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4),
+    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4),
 }
 # a scan has no flat base: this part of its height stands for it. A ball of 80 mm then stands on a foot of 35 mm;
 # with 2 % it was 22 mm, held by a dozen nodes, and a lumpy blob tipped over under 0.4 N
@@ -51,9 +57,9 @@ NARROW = 1 / 3
 # a sheet of 0.3 x 0.2 x 0.001 m would take 60,000 cells as long as it is thick, twice; with this many it has 47 along its length, and its
 # bending does not need more
 THIN_CELLS = 1500
-_NOT_BUILT = ("vsf", "spring")
 # the cheapest tier that shows each need
-_SHOWS = {"normal-force": "linear", "appearance": "linear", "bulging": "fem-coarse", "large-deformation": "fem"}
+_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear", "bulging": "fem-coarse", "large-deformation": "fem"}
+_UNSAID = "linear"  # a scene that names no need gets a force that can be trusted, not the cheapest toy
 
 
 def choose(scene: Scene, asked: str | None = None) -> str:
@@ -63,20 +69,22 @@ def choose(scene: Scene, asked: str | None = None) -> str:
         scene: its ``needs`` and ``[object] tier``. asked: a tier that overrides the scene's.
 
     Raises:
-        SceneError: the tier asked for cannot show what the scene needs, or is not built yet.
+        SceneError: the tier asked for is unknown, or cannot show what the scene needs or is made of.
     """
     order = list(TIERS)
-    enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default="linear")
+    enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_UNSAID)
     tier = asked or scene.object.tier
+    squeezed = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
-        return enough
-    if tier not in TIERS and tier not in _NOT_BUILT:
+        return "spring" if enough == "vsf" and squeezed else enough
+    if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
-    if tier in _NOT_BUILT:
-        raise SceneError(f"{scene.source} [object]: tier '{tier}' is not built yet; take one of {', '.join(TIERS)}, or auto.")
-    if order.index(tier) < order.index(enough):
+    if scene.needs and order.index(tier) < order.index(enough):
         needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
         raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use '{enough}' or above.")
+    if tier == "vsf" and squeezed:
+        raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for tier 'vsf', whose layers cannot move "
+                         f"sideways: its stiffness has no bound as nu goes to 1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'spring' or above.")
     return tier
 
 
@@ -104,7 +112,7 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
 
 def body_limit(size: np.ndarray, part: float) -> float:
     """Element [m] of which ``part`` ** -3 cells fill the bounding box of edges ``size`` (3,) [m]: cubes, or two layers of a thin body."""
-    thickness, *face = np.sort(size)
+    face = np.sort(size)[1:]
     return max(part * float(np.prod(size)) ** (1 / 3), part**1.5 * float(2.0 * np.prod(face)) ** 0.5)
 
 
@@ -207,5 +215,10 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
     tolerance = (FOOT if isinstance(spec.shape, MeshFile) else 1e-6) * height
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
         solid = dataclasses.replace(solid, notes=(*solid.notes, foot_note(solid, tolerance)))
+    if tier == "spring" and spec.poisson_ratio != POISSON_RATIO:
+        solid = dataclasses.replace(solid, notes=(*solid.notes, (
+            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has {POISSON_RATIO:g}, whatever its constants. "
+            "Young's modulus is kept; use 'linear' or above where nu matters.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
-                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift)
+                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift,
+                       elements=TIERS[tier].elements)

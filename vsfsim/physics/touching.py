@@ -29,10 +29,12 @@ class Touching:
     Args:
         model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,) [-].
         poses: bodies to world (T, B, K, 4, 4), to find what is in reach. device: Warp device.
+        exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
-    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str):
-        self.model, self.bodies, self.device = model, bodies, device
+    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
+                 exact: bool = True):
+        self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
         self.kernels = contact.kernels()
         self.rubs = bool((friction > 0.0).any())
         self.stick = contact.STICK
@@ -41,8 +43,11 @@ class Touching:
         self._shape = self.kernels.mat66(contact.SHAPE)
         self._surface = model.mesh.surface_nodes()
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
-        near = self._nearest(poses, torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]).cpu().numpy()
-        self.patches = [contact.make_patch(model.mesh, self._reachable(near[:, b]), model.surface_modulus) for b in range(poses.shape[1])]
+        rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
+        self.first_gap = self._nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
+        self._area = model.mesh.face_area()
+        reachable = self._reachable(self._nearest(poses, rest)).cpu().numpy()
+        self.patches = [self._patch(np.flatnonzero(within)) for within in reachable]
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self._upload()
 
@@ -56,12 +61,15 @@ class Touching:
             wp.from_torch(points.contiguous(), dtype=k.vec3), wp.from_torch(out)])
         return out
 
-    def _reachable(self, gap: np.ndarray) -> np.ndarray:
-        """Boundary triangles that may be met on the way, by rest position (gap (s,) of the surface nodes) and a margin for what bulges up."""
-        nearest = np.full(len(self.model.mesh.points), np.inf)
-        nearest[self._surface] = gap
-        margin = 0.15 * max(0.0, -float(gap.min())) + 0.1 * self.model.element_size
-        return np.flatnonzero(nearest[self.model.mesh.faces].min(axis=1) < margin)
+    def _reachable(self, gap: torch.Tensor) -> torch.Tensor:
+        """Boundary triangles (B, f) bool that may be met on the way, by rest position (gap (s, B) of the surface nodes) and a margin for what bulges up."""
+        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype, device=self.device)
+        nearest[torch.as_tensor(self._surface, device=self.device)] = gap
+        margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
+        return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
+
+    def _patch(self, faces: np.ndarray) -> contact.Patch:
+        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces])
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
@@ -70,12 +78,10 @@ class Touching:
         listed = np.full((batch, nodes), -1, np.int64)
         local = np.zeros((batch, faces, 6), np.int32)
         stiffness = np.zeros((batch, faces, 6))
-        shape = np.zeros((batch, faces, 6, nodes))
         member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
             f = len(p.faces)
             listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b, p.faces] = p.nodes, p.local, p.stiffness, True
-            shape[b, np.arange(f)[:, None, None], np.arange(6)[None, :, None], p.local[:, None, :]] = contact.SHAPE[None]
 
         def tensor(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(values, device=self.device)
@@ -89,7 +95,10 @@ class Touching:
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.real = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
-        self._points = tensor(shape.reshape(batch, 6 * faces, nodes))
+        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
+        at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
+        values = tensor(contact.SHAPE).repeat(faces, 1).expand(batch, -1, -1)
+        self._points = zeros(batch, 6 * faces, nodes).scatter_(2, at, values)
         self._member = tensor(member)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
@@ -115,7 +124,7 @@ class Touching:
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
             "softening": wp.from_torch(self.softening),
         }
-        self.response: Response = response(self.model.factor, self.dof, device=self.device)
+        self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
         self.compliance = self.response.compliance()
 
     # ------------------------------------------------------------------------------------------ poses and history
@@ -280,7 +289,7 @@ class Touching:
                 near = np.zeros(len(mesh.points), bool)
                 near[mesh.faces[extra]] = True
                 faces = np.union1d(self.patches[b].faces, np.flatnonzero(near[mesh.faces].any(axis=1)))
-                self.patches[b] = contact.make_patch(mesh, faces, self.model.surface_modulus)
+                self.patches[b] = self._patch(faces)
         self._upload()
         if self.rubs:
             for b, faces in enumerate(old):

@@ -1,6 +1,8 @@
 """The default features: what a view says about a surface at several metric scales, without anything to download.
 
-For every masked pixel, at scales given in metres (so that the camera's distance does not matter):
+`local`, for the tens of training objects there usually are: the mean colour over 8 mm, the energy of three bands of luminance (texture), and of every
+particle its position, depth behind the surface and distance to the nearest visible point: 11 numbers. `local-full` has everything below. With a
+dozen shoes to learn from its 32 numbers overfit; with many it has more to say. For every masked pixel, at scales given in metres (so that the camera's distance does not matter):
 
     colour      log luminance and two opponent colours, blurred over 3, 8 and 20 mm
     texture     energy of the band between consecutive scales in luminance, and of the opponent colours; how much one direction
@@ -25,28 +27,34 @@ SCALES = (0.003, 0.008, 0.020)
 _CURVATURE_SCALES = (0.008, 0.020)
 # Darker than this is black to an 8-bit camera; it keeps the logarithm finite.
 _DARKEST = 0.01
+# Of the colour channels: luminance and opponents over 8 mm, and the three bands of luminance.
+_FEW = (1, 4, 7, 9, 10, 11)
 # Depths behind the surface beyond this say no more than "deep" [m].
 _DEEPEST = 0.05
 
 
 class LocalDescriptor:
-    """See the module."""
+    """See the module. full: all channels."""
+
+    def __init__(self, *, full: bool = False):
+        self.full = full
 
     def image(self, view: View) -> FeatureImage:
         """Dense features, one cell a pixel (H, W, C)."""
         mask = np.asarray(view.mask, bool)
         pixel_size = float(np.median(view.depth[mask])) / float(view.intrinsics[0, 0])
-        channels = [*_colour(view.rgb, mask, pixel_size), *_surface(view, mask, pixel_size)]
+        channels = _colour(view.rgb, mask, pixel_size)
+        channels = [*channels, *_surface(view, mask, pixel_size)] if self.full else [channels[k] for k in _FEW]
         values = np.stack(channels, axis=-1).astype(np.float32)
         seen = values[mask].astype(np.float64)
         return FeatureImage(values, mask, np.concatenate([seen.mean(axis=0), seen.std(axis=0)]).astype(np.float32))
 
     def of_particles(self, view: View, geometry: Geometry) -> np.ndarray:
-        """Position, depth behind the surface, distance to the nearest visible point, both logarithmic, and height (n, 6)."""
+        """Position, depth behind the surface and distance to the nearest visible point, both logarithmic; if full, height, too (n, 5 or 6)."""
         away = cKDTree(view.points()).query(geometry.points)[0]
         behind = np.clip(geometry.behind, 0.0, _DEEPEST)
         depth = np.log1p(np.stack([behind, away], axis=1) / geometry.spacing)
-        return np.concatenate([normalised_position(view, geometry.points), depth, geometry.points[:, 2:]], axis=1)
+        return np.concatenate([normalised_position(view, geometry.points), depth, geometry.points[:, 2:][:, : int(self.full)]], axis=1)
 
 
 class _Blur:

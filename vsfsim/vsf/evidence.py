@@ -46,7 +46,7 @@ class _Block:
 class Evidence:
     """The readings of one object, reduced.
 
-    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior changes.
+    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior changes, in nats [-].
     readings: how many there were. shared: components beside the heterogeneous ones, s.
     """
 
@@ -118,7 +118,7 @@ class _MarginalNll(torch.autograd.Function):
     """Value and closed-form gradient of eq. 15."""
 
     @staticmethod
-    def forward(ctx, evidence, mean, var, group_mean, group_var):  # noqa: ANN001, ANN205  torch's own signature
+    def forward(ctx, evidence, mean, var, group_mean, group_var):
         need = any(ctx.needs_input_grad)
         value = torch.zeros((), dtype=mean.dtype, device=mean.device)
         s = len(group_mean)
@@ -171,7 +171,7 @@ class _MarginalNll(torch.autograd.Function):
         return value
 
     @staticmethod
-    def backward(ctx, above):  # noqa: ANN001, ANN205  torch's own signature
+    def backward(ctx, above):
         return None, *(above * gradient for gradient in ctx.saved_tensors)
 
 

@@ -5,7 +5,8 @@ by bilinear interpolation at its pixel, an occluded one takes the mean of its 10
 add columns that only geometry can tell (how deep behind the surface a particle lies).
 
     xyzrgb      normalised position and colour (SBML appendix C.6), 6 numbers
-    local       the default: colour, texture and surface geometry at several metric scales, and position, see `descriptor`
+    local       the default: colour, texture and place relative to the seen surface, see `descriptor`, 11 numbers
+    local-full  the same at more scales, with normals, curvature and the distance to the outline, 32 numbers
     dinov2-s    DINOv2 ViT-S/14 patch features (SBML's default), 384 numbers; needs weights, see `dinov2`
     dinov2-b    DINOv2 ViT-B/14, 768 numbers
 """
@@ -203,10 +204,13 @@ def _extractor(name: str, weights: str, device: str) -> XyzRgb:
     return NAMES[name](weights, device)
 
 
-def _local(_weights: str, _device: str) -> XyzRgb:
-    from vsfsim.vsf.descriptor import LocalDescriptor
+def _local(full: bool) -> Callable[[str, str], XyzRgb]:
+    def make(_weights: str, _device: str) -> XyzRgb:
+        from vsfsim.vsf.descriptor import LocalDescriptor
 
-    return LocalDescriptor()
+        return LocalDescriptor(full=full)
+
+    return make
 
 
 def _dinov2(size: str) -> Callable[[str, str], XyzRgb]:
@@ -219,7 +223,8 @@ def _dinov2(size: str) -> Callable[[str, str], XyzRgb]:
 
 
 NAMES: Mapping[str, Callable[[str, str], XyzRgb]] = {
-    "local": _local,
+    "local": _local(False),
+    "local-full": _local(True),
     "xyzrgb": lambda _weights, _device: XyzRgb(),
     "dinov2-s": _dinov2("small"),
     "dinov2-b": _dinov2("base"),

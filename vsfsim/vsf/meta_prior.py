@@ -7,6 +7,7 @@ so the default here is the softplus; `output="relu"` is the paper's, with a floo
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,8 +33,8 @@ _SMALL = 500_000
 class Spread:
     """What the training objects' own fits say about their stiffnesses [N/m], for the initial uncertainty (SBML section 3.3).
 
-    mean: of all touched particles. std: of one particle around it. shared_std: of a shared component (of the objects' means for HO, of the
-    segments' for SEG); 0 for HE.
+    mean: of all touched particles [N/m]. std: of one particle around it [N/m]. shared_std: of a shared component (of the objects' means for
+    HO, of the segments' for SEG) [N/m]; 0 for HE.
     """
 
     mean: float
@@ -65,7 +66,7 @@ class MetaPrior(nn.Module):
         if not 0.0 <= dropout < 1.0 or not spread.std > 0.0:
             raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread {spread.std!r} (greater than 0).")
         widths, layers = [size, *hidden], []
-        for a, b in zip(widths[:-1], widths[1:]):
+        for a, b in itertools.pairwise(widths):
             layers += [nn.Linear(a, b), nn.ReLU(), nn.Dropout(dropout)]
         self.he = nn.Sequential(*layers, nn.Linear(widths[-1], 2))
         self.output, self.unit = output, spread.std
@@ -109,7 +110,7 @@ class MetaPrior(nn.Module):
 
 @dataclass(frozen=True)
 class Training:
-    """How `train` went. best: epoch whose weights were kept. train, validation: NLL a reading, by epoch (epoch 0 is before any step)."""
+    """How `train` went. best: epoch whose weights were kept. train, validation: NLL of a reading in nats [-], by epoch (epoch 0 is before any step)."""
 
     best: int
     train: tuple[float, ...]

@@ -150,7 +150,7 @@ def _along(values: torch.Tensor, time: torch.Tensor, vertex: torch.Tensor) -> to
 
 @dataclass(frozen=True)
 class Fitting:
-    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6. free_space: lambda, on K over the field's unit. free_points: n_reg.
+    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K over the field's unit. free_points: n_reg.
     seed: of initial weights and batches."""
 
     iterations: int = 2000

@@ -14,6 +14,8 @@ from scipy import sparse
 
 # How much larger than the free gradient the held ones' pull must be to release them; the authors' choice.
 _PROPORTION = 1.0
+# Entries of a row, on average over entries, up to which A^T A is formed: it costs as much as that many products with A.
+_GATHER = 60.0
 
 
 def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: np.ndarray, tolerance: float = 1e-7, steps: int = 5000) -> tuple[np.ndarray, int]:
@@ -28,8 +30,11 @@ def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: 
     at, ridge = sparse.csr_matrix(a.T), scale**2
     right = at @ b + scale * x0
 
+    # Readings of many frames share few pairs of particles: their products are then gathered once. Dense rows would fill the matrix.
+    gathered = sparse.csr_matrix(at @ a) if float((np.diff(a.indptr).astype(float) ** 2).sum()) < _GATHER * max(a.nnz, 1) else None
+
     def times(v: np.ndarray) -> np.ndarray:
-        return at @ (a @ v) + ridge * v
+        return (at @ (a @ v) if gathered is None else gathered @ v) + ridge * v
 
     y = np.maximum(start, 0.0) / scale
     goal = tolerance * max(float(np.linalg.norm(right)), 1e-300)

@@ -91,29 +91,65 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
     if g.shape[1] == 0:
         return posterior_std(w, noise_std=noise_std, prior_var=prior.var)
     out = prior.var + g.multiply(g) @ prior.group_var
-    read = np.flatnonzero(np.diff(w.indptr))
-    if len(read) == 0:
+    white = _Whitener.of(w, noise_std, prior)
+    if white is None:
         return np.sqrt(out)
-    noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
-    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
-    touched = np.flatnonzero(np.diff(a.tocsc().indptr))
-    if len(touched) < a.shape[0]:
-        r = linalg.qr(a[:, touched].toarray(), mode="r")[0][:len(touched)]
-        a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)), shape=(len(r), w.shape[1]))
-    members = sparse.csr_matrix(g)
-    ag = (a @ members).toarray()
-    shared = ag * prior.group_var
-    ad = sparse.csc_matrix(a @ sparse.diags_array(prior.var))
-    spread = (ad @ a.T).toarray() + shared @ ag.T
-    spread[np.diag_indices_from(spread)] += 1.0
-    factor = linalg.cholesky(spread, lower=True)
+    identity = sparse.identity(len(out), format="csr")
     for start in range(0, len(out), _BLOCK):
         part = slice(start, start + _BLOCK)
-        columns = ad[:, part].toarray() + shared @ members[part].toarray().T
-        white = linalg.solve_triangular(factor, columns, lower=True)
-        out[part] -= np.einsum("ij,ij->j", white, white)
+        out[part] -= np.einsum("ij,ij->j", *[white.of_rows(identity[part], prior)] * 2)
     # What float64 leaves of a particle known to 1e-7 of its prior.
     return np.sqrt(np.maximum(out, 1e-14 * prior.total_std() ** 2))
+
+
+def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
+    """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
+
+    Args:
+        w: rows that were read (m, n). query: rows of readings to come, Q (q, n). noise_std: of the readings of ``w``. prior: on theta.
+    """
+    query = sparse.csr_matrix(query)
+    shared = (query @ sparse.csr_matrix(prior.membership)).toarray()
+    out = query.multiply(query) @ prior.var + shared**2 @ prior.group_var
+    before = out.copy()
+    white = _Whitener.of(sparse.csr_matrix(w), noise_std, prior)
+    if white is not None:
+        for start in range(0, len(out), _BLOCK):
+            part = slice(start, start + _BLOCK)
+            out[part] -= np.einsum("ij,ij->j", *[white.of_rows(query[part], prior)] * 2)
+    return np.sqrt(np.maximum(out, 1e-14 * before))
+
+
+@dataclass(frozen=True)
+class _Whitener:
+    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P A^T + 1 (r, r)."""
+
+    a: sparse.csr_matrix
+    shared: np.ndarray
+    factor: np.ndarray
+
+    @classmethod
+    def of(cls, w: sparse.csr_matrix, noise_std: np.ndarray | float, prior: GaussianPrior) -> _Whitener | None:
+        """None without a reading that any particle moves."""
+        read = np.flatnonzero(np.diff(w.indptr))
+        if len(read) == 0:
+            return None
+        noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
+        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
+        touched = np.flatnonzero(np.diff(a.tocsc().indptr))
+        if len(touched) < a.shape[0]:
+            r = linalg.qr(a[:, touched].toarray(), mode="r")[0][:len(touched)]
+            a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)), shape=(len(r), w.shape[1]))
+        shared = (a @ sparse.csr_matrix(prior.membership)).toarray()
+        spread = (a @ sparse.diags_array(prior.var) @ a.T).toarray() + (shared * prior.group_var) @ shared.T
+        spread[np.diag_indices_from(spread)] += 1.0
+        return cls(a, shared, linalg.cholesky(spread, lower=True))
+
+    def of_rows(self, rows: sparse.csr_matrix, prior: GaussianPrior) -> np.ndarray:
+        """L^-1 A P Q^T for rows Q (q, n): (r, q); its columns' squares are what the readings take off the variances."""
+        members = (rows @ sparse.csr_matrix(prior.membership)).toarray()
+        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray() + (self.shared * prior.group_var) @ members.T
+        return linalg.solve_triangular(self.factor, cross, lower=True)
 
 
 def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior, shared: np.ndarray) -> tuple[float, np.ndarray]:

@@ -1,0 +1,318 @@
+"""What every element must do: energy, force, tangent and its projection agree, and the small-strain modulus is the one put in.
+
+A new element joins by a row in ELEMENTS.
+"""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import warp as wp
+
+from vsfsim.physics.coefficients import confined_modulus, lame
+from vsfsim.physics.elasticity import Elasticity
+from vsfsim.physics.elements import anchor, spring, tet10
+from vsfsim.physics.foundation import foundation
+from vsfsim.physics.mesh import assemble
+from vsfsim.physics.model import tetrahedra
+from vsfsim.physics.network import spring_network
+
+SIZE = (0.02, 0.03, 0.025)
+E = 2e4
+
+
+def tet(pointwise):
+    """Quadratic tetrahedra, with so much of lambda at the Gauss points (in units of mu) and the rest in the element's mean volume."""
+    def make(mesh, young_modulus, poisson_ratio):
+        return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, *lame(young_modulus, poisson_ratio), pointwise=pointwise),)
+
+    return make
+
+
+ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0), "spring": spring_network, "anchor": foundation,
+            "all at once": lambda *given: (*tet(2.0)(*given), *spring_network(*given), *foundation(*given))}
+TIED = ("anchor", "all at once")  # know their place: not free to move
+LINEAR = ("anchor",)
+
+
+class Body:
+    """A model without supports, and its elements for a batch of displacement fields."""
+
+    def __init__(self, model, device, real=wp.float64):
+        self.model = dataclasses.replace(model, free=np.ones_like(model.free))
+        self.elements, self.device, self.real = Elasticity(self.model, device=device, real=real), device, real
+        self.points = model.mesh.points
+
+    def index(self, columns):
+        return wp.array(np.asarray(columns), dtype=wp.int32, device=self.device)
+
+    def put(self, u):
+        return wp.array(u, dtype=self.real, device=self.device)
+
+    def __call__(self, u):
+        """Forces (3 n, B) [N], energy (B,) [J], least det F (B,) at u (3 n, B) [m]."""
+        self.elements.begin(u.shape[1])
+        self.elements.internal.fill_(np.nan)
+        self.elements.energy.fill_(np.nan)
+        self.elements.forces(self.index(range(u.shape[1])), self.put(u))
+        return tuple(a.numpy().astype(float) for a in (self.elements.internal, self.elements.energy, self.elements.least_det))
+
+    def tangent_times(self, u, x, *, projected):
+        """Tangent at u (3 n,) times x (3 n, k)."""
+        index = self.index(range(x.shape[1]))
+        self.elements.begin(x.shape[1])
+        self.elements.tangent(index, self.put(np.repeat(u[:, None], x.shape[1], axis=1)), projected=projected)
+        return self.elements.multiply(index, self.put(x)).numpy().astype(float)
+
+
+@pytest.fixture(scope="module")
+def small(block):
+    """Makes 20 tetrahedra's worth of one kind of element, moduli that vary within each."""
+    rng = np.random.default_rng(0)
+    values = rng.uniform(0.5, 2.0, (10_000, 4))
+
+    def make(kind):
+        return block(SIZE, 0.03, young_modulus=lambda x: E * values[:len(x)], poisson_ratio=0.4, elements=ELEMENTS[kind])
+
+    return make
+
+
+@pytest.fixture(scope="module", params=ELEMENTS)
+def body(small, device, request):
+    made = Body(small(request.param), device)
+    made.kind = request.param
+    return made
+
+
+def crumpled(body, size):
+    """Random nodal displacements (3 n,) of standard deviation ``size`` [m]."""
+    return size * np.random.default_rng(1).standard_normal(body.points.size)
+
+
+# 8e-3 m is about the distance of neighbouring nodes: most elements are turned inside out
+@pytest.mark.parametrize(("size", "inverted"), [(2e-4, False), (8e-3, True)])
+def test_force_is_the_gradient_of_the_energy(body, size, inverted):
+    u = crumpled(body, size)
+    n = len(u)
+    h = 1e-6  # m
+    shifted = np.concatenate([u[:, None] + h * np.eye(n), u[:, None] - h * np.eye(n)], axis=1)
+    energy = body(shifted)[1]
+    slope = (energy[:n] - energy[n:]) / (2 * h)
+    force, _, det = body(u[:, None])
+    assert (det[0] < 0.0) == (inverted and body.kind not in ("spring", "anchor"))
+    # central differences: truncation (h / node distance)^2 ~ 2e-8, of springs that are squeezed to a tenth 2e-6; rounding 1e-16 energy / (h force) ~ 1e-8
+    assert np.abs(force[:, 0] - slope).max() < (2e-6 if body.kind == "spring" else 2e-7) * np.abs(slope).max()
+
+
+def rotation(seed):
+    q, r = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))
+    q = q * np.sign(np.diag(r))
+    return q * np.linalg.det(q)
+
+
+def test_a_rigid_motion_costs_nothing_unless_the_body_is_tied(body):
+    moved = body.points @ rotation(2).T + [0.3, -0.2, 0.1]
+    u = moved - body.points
+    force, energy, det = body(u.reshape(-1, 1))
+    if body.kind in TIED:
+        # and then exactly the energy of the anchors, sum k |u|^2 / 2, and their pull home
+        stiffness = body.model.blocks[-1].parameters["stiffness"]
+        assert energy[0] == pytest.approx(0.5 * (stiffness * (u**2).sum(axis=1)).sum(), rel=1e-12)
+        assert np.abs(force[:, 0] - (stiffness[:, None] * u).ravel()).max() < 1e-12 * np.abs(force).max()
+        return
+    # zero but for rounding of positions of size 0.3 m: strain 1e-16 * 0.3 / 0.01 ~ 3e-15, in units of E area and E volume
+    assert np.abs(force).max() < 1e-13 * E * 0.03**2 * 10
+    assert abs(energy[0]) < 1e-13 * E * np.prod(SIZE)
+    assert det[0] == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("size", [2e-4, 8e-3])
+def test_tangent_is_the_derivative_of_the_force(body, size):
+    u = crumpled(body, size)
+    x = np.random.default_rng(3).standard_normal((len(u), 12))
+    h = 1e-6
+    force = body(np.concatenate([u[:, None] + h * x, u[:, None] - h * x], axis=1))[0]
+    slope = (force[:, :12] - force[:, 12:]) / (2 * h)
+    product = body.tangent_times(u, x, projected=False)
+    # as for the force
+    assert np.abs(product - slope).max() < (5e-6 if body.kind == "spring" else 5e-7) * np.abs(slope).max()
+
+
+@pytest.mark.parametrize("projected", [False, True])
+def test_tangent_is_symmetric_and_its_projection_never_negative(body, projected):
+    u = crumpled(body, 4e-3)
+    whole = body.tangent_times(u, np.eye(len(u)), projected=projected)
+    # rounding only; the sums are of 1e2 terms
+    assert np.abs(whole - whole.T).max() < 1e-12 * np.abs(whole).max()
+    lowest = np.linalg.eigvalsh(0.5 * (whole + whole.T))[0]
+    if projected or body.kind in LINEAR:
+        assert lowest > -1e-12 * np.abs(whole).max()
+    else:
+        assert lowest < -1e-3 * np.abs(whole).max(), "this state was meant to be unstable"
+
+
+@pytest.mark.parametrize("projected", [False, True])
+def test_tangent_at_rest_is_the_rest_stiffness(body, projected):
+    n = body.points.size
+    tangent = body.tangent_times(np.zeros(n), np.eye(n), projected=projected)
+    rest = assemble(len(body.points), body.model.blocks).toarray()
+    # the projection meets eigenvalues that are zero (rotations) and positive: nothing to do, but for rounding of singular values of 1
+    assert np.abs(tangent - rest).max() < 1e-12 * np.abs(rest).max() * (1e4 if projected else 1.0)
+    assert np.abs(body.model.factor.stiffness - rest).max() < 1e-12 * np.abs(rest).max()
+
+
+def test_touches_keep_to_themselves(body):
+    """Projected and true columns side by side, some renewed and some not, in another order: each is as if alone."""
+    rng = np.random.default_rng(4)
+    n = body.points.size
+    u, x = 4e-3 * rng.standard_normal((n, 4)), rng.standard_normal((n, 2))
+    alone = {(b, p, k): body.tangent_times(u[:, b], x[:, [k]], projected=p)[:, 0] for b in range(4) for p in (False, True) for k in range(2)}
+    body.elements.begin(4)
+    given = body.put(u)
+    body.elements.tangent(body.index([0, 1, 2, 3]), given, projected=False)
+    body.elements.tangent(body.index([3, 1]), given, projected=True)
+    body.elements.forces(body.index([2, 0]), body.put(np.zeros((n, 4))))  # must not disturb what the tangent remembers
+    for columns, flags in (([3, 0], (True, False)), ([2, 1], (False, True))):
+        product = body.elements.multiply(body.index(columns), body.put(x)).numpy()
+        for k, (b, projected) in enumerate(zip(columns, flags)):
+            assert np.array_equal(product[:, k], alone[b, projected, k])
+
+
+def test_the_bits_are_the_same_again(body):
+    u = crumpled(body, 2e-3)
+    x = np.random.default_rng(3).standard_normal((len(u), 3))
+    first, again = ((*body(u[:, None]), body.tangent_times(u, x, projected=True)) for _ in range(2))
+    assert all(np.array_equal(a, b) for a, b in zip(first, again))
+
+
+def test_held_rows_of_a_product_are_zero(small, device):
+    model = small("all at once")
+    body = Body(model, device)
+    body.model = model
+    body.elements = Elasticity(model, device=device, real=wp.float64)
+    x = np.random.default_rng(3).standard_normal((len(model.free), 2))
+    product = body.tangent_times(np.zeros(len(model.free)), x, projected=False)
+    assert (product[model.free == 0.0] == 0.0).all() and (product[model.free == 1.0] != 0.0).any()
+    expected = (model.factor.stiffness @ x) * model.free[:, None]
+    assert np.abs(product - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def test_single_precision_is_as_good_as_its_digits(body, device):
+    single = Body(body.model, device, wp.float32)
+    u = crumpled(body, 2e-3)[:, None]
+    force, energy, det = body(u)
+    force32, energy32, det32 = single(u)
+    # 6e-8 a rounding, some 30 of them in a row; forces against the largest, as they are sums that cancel
+    assert np.abs(force32 - force).max() < 30 * 6e-8 * np.abs(force).max()
+    assert energy32[0] == pytest.approx(energy[0], rel=30 * 6e-8)
+    assert det32[0] == pytest.approx(det[0], abs=1e-5)
+
+
+# ------------------------------------------------------------------------------------------ what a user observes
+
+
+def pulled(body, size, axis, *, strain=1e-6):
+    """A block on rollers, its far end along ``axis`` pulled, its sides free: observed modulus [Pa], and the two Poisson's ratios."""
+    points = body.points
+    n = points.size
+    stiffness = body.tangent_times(np.zeros(n), np.eye(n), projected=False)
+    held = np.abs(points - points.min(axis=0)) < 1e-9
+    end = np.abs(points[:, axis] - points[:, axis].max()) < 1e-9
+    held[end, axis] = True
+    u = np.zeros_like(points)
+    u[end, axis] = strain * size[axis]
+    u = u.ravel()
+    free = ~held.ravel()
+    u[free] = np.linalg.solve(stiffness[np.ix_(free, free)], -(stiffness @ u)[free])
+    force = body(u[:, None])[0].reshape(-1, 3)[end, axis].sum()
+    moved = u.reshape(-1, 3)
+    across = [-moved[np.abs(points[:, c] - points[:, c].max()) < 1e-9, c].mean() / (size[c] * strain) for c in range(3) if c != axis]
+    return force * size[axis] / (np.prod(size) * strain), across
+
+
+@pytest.mark.parametrize("pointwise", [0.0, 9.0, np.inf])
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49, 0.4999])
+def test_observed_modulus_and_poisson_ratio_of_tetrahedra(block, device, nu, pointwise):
+    body = Body(block(SIZE, 0.03, young_modulus=E, poisson_ratio=nu, elements=tet(pointwise)), device)
+    modulus, across = pulled(body, SIZE, 2)
+    # a homogeneous field, which the element holds exactly. The law is nonlinear: relative differences of the order of the strain
+    # itself, times (lambda + mu) / E ~ 17 at nu 0.49 and 1667 at 0.4999
+    assert modulus == pytest.approx(E, rel=3e-6 * max(1.0, 0.17 / (0.5 - nu)))
+    assert across == pytest.approx([nu, nu], abs=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_observed_modulus_of_a_network_of_springs(block, device, axis):
+    size = (0.06, 0.05, 0.04)
+    body = Body(block(size, 0.01, young_modulus=E, poisson_ratio=0.25, elements=spring_network), device)
+    modulus, across = pulled(body, size, axis)
+    # network.py says to 3 %: it is isotropic on the average of a neighbourhood only, and nodes do not move as their neighbours' mean
+    assert modulus == pytest.approx(E, rel=0.03)
+    assert across == pytest.approx([0.2, 0.2], abs=0.03)
+
+
+def test_a_network_takes_no_notice_of_the_poisson_ratio_and_is_as_stiff_as_its_parts(block):
+    soft, other, two = (block(SIZE, 0.01, young_modulus=e, poisson_ratio=nu, elements=spring_network)
+                        for e, nu in ((E, 0.25), (E, 0.45), (lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E), 0.25)))
+    assert np.array_equal(soft.blocks[0].parameters["stiffness"], other.blocks[0].parameters["stiffness"])
+    middle = soft.mesh.points[soft.blocks[0].nodes].mean(axis=1)[:, 2]
+    ratio = two.blocks[0].parameters["stiffness"] / soft.blocks[0].parameters["stiffness"]
+    assert np.abs(ratio[middle < 0.006] - 1.0).max() < 0.5 and np.abs(ratio[middle > 0.019] / 100.0 - 1.0).max() < 0.5
+
+
+def test_observed_stiffness_of_a_foundation(block, device):
+    """Pressed down as a whole, the top of a layered block answers with the layers' confined moduli in series."""
+    nu, size = 0.3, (0.03, 0.03, 0.02)
+    body = Body(block(size, 0.005, young_modulus=lambda x: np.where(x[..., 2] < 0.01, E, 4.0 * E), poisson_ratio=nu, elements=foundation), device)
+    # away from the edges, where normals turn outwards
+    inner = (np.abs(body.points[:, 2] - 0.02) < 1e-9) & (np.abs(body.points[:, :2]) < 0.0095).all(axis=1)
+    u = np.zeros_like(body.points)
+    u[:, 2] = -1e-4
+    force = body(u.reshape(-1, 1))[0].reshape(-1, 3)[inner, 2].sum()
+    # their part of the surface: 36 of the 6 x 6 squares of 5 mm lie within, shared with the nodes around; count by the shares of a uniform field
+    m = confined_modulus(1.0, nu)
+    pressure = 1e-4 / (0.01 / (m * E) + 0.01 / (4.0 * m * E))
+    stiffness = body.model.blocks[0].parameters["stiffness"]
+    share = np.zeros(len(body.points))
+    for face, area in zip(body.model.mesh.faces, body.model.mesh.face_area()):
+        share[face] += area * np.array([3, 3, 3, 16, 16, 16]) / 57.0
+    assert -force == pytest.approx(pressure * share[inner].sum(), rel=1e-3)
+    assert share.sum() == pytest.approx(body.model.mesh.face_area().sum(), rel=1e-12)
+    assert (stiffness > 0.0).all()
+    assert body.model.grounding() == pytest.approx(np.repeat(stiffness, 3))
+
+
+def test_what_an_element_cannot_be_is_refused():
+    points = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    with pytest.raises(AssertionError):
+        spring.block(np.array([[0, 0]]), points, np.ones(1))  # no length
+    with pytest.raises(AssertionError):
+        spring.block(np.array([[0, 1]]), points, -np.ones(1))
+    with pytest.raises(AssertionError):
+        anchor.block(np.array([0]), np.array([-1.0]))
+    spring.block(np.array([[0, 1]]), points, np.ones(1))
+
+
+def test_a_spring_of_no_length_keeps_finite_numbers(block, device):
+    body = Body(block(SIZE, 0.03, young_modulus=E, poisson_ratio=0.25, elements=spring_network), device)
+    u = -body.points.reshape(-1, 1)  # every node at the origin
+    force, energy, _ = body(u)
+    assert (force == 0.0).all() and energy[0] > 0.0 and np.isfinite(energy[0])
+    assert np.isfinite(body.tangent_times(u[:, 0], np.ones((len(u), 1)), projected=True)).all()
+
+
+def test_bulk_stiffness_is_divided_between_the_points_and_the_mean(block):
+    """All of it acts somewhere, and above nu = 0.47 most of it on the mean volume."""
+    for nu, least, most in ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.4, 0.0, 0.0), (0.45, 0.5, 0.6), (0.48, 0.8, 0.9), (0.4999, 0.999, 1.0)):
+        made, = block(SIZE, 0.03, young_modulus=E, poisson_ratio=nu, elements=tetrahedra).blocks
+        lam = float(lame(E, nu)[1])
+        assert made.parameters["lam"] + made.parameters["mean_lam"][:, None] == pytest.approx(np.full((len(made), 4), lam), rel=1e-8)
+        assert least * lam <= made.parameters["mean_lam"].max() <= most * lam
+
+
+def test_an_element_of_two_moduli_has_one_pressure(block):
+    """The mean part of a mixed element: pressures equal, volume changes add up, so moduli combine harmonically."""
+    made, = block(SIZE, 0.03, young_modulus=lambda x: E * np.array([1.0, 2.0, 4.0, 8.0])[None] * np.ones(x.shape[:2]), poisson_ratio=0.49,
+                  elements=tet(0.0)).blocks
+    lam = float(lame(E, 0.49)[1])
+    assert made.parameters["mean_lam"] == pytest.approx(lam * 4.0 / (1.0 + 0.5 + 0.25 + 0.125), rel=1e-12)

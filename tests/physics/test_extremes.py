@@ -1,0 +1,179 @@
+"""The ends of what a scene may ask: contrast, Poisson's ratio, stiffness, depth, bad meshes, weight. Every frame converges or says why not."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from vsfsim.core.quality import worst_angle
+from vsfsim.core.shape import Sphere
+from vsfsim.core.solid import Solid
+from vsfsim.physics.blocks import box
+from vsfsim.physics.frames import Frames, Reason
+from vsfsim.physics.mesh import gauss_points
+from vsfsim.physics.model import build_model
+from vsfsim.physics.solver import Solver, SolverOptions
+
+SIZE = (0.06, 0.06, 0.03)
+PROBE = Sphere(0.015)
+SECONDS = 4.0  # time limit of a frame [s]
+
+
+def body(modulus=lambda x: np.full(x.shape[:-1], 1e5), *, nu=0.3, solid=None, resolution=0.015, **more):
+    if solid is None:
+        vertices, tets = box(SIZE, resolution)
+        solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
+    return build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9, where="test", **more)
+
+
+def inclusion(contrast, young_modulus=1e5):
+    """A cube of other stuff in the middle of the base, decided element by element."""
+    def modulus(x):
+        centre = np.broadcast_to(x.mean(axis=1, keepdims=True), x.shape)
+        inside = (np.abs(centre[..., :2]) < 0.015).all(axis=-1) & (centre[..., 2] < 0.015)
+        return young_modulus * np.where(inside, contrast, 1.0)
+
+    return modulus
+
+
+def press(model, depths, device, *, linear=False, seconds=SECONDS, tolerance=1e-4):
+    """Frames at ``depths`` (parts of the thickness), which hold what every run must hold, whether it converged or not."""
+    poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
+    # off the planes of symmetry, so that nothing cancels
+    poses[:, 0, :3, 3] = np.array([0.003, 0.001, SIZE[2] + 0.015]) - np.asarray(depths)[:, None] * [0.0, 0.0, SIZE[2]]
+    began = time.perf_counter()
+    frames = Solver(model, PROBE, device=device, linear=linear, options=SolverOptions(tolerance=tolerance, seconds=seconds)).run(poses)
+    took = time.perf_counter() - began
+    # the limit is looked at between Newton's steps, each of which is bounded by its CG iterations; the first run may compile kernels
+    assert took < 60.0 + 3.0 * seconds * len(depths)
+    for f in dataclasses.fields(Frames):
+        assert np.isfinite(np.asarray(getattr(frames, f.name), float)).all(), f.name
+    good = frames.converged
+    assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
+    assert (frames.residual[good] <= tolerance).all() and (frames.force_balance[good] <= 1e-3).all()
+    print(f"{int(good.sum())} of {len(depths)} converged, reasons {frames.reason.ravel().tolist()}, fz {frames.force[:, 0, 2].tolist()}, "
+          f"min det F {frames.min_det_f.min():.2f}, {frames.iterations.sum()} iterations, {frames.cg_iterations.sum()} of CG, {took:.1f} s")
+    return frames
+
+
+# ------------------------------------------------------------------------------------------ contrast and Poisson's ratio
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
+@pytest.mark.parametrize("contrast", [1e-4, 1.0, 1e8])
+def test_contrast_and_poissons_ratio(device, contrast, nu):
+    """A fifth of the thickness: every one of these converges."""
+    frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2], device)
+    assert frames.converged.all()
+    assert (frames.min_det_f > 0.0).all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all() and frames.force[0, 0, 2] > 0.0
+
+
+def test_a_stiff_inclusion_becomes_a_rigid_one(device):
+    """The force has a limit as the contrast grows; an ill-conditioned solve would wander."""
+    force = [press(body(inclusion(c)), [0.1, 0.2], device).force[-1, 0, 2] for c in (1.0, 1e4, 1e6, 1e8)]
+    # the inclusion's own strain is 1e-4 of the body's; two equilibria to a tolerance of 1e-4 each
+    assert force[1] == pytest.approx(force[3], rel=1e-3) and force[2] == pytest.approx(force[3], rel=4e-4)
+    assert force[3] > 1.02 * force[0], "it is there to be felt"
+
+
+@pytest.mark.parametrize("nu", [0.499, 0.4999])
+def test_nearly_incompressible(device, nu):
+    frames = press(body(nu=nu), [0.05, 0.1], device)
+    assert frames.converged[0].all()
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
+    force = np.array([press(body(inclusion(100.0, e)), [0.1, 0.2], device, linear=linear).force[:, 0] / e for e in (1e2, 1e5, 1e11)])
+    # nothing in the solver knows what a pascal is; the equilibria are found to 1e-4
+    assert force[0] == pytest.approx(force[1], abs=3e-4 * force[1].max()) and force[2] == pytest.approx(force[1], abs=3e-4 * force[1].max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nu", [0.0, 0.45, 0.4999])
+@pytest.mark.parametrize("contrast", [1e-8, 1e4])
+def test_half_the_thickness_of_extreme_bodies(device, contrast, nu):
+    press(body(inclusion(contrast), nu=nu), [0.1, 0.2, 0.3, 0.4, 0.5], device)
+
+
+# ------------------------------------------------------------------------------------------ depth
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+def test_four_tenths_of_the_thickness(device, nu):
+    frames = press(body(nu=nu), np.linspace(0.1, 0.4, 4), device)
+    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+
+
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
+def test_eight_tenths_of_the_thickness(device, nu):
+    """A frame that converged has the probe outside, pushed back the way it came, and no element inside out."""
+    frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)
+    good = frames.converged[:, 0]
+    # without Poisson's effect nothing moves aside and the last frames squeeze elements to nothing: those may be marked
+    assert good.all() if nu > 0.0 else good[:6].all()
+    assert (frames.force[good, 0, 2] > 0.0).all(), "the probe went through the surface"
+    assert (np.diff(frames.force[good, 0, 2]) > 0.0).all()
+    assert (frames.min_det_f[good, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_one_step_over_the_whole_depth(device, linear):
+    """No frames in between: halving finds the way, or the frame is marked."""
+    whole = press(body(), [0.4], device, linear=linear)
+    if whole.converged.all():
+        slow = press(body(), [0.1, 0.2, 0.3, 0.4], device, linear=linear)
+        assert whole.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=1e-3)
+
+
+def test_a_hard_frame_ends_in_time(device):
+    hard = body(inclusion(1e8), nu=0.4999)
+    press(hard, [0.1], device)  # compiled and factorised
+    began = time.perf_counter()
+    frames = press(hard, [0.5, 0.8], device, seconds=0.5)
+    assert time.perf_counter() - began < 10.0
+    assert not frames.converged.all() and (frames.reason[~frames.converged] != Reason.NONE).all()
+
+
+# ------------------------------------------------------------------------------------------ meshes
+
+
+def slivered(degrees):
+    """The block with inner vertices pushed towards a neighbour until the least dihedral angle is about ``degrees``."""
+    vertices, tets = box(SIZE, 0.01)
+    inside = np.flatnonzero(((np.abs(vertices[:, :2]) < 0.02) & (vertices[:, 2:] > 0.005) & (vertices[:, 2:] < 0.015)).all(axis=1))
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        part = 0.5 * (low + high)
+        moved = vertices.copy()
+        moved[inside[::2], 2] += part * 0.01
+        low, high = (part, high) if worst_angle(moved, tets) > np.radians(degrees) else (low, part)
+    moved = vertices.copy()
+    moved[inside[::2], 2] += low * 0.01
+    return Solid(moved, tets, np.zeros(len(tets), int), ("body",))
+
+
+def test_slivers(device):
+    """Dihedral angles down to one degree make the problem ill-conditioned, and the force hardly another."""
+    bad, good = slivered(1.0), slivered(20.0)
+    assert np.degrees(worst_angle(bad.vertices, bad.tets)) == pytest.approx(1.0, abs=0.1)
+    forces = [press(body(solid=s, nu=0.45), [0.1, 0.2], device) for s in (bad, good)]
+    assert all(f.converged.all() for f in forces)
+    # a few flat elements in 540 interpolate worse; they do not lock the body
+    assert forces[0].force[-1, 0, 2] == pytest.approx(forces[1].force[-1, 0, 2], rel=0.03)
+
+
+# ------------------------------------------------------------------------------------------ weight
+
+
+@pytest.mark.parametrize("young_modulus", [3e4, 3e3, 3e2])
+def test_heavy_sagging(device, young_modulus):
+    """rho g h / E = 0.01, 0.1, 1: the base carries all the weight in every frame that converged, pressed or not."""
+    model = body(lambda x: np.full(x.shape[:-1], young_modulus), nu=0.45, density=1000.0, gravity=(0.0, 0.0, -9.81))
+    frames = press(model, [-0.5, 0.1], device)
+    good = frames.converged[:, 0]
+    assert good.all() or young_modulus < 1e3
+    weight = 9.81 * 1000.0 * np.prod(SIZE)
+    # the tolerance of 1e-4 is of the sum of nodal forces, twice the weight with its signs
+    assert (frames.reaction[:, 0, 2] - frames.force[:, 0, 2])[good] == pytest.approx(weight, rel=1e-3)

@@ -1,0 +1,107 @@
+"""The way between poses: nothing slips through, whatever the step."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from vsfsim.core.shape import Box, Plane, Sphere
+from vsfsim.physics import path
+from vsfsim.physics.frames import SolverOptions
+from vsfsim.physics.rigid import RigidBodies
+from vsfsim.physics.solver import Solver
+
+USUAL = SolverOptions(tolerance=5e-4)
+
+
+def pose(position, rotation=(0.0, 0.0, 0.0)):
+    out = np.eye(4)
+    out[:3, :3] = Rotation.from_rotvec(rotation).as_matrix()
+    out[:3, 3] = position
+    return out[None, None]  # (B, K, 4, 4)
+
+
+def test_the_stride_is_half_the_inner_radius_or_the_wall(block):
+    model = block((0.1, 0.1, 0.004), 0.02)
+    # volume 4e-5, surface 0.0216: a little under the 4 mm of the sheet, for its edges
+    assert path.mean_thickness(model) == pytest.approx(2 * 4e-5 / 0.0216, rel=1e-9)
+    assert path.stride(RigidBodies(Sphere(0.02)), 0.004) == 0.004
+    assert path.stride(RigidBodies(Sphere(0.02)), 1.0) == pytest.approx(0.01)
+    assert path.stride(RigidBodies(Box((0.1, 0.1, 0.02))), 1.0) == pytest.approx(0.005, rel=0.05)  # found by samples
+    assert path.stride(RigidBodies((Plane(), Sphere(0.004))), 1.0) == pytest.approx(0.002)
+    assert path.stride(RigidBodies(Plane()), 1.0) == 1.0
+
+
+def test_pieces_are_short_even_and_end_where_they_should():
+    bodies = RigidBodies(Box((0.02, 0.02, 0.04)))
+    a, b = pose([0.0, 0.0, 0.1], [0.0, 0.0, 0.3]), pose([0.0, 0.03, 0.08], [0.0, 1.0, 0.3])
+    steps = [a, *path.pieces(a, b, 0.005, bodies)]
+    assert np.array_equal(steps[-1], b) and len(steps) > 5
+    corners = np.array([[x, y, z] for x in (-0.01, 0.01) for y in (-0.01, 0.01) for z in (-0.02, 0.02)])
+
+    def placed(p):
+        return corners @ p[0, 0, :3, :3].T + p[0, 0, :3, 3]
+
+    for p, q in itertools.pairwise(steps):
+        assert np.linalg.norm(placed(q) - placed(p), axis=1).max() <= 0.005 + 1e-12
+        assert q[0, 0, :3, :3] @ q[0, 0, :3, :3].T == pytest.approx(np.eye(3), abs=1e-12)
+
+
+def test_a_pose_that_repeats_is_one_piece():
+    a = pose([0.0, 0.0, 0.1])
+    assert len(list(path.pieces(a, a, 0.001, RigidBodies(Sphere(0.01))))) == 1
+
+
+def test_ratio_of_steps():
+    a, b, c, back = (pose([0.0, 0.0, z]) for z in (0.1, 0.09, 0.085, 0.095))
+    assert path.ratio(a, b, c) == pytest.approx([0.5])
+    assert path.ratio(a, b, back) == [0.0] and path.ratio(a, a, b) == [0.0]
+    assert path.ratio(a, b, pose([0.0, 0.0, 0.0])) == [2.0]
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_twenty_millimetres_in_one_frame_give_what_small_steps_give(block, line, device, linear):
+    model = block((0.06, 0.06, 0.03), 0.015)
+    at = [[0, 0, 0.03 + 0.012 + z] for z in (0.015, -0.005)]
+    options = SolverOptions(tolerance=1e-5)
+    once = Solver(model, Sphere(0.012), device=device, options=options, linear=linear).run(line(at, Sphere(0.012)))
+    slow = Solver(model, Sphere(0.012), device=device, options=options, linear=linear).run(
+        line([[0, 0, z] for z in np.linspace(at[0][2], at[1][2], 21)], Sphere(0.012)))
+    assert once.converged.all() and slow.converged.all()
+    assert once.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=5e-4, abs=1e-4)
+
+
+def test_a_thin_sheet_is_not_jumped_over(block, line, device):
+    """A sheet of 3 mm, held at two edges, and a ball that goes 20 mm in one frame, seven times the sheet's thickness: it is met and carried along."""
+    model = block((0.06, 0.03, 0.003), 0.006, young_modulus=1e5, poisson_ratio=0.3)
+    model = model.hold(np.repeat(np.where(np.abs(model.mesh.points[:, 0]) > 0.0299, 0.0, 1.0), 3))
+    probe = Sphere(0.01)
+    start, stop = 0.003 + 0.01 + 0.014, 0.003 + 0.01 - 0.006
+    once = Solver(model, probe, device=device, options=USUAL).run(line([[0.0, 0.0, start], [0.0, 0.0, stop]], probe))
+    slow = Solver(model, probe, device=device, options=USUAL).run(line([[0.0, 0.0, z] for z in np.linspace(start, stop, 21)], probe))
+    assert slow.converged.all() and slow.force[-1, 0, 2] > 0.05
+    assert once.converged.all()
+    assert once.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=0.002)
+
+
+def test_a_first_pose_deep_inside_is_come_to_from_outside(block, line, device):
+    model = block((0.06, 0.06, 0.03), 0.015)
+    probe = Sphere(0.012)
+    deep = [0.004, 0.0, 0.03 + 0.012 - 0.006]
+    sudden = Solver(model, probe, device=device, options=USUAL).run(line([deep], probe))
+    slow = Solver(model, probe, device=device, options=USUAL).run(line([[0.004, 0.0, 0.03 + 0.012 - z] for z in np.linspace(0.0, 0.006, 7)], probe))
+    assert sudden.converged.all()
+    assert sudden.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=2e-3, abs=2e-3)
+
+
+def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):
+    """A slender beam that sags by a third of its length: the whole load at once does not converge in a dozen iterations."""
+    model = block((0.12, 0.008, 0.008), 0.008, young_modulus=1e5, poisson_ratio=0.3, density=1000.0, gravity=(0.0, 0.0, -1.0),
+                  fixed=(-0.0601, -1, -1, -0.0599, 1, 1))
+    solver = Solver(model, Sphere(0.01), device=device, options=USUAL)
+    frames = solver.run(line([[0.0, 0.0, 1.0]], Sphere(0.01)), keep=True)
+    assert frames.converged.all()
+    sag = -solver.history[0].reshape(-1, 3)[:, 2].min()
+    assert 0.25 * 0.12 < sag < 0.5 * 0.12
+    assert frames.reaction[0, 0, 2] == pytest.approx(1000.0 * 1.0 * 0.12 * 0.008**2, rel=1e-3)

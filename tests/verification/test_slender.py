@@ -1,0 +1,153 @@
+"""Thin plates and slender rods as a scene's default meshing makes them, against plate and beam theory."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial, chebyshev
+from scipy.integrate import solve_bvp
+
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import Sphere
+from vsfsim.physics import tiers
+from vsfsim.physics.solver import Solver
+
+E, DENSITY = 1e6, 1000.0
+
+
+def clamped(shape, end, *, nu, gravity, more=""):
+    """A body clamped at the end where x = ``end``, nothing said about its mesh."""
+    return parse_scene(f"""
+gravity = [0.0, 0.0, {-gravity}]
+[object]
+shape = {shape}
+fixed = [{end - 1e-6}, -1.0, -1.0, {end + 1e-6}, 1.0, 1.0]
+young_modulus = {E}
+poisson_ratio = {nu}
+density = {DENSITY}
+{more}
+""", Path("slender.toml")).sample(0)
+
+
+def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5):
+    """Deflection w(x, y) [m] of a Kirchhoff plate clamped at x = 0, free elsewhere, under uniform ``pressure`` [Pa].
+
+    Ritz's method: w = sum of c x^2 T_i(x) T_j(y), even j, minimises
+    D/2 integral of (w_xx + w_yy)^2 - 2 (1 - nu)(w_xx w_yy - w_xy^2) less the work of the pressure (Timoshenko and Woinowsky-Krieger, ch. 10).
+    """
+    terms = [(Polynomial([0, 0, 1]) * Polynomial(chebyshev.cheb2poly([0] * i + [1]))(Polynomial([-1, 2])),
+              Polynomial(chebyshev.cheb2poly([0] * j + [1]))) for i in range(along) for j in range(0, 2 * across, 2)]
+    x, wx = np.polynomial.legendre.leggauss(along + 4)
+    y, wy = np.polynomial.legendre.leggauss(2 * across + 4)
+    weight = 0.25 * length * width * np.outer(wx, wy).ravel()
+
+    def values(dx, dy):
+        scale = length**dx * (0.5 * width) ** dy
+        return np.array([np.outer(p.deriv(dx)(0.5 * x + 0.5), q.deriv(dy)(y)).ravel() / scale for p, q in terms])
+
+    xx, yy, xy, w = values(2, 0), values(0, 2), values(1, 1), values(0, 0)
+    stiffness = bending * (((xx + yy) * weight) @ (xx + yy).T - (1 - nu) * ((xx * weight) @ yy.T + (yy * weight) @ xx.T - 2 * (xy * weight) @ xy.T))
+    c = np.linalg.solve(stiffness, pressure * (w @ weight))
+    return lambda at, side: float(sum(k * p(at / length) * q(2 * side / width) for k, (p, q) in zip(c, terms, strict=True)))
+
+
+def test_the_reference_is_a_beam_without_poissons_effect():
+    w = cantilever_plate(0.06, 0.04, 2.0, 0.0, 3.0)
+    assert w(0.06, 0.0) == pytest.approx(3.0 * 0.06**4 / (8 * 2.0), rel=1e-9) == w(0.06, 0.02)
+    # with it, more terms change nothing that matters here
+    coarse, fine = (cantilever_plate(0.06, 0.04, 2.0, 0.3, 3.0, along=a, across=b)(0.06, 0.02) for a, b in ((10, 5), (14, 8)))
+    assert coarse == pytest.approx(fine, rel=1e-3)
+
+
+# at nu = 0.45 thin elements resist the change of curvature through their volume: 1.2 % observed, 0.1 % at 0.3
+@pytest.mark.parametrize(("size", "tier", "nu"), [
+    ((0.06, 0.04, 0.002), "auto", 0.3),
+    pytest.param((0.06, 0.04, 0.002), "auto", 0.45, marks=pytest.mark.slow),
+    pytest.param((0.06, 0.04, 0.002), "fem", 0.3, marks=pytest.mark.slow),
+    pytest.param((0.3, 0.2, 0.002), "auto", 0.45, marks=pytest.mark.slow),
+])
+def test_a_clamped_thin_plate_with_default_meshing_bends_as_plate_theory_says(size, tier, nu):
+    length, width, thick = size
+    gravity = 1e-4  # a deflection of a thousandth of the thickness: theory is linear
+    scene = clamped(f"{{ box = [{length}, {width}, {thick}] }}", -0.5 * length, nu=nu, gravity=gravity)
+    model = tiers.build(scene, tiers.choose(scene, tier))
+    u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
+    w = cantilever_plate(length, width, E * thick**3 / (12 * (1 - nu**2)), nu, DENSITY * gravity * thick)
+    end = np.abs(model.mesh.points[:, 0] - 0.5 * length) < 1e-9
+    for side in (0.0, 0.5 * width):
+        there = end & (np.abs(np.abs(model.mesh.points[:, 1]) - side) < 1e-9)
+        deflection = -u[there, 2].mean()
+        print(f"{size} {tier} nu {nu} y {side}: {deflection / w(length, side) - 1:+.2%}, {len(model.mesh.tets)} tets")
+        assert deflection == pytest.approx(w(length, side), rel=0.03)
+    assert len(model.mesh.tets) <= 16_000
+
+
+@pytest.mark.slow
+def test_a_scanned_thin_plate_bends_as_plate_theory_says(tmp_path):
+    """The same plate as a surface file: filled by fTetWild at the default size, clamped over its first 0.1 mm."""
+    trimesh = pytest.importorskip("trimesh")
+    length, width, thick, nu, gravity = 0.06, 0.04, 0.002, 0.3, 1e-4
+    trimesh.creation.box((length, width, thick)).export(tmp_path / "plate.stl")
+    scene = clamped(f'{{ mesh = "{tmp_path}/plate.stl" }}', -0.5 * length, nu=nu, gravity=gravity)
+    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, fixed=(-1.0, -1.0, -1.0, -0.5 * length + 1e-4, 1.0, 1.0)))
+    model = tiers.build(scene, tiers.choose(scene), cache=tmp_path)
+    u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
+    # the filler may move the surface by a twentieth of an element
+    end = model.mesh.points[:, 0] > 0.5 * length - 2e-4
+    w = cantilever_plate(length, width, E * thick**3 / (12 * (1 - nu**2)), nu, DENSITY * gravity * thick)
+    print(f"scanned plate: {-u[end, 2].mean() / w(length, 0.25 * width) - 1:+.2%}, {len(model.mesh.tets)} tets")
+    assert -u[end, 2].mean() == pytest.approx(w(length, 0.25 * width), rel=0.03)
+    assert len(model.mesh.tets) < 12_000
+
+
+def test_thin_bodies_are_not_cut_into_cubes_of_their_thickness():
+    """The number of tetrahedra stays sane for every form of box, and thick boxes keep the size they had."""
+    for size in ((0.06, 0.04, 0.002), (0.3, 0.2, 0.001), (0.1, 0.1, 0.004), (0.5, 0.01, 0.001), (0.002, 0.06, 0.04)):
+        for tier in ("fem-coarse", "fem"):
+            scene = clamped(f"{{ box = {list(size)} }}", -0.5 * size[0], nu=0.3, gravity=0.0)
+            assert len(tiers.body(scene, tier)[0].tets) < 22_000, (size, tier)
+    scene = clamped("{ box = [0.10, 0.10, 0.05] }", -0.05, nu=0.3, gravity=0.0)
+    assert tiers.element_size(scene.object, "fem", scene.probe) == pytest.approx(0.0005 ** (1 / 3) / 13, rel=1e-12)
+
+
+# ------------------------------------------------------------------------------------------ rods
+
+LENGTH, RADIUS = 0.24, 0.003  # 40 times as long as thick
+INERTIA, SECTION = np.pi * RADIUS**4 / 4, np.pi * RADIUS**2
+
+
+def test_a_slender_rod_under_its_own_weight_is_an_euler_bernoulli_beam():
+    gravity = 1e-5
+    scene = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
+    model = tiers.build(scene, "fem-coarse")
+    u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
+    tip = -u[np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9, 2].mean()
+    exact = DENSITY * gravity * SECTION * LENGTH**4 / (8 * E * INERTIA)
+    print(f"rod: {tip / exact - 1:+.2%}, {len(model.mesh.tets)} tets")
+    # shear adds 0.1 % (4 (1 + nu) / k (r / 2 l)^2), the mesh takes 0.5 %
+    assert tip == pytest.approx(exact, rel=0.01)
+
+
+@pytest.mark.slow
+def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, device):
+    """EI theta'' = -q (l - s) cos theta, theta downwards, theta(0) = 0, theta'(l) = 0: q l^3 / EI = 1."""
+    load = 1.0
+    gravity = load * E * INERTIA / (DENSITY * SECTION * LENGTH**3)
+    s = np.linspace(0.0, 1.0, 101)
+    found = solve_bvp(lambda t, y: np.array([y[1], -load * (1 - t) * np.cos(y[0])]), lambda a, b: np.array([a[0], b[1]]),
+                      s, np.zeros((2, len(s))), tol=1e-8)
+    assert found.success
+    angle = found.sol(fine := np.linspace(0.0, 1.0, 4001))[0]
+    tip = LENGTH * np.array([np.trapezoid(np.cos(angle), fine), -np.trapezoid(np.sin(angle), fine)])
+    scene = clamped(f"{{ rod = [{LENGTH}, {RADIUS}] }}", 0.0, nu=0.3, gravity=gravity)
+    model = tiers.build(scene, "fem-coarse")
+    solver = Solver(model, Sphere(0.01), device=device, options=tiers.options("fem-coarse"))
+    frames = solver.run(line(np.full((1, 3), 10.0), Sphere(0.01)), keep=True)
+    end = np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9
+    place = (model.mesh.points + np.asarray(solver.history[0]).reshape(-1, 3))[end].mean(axis=0)
+    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; {frames.seconds[0]:.1f} s, {frames.iterations[0, 0]} iterations, "
+          f"converged {frames.converged[0, 0]}")
+    assert frames.converged.all()
+    # the mesh takes 0.5 % (above), the thickness (r / l)^2
+    assert place[[0, 2]] - [0.0, RADIUS] == pytest.approx(tip, abs=0.01 * np.abs(tip[1]))

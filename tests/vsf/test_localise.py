@@ -1,0 +1,97 @@
+"""Blind localisation on an object that is buried in soft material and seen from above only."""
+
+import numpy as np
+import pytest
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.localise import KnownObject, contact_pose, pose_errors, register, stiffness_pose
+
+
+def box(low, high):
+    """A closed box, wound outwards."""
+    x = np.array([[(high if (i >> k) & 1 else low)[k] for k in range(3)] for i in range(8)], float)
+    quads = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    return x, np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+
+
+def wedge():
+    """A prism on a lopsided L of 10 x 6 cm, 3 cm high at one end and 2 at the other: no symmetry. Wound outwards."""
+    outline = np.array([[0, 0], [0.10, 0], [0.10, 0.025], [0.035, 0.025], [0.035, 0.06], [0, 0.06]])
+    height = 0.03 - 0.01 * outline[:, 0] / 0.10
+    n = len(outline)
+    vertices = np.concatenate([np.c_[outline, np.zeros(n)], np.c_[outline, height]]) - [0.04, 0.02, 0.015]
+    cap = [(0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)]
+    sides = [t for i in range(n) for j in [(i + 1) % n] for t in ((i, j, n + j), (i, n + j, n + i))]
+    return vertices, np.array([(a, c, b) for a, b, c in cap] + [(n + a, n + b, n + c) for a, b, c in cap] + sides)
+
+
+def pose(angle, shift, tilt=0.0):
+    c, s, ct, st = np.cos(angle), np.sin(angle), np.cos(tilt), np.sin(tilt)
+    out = np.eye(4)
+    out[:3, :3] = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.array([[1, 0, 0], [0, ct, -st], [0, st, ct]])
+    out[:3, 3] = shift
+    return out
+
+
+def buried(known, truth, *, noise, seed=0):
+    """Touched points, the upper 1.5 cm of a soft block down to just under the object's top, and stiffnesses with the object's a hundred times the cover's."""
+    axes = [np.arange(-0.1, 0.1, 0.004), np.arange(-0.1, 0.1, 0.004), np.arange(-0.012, 0.018, 0.004)]
+    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = known.contains((points - truth[:3, 3]) @ truth[:3, :3])
+    rng = np.random.default_rng(seed)
+    return points, np.where(inside, 1000.0, 10.0) * rng.lognormal(0, noise, len(points))
+
+
+def test_inside_is_inside():
+    known = KnownObject.of(*box((-0.02, -0.03, 0.0), (0.02, 0.03, 0.05)))
+    points = np.random.default_rng(0).uniform(-0.06, 0.06, (3000, 3))
+    margin = np.min(np.minimum(points - [-0.02, -0.03, 0.0], [0.02, 0.03, 0.05] - points), axis=1)
+    clear = np.abs(margin) > 0.001  # half a cell of 0.06 / 32 m
+    np.testing.assert_array_equal(known.contains(points)[clear], (margin > 0)[clear])
+    assert np.min(np.abs(np.abs(known.surface) - [0.02, 0.03, 0.05]), axis=1).min() < 1e-9
+
+
+def test_registration_recovers_a_rigid_motion():
+    known = KnownObject.of(*wedge())
+    truth = pose(2.1, [0.03, -0.02, 0.01], tilt=0.4)
+    other = KnownObject.of(*wedge(), seed=5).surface
+    found = [register(known.surface, other @ truth[:3, :3].T + truth[:3, 3], seed=s) for s in range(3)]
+    shift, turn = pose_errors(min(found, key=lambda f: f[1])[0], truth)
+    assert shift < 0.002 and turn < 0.06
+
+
+@pytest.mark.parametrize("angle", [0.3, 2.5, -1.7])
+def test_a_buried_object_is_found(angle):
+    known = KnownObject.of(*wedge())
+    truth = pose(angle, [0.01, -0.015, 0.0])
+    points, stiffness = buried(known, truth, noise=0.3)
+    found = stiffness_pose(known, points, stiffness, threshold=100.0, tries=8)
+    shift, turn = pose_errors(found.transform, truth)
+    assert shift < 0.006 and turn < 0.15, (shift, turn)
+    # The loss is what tells a good pose: it is far lower than that of the same object turned round.
+    wrong = truth @ pose(np.pi, [0, 0, 0])
+    inside = known.contains((points - wrong[:3, 3]) @ wrong[:3, :3])
+    assert found.loss < 0.5 * float(np.maximum(100.0 - stiffness, 0)[inside].sum() + 100.0 * np.count_nonzero((stiffness > 100) & ~inside))
+
+
+def test_contact_points_alone_place_it_roughly():
+    known = KnownObject.of(*wedge())
+    truth = pose(0.8, [0.0, 0.02, 0.0])
+    surface = KnownObject.of(*wedge(), seed=3).surface @ truth[:3, :3].T + truth[:3, 3]
+    top = surface[surface[:, 2] > 0.0] + np.random.default_rng(0).normal(0, 0.001, (np.count_nonzero(surface[:, 2] > 0.0), 3))
+    shift, _ = pose_errors(contact_pose(known, top, tries=5).transform, truth)
+    assert shift < 0.02
+
+
+def test_errors_by_hand_and_refusals():
+    shift, turn = pose_errors(pose(0.5, [0.03, 0.04, 0]), pose(0.2, [0, 0, 0]))
+    assert shift == pytest.approx(0.05) and turn == pytest.approx(0.3)
+    known = KnownObject.of(*wedge())
+    with pytest.raises(VsfError, match=r"lower the threshold .the stiffest has 3"):
+        stiffness_pose(known, np.zeros((50, 3)), np.full(50, 3.0), threshold=10.0)
+    with pytest.raises(VsfError, match="4 contact points are too few"):
+        contact_pose(known, np.zeros((4, 3)))
+    with pytest.raises(VsfError, match="not closed"):
+        KnownObject.of(wedge()[0], wedge()[1][:-1])
+    with pytest.raises(VsfError, match="no triangle"):
+        KnownObject.of(np.zeros((3, 3)), np.zeros((0, 3), int))

@@ -1,0 +1,96 @@
+"""Anchor: a node tied to its own rest position, the particle of a volumetric stiffness field.
+
+    E(u) = kappa V |u|^2 / 2
+
+kappa [N/m^4]: stiffness density, V [m^3]: the particle's volume. Neither is a modulus: an anchor knows its distance from home and
+nothing of its neighbours, so it resists a rigid motion too (a shift by d costs kappa V |d|^2 / 2; only u = 0 is free), and
+the ground holds it: its force is a support reaction. Linear, so the tangent is the rest stiffness everywhere, and positive.
+
+(Z. Pan et al., visuo-tactile volumetric stiffness fields; as an elastic foundation: Winkler 1867, Johnson 1985 section 4.3.)
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements.block import Block
+
+NODES = 1
+
+
+def block(nodes: np.ndarray, stiffness: np.ndarray) -> Block:
+    """A block of anchors. nodes: (m,). stiffness: kappa V of each (m,) [N/m], not negative."""
+    stiffness = np.asarray(stiffness, float)
+    assert (stiffness >= 0.0).all()
+    return Block("anchor", np.asarray(nodes, np.int32).reshape(-1, 1), {"stiffness": stiffness})
+
+
+def state_size(block: Block) -> int:
+    """A tangent remembers nothing."""
+    return 0
+
+
+def rest_stiffness(block: Block) -> np.ndarray:
+    """(m, 3, 3) [N/m]."""
+    return block.parameters["stiffness"][:, None, None] * np.eye(3)
+
+
+@functools.cache
+def kernels(real: type) -> Any:
+    """The kernels of this element for one scalar type."""
+    module = f"vsfsim_anchor_{real.__name__}"
+
+    @wp.kernel(module=module, enable_backward=False)
+    def forces(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        stiffness: wp.array(dtype=real),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        u_in: wp.array2d(dtype=real),
+        # state out
+        force_out: wp.array3d(dtype=real),
+        energy_out: wp.array2d(dtype=real),
+        det_out: wp.array2d(dtype=real),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        row = 3 * nodes[t, 0]
+        energy = real(0.0)
+        for c in range(3):
+            u = u_in[row + c, b]
+            force_out[t, c, b] = stiffness[t] * u
+            energy += real(0.5) * stiffness[t] * u * u
+        energy_out[t, b] = energy
+        det_out[t, b] = real(1.0)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def multiply(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        stiffness: wp.array(dtype=real),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        at_in: wp.array2d(dtype=real),
+        state_in: wp.array3d(dtype=real),
+        x_in: wp.array2d(dtype=real),
+        # state out
+        force_out: wp.array3d(dtype=real),
+    ):
+        t, k = wp.tid()
+        row = 3 * nodes[t, 0]
+        for c in range(3):
+            force_out[t, c, k] = stiffness[t] * x_in[row + c, k]
+
+    def parameters(block: Block, device: str) -> list[wp.array]:
+        return [wp.array(block.parameters["stiffness"], dtype=real, device=device)]
+
+    class Kernels:
+        pass
+
+    out = Kernels()
+    out.forces, out.tangent, out.multiply, out.parameters = forces, None, multiply, parameters
+    return out
