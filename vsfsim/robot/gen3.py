@@ -3,7 +3,9 @@
 Frames, masses, inertias, joint ranges, flange and torque limits [table]: the maker's public description of the arm (ros_kortex,
 GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`, as collected in the project's `data/kinova_gen3.md`
 (`tests/robot/kinova_gen3.md` is that table, and a test compares it with this file).
-Girths [mesh]: read off the maker's public surface meshes, in the link frames; the capsules are fitted by us, see `CAPSULES`.
+Girths [mesh]: coordinates read off the maker's public surface meshes in the link frames (the copies in robosuite's `kinova3` and in Menagerie's
+`kinova_gen3_7dof`): shoulder, half arm 1, forearm, spherical wrist 1 and bracelet in part; half arm 2 and spherical wrist 2 are taken to be
+built like their neighbours, and the depth of the small housings is an estimate. The capsules are fitted by us, see `CAPSULES`.
 Punyo [openvsf]: its mount and the frame of its bubble as openvsf has them.
 """
 
