@@ -107,3 +107,15 @@ def test_two_fingers_pinch_and_lift(block, line, device):
     assert frames.force[-1, 0, 2] < 0.0, "the object is pulled up, so it pulls the fingers down"
     assert frames.reaction[-1, 0, 2] == pytest.approx(frames.force[-1, 0, 2], rel=1e-3)
     assert frames.body_force[-1, 0].sum(axis=0) == pytest.approx(frames.force[-1, 0], rel=1e-9, abs=1e-12)
+
+
+def test_moment_is_that_of_the_points_on_the_surface(model, line, device):
+    """A plate off to one side: the moment about its origin is that of the nodal forces."""
+    probe = Plane()
+    solver = Solver(model, probe, device=device, options=TIGHT)
+    poses = line([[0.013, -0.004, SIZE[2] - 0.001]], probe)
+    frames = solver.run(poses, keep=True)
+    nodes = model.mesh.surface_nodes()
+    force = -solver.surface_force[-1][:, :, 0]
+    places = model.mesh.points[nodes] + solver.history[-1].reshape(-1, 3)[nodes]
+    assert frames.body_moment[-1, 0, 0] == pytest.approx(np.cross(places - poses[-1, 0, :3, 3], force).sum(axis=0), rel=1e-9, abs=1e-12)

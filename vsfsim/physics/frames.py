@@ -53,7 +53,8 @@ class SolverOptions:
 class Frames:
     """What B touches of T frames by K rigid bodies gave; arrays (T, B) unless said.
 
-    force: on all bodies together (T, B, 3) [N]. body_force: on each (T, B, K, 3) [N]. reaction: of the supports on the object (T, B, 3) [N].
+    force: on all bodies together (T, B, 3) [N]. body_force: on each (T, B, K, 3) [N].
+    body_moment: on each about its origin, in the world (T, B, K, 3) [N m]. reaction: of the supports on the object (T, B, 3) [N].
     converged: bool. reason: why not, `Reason`. residual: unbalanced over contact force [-]. iterations: Newton. cg_iterations: conjugate
     gradients. force_balance: |force - reaction - weight| over the larger [-]. min_det_f: least det F [-]. energy: elastic [J].
     penetration: deepest point of the surface inside a body [m]. slipping: share of the points in contact that slip [-].
@@ -62,6 +63,7 @@ class Frames:
 
     force: np.ndarray
     body_force: np.ndarray
+    body_moment: np.ndarray
     reaction: np.ndarray
     converged: np.ndarray
     reason: np.ndarray

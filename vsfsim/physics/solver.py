@@ -338,7 +338,7 @@ class Solver:
         unbalanced = (held + on_object + weight).norm(dim=1)
         largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)
         values = {
-            "force": -on_object, "body_force": touching.on_bodies(every), "reaction": held, "residual": state["measure"],
+            "force": -on_object, "body_force": touching.on_bodies(every), "body_moment": touching.moment_on_bodies(every), "reaction": held, "residual": state["measure"],
             "force_balance": unbalanced / largest, "min_det_f": state["det"], "energy": state["energy"],
             "penetration": touching.penetration(every), "slipping": touching.slipping(every),
         }

@@ -205,6 +205,14 @@ class Touching:
         held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
         return -(held.mT @ self.force[columns])
 
+    def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Moment on every rigid body about its origin, in the world (k, K, 3) [N m]."""
+        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+        places = self._points[columns] @ self._x[columns]
+        origin = wp.to_torch(self._pose[0])[columns]  # (k, K, 3)
+        about_world = held.mT @ torch.linalg.cross(places, -self.force[columns])
+        return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
+
     def touches(self, columns: torch.Tensor) -> torch.Tensor:
         """Is any Gauss point inside a body? (k,) bool."""
         return (self.gap[columns] < 0.0).any(dim=1)
