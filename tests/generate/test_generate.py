@@ -17,6 +17,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
 from vsfsim.generate import press as presses
+from vsfsim.generate import press_text
 from vsfsim.generate.run import generate, splits_for
 
 SCENE = """
@@ -200,8 +201,8 @@ def test_press_prints_one_json_object(scene, tmp_path):
 
 
 def test_a_text_table_for_people(scene):
-    lines = presses.text(presses.press(scene.sample(0))).splitlines()
-    assert len(lines) == 8 and "force N" in lines[0] and "6 of 6 frames converged; tier fem-coarse" in lines[7]
+    lines = press_text.text(presses.press(scene.sample(0))).splitlines()
+    assert len(lines) == 9 and "force N" in lines[0] and lines[7].startswith("All 6 frames converged.") and lines[8].startswith("Tier fem-coarse")
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):
