@@ -119,3 +119,17 @@ def test_moment_is_that_of_the_points_on_the_surface(model, line, device):
     force = -solver.surface_force[-1][:, :, 0]
     places = model.mesh.points[nodes] + solver.history[-1].reshape(-1, 3)[nodes]
     assert frames.body_moment[-1, 0, 0] == pytest.approx(np.cross(places - poses[-1, 0, :3, 3], force).sum(axis=0), rel=1e-9, abs=1e-12)
+
+
+def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(model, line, device):
+    mu = 0.3
+    options = SolverOptions(tolerance=1e-4)
+    frames = Solver(model, Plane(), friction=mu, device=device, options=options, linear=True).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.004]))
+    assert frames.converged.all()
+    along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
+    # forces are known to the 5e-4 at which the limit counts as renewed
+    assert -along[-1] / normal[-1] == pytest.approx(mu, rel=2e-3)
+    assert (np.abs(along) <= mu * normal * (1.0 + 2e-3) + 1e-6).all()
+    assert frames.force[-1] == pytest.approx(frames.force[-2], rel=2e-3, abs=1e-4), "holding still"
+    free = Solver(model, Plane(), device=device, options=options, linear=True).run(plate(line, 0.001, [0.001]))
+    assert np.abs(free.force[-1, 0, :2]).max() < 1e-6 * normal[3]

@@ -55,7 +55,6 @@ class RestFactor:
         self._whole: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
-        self.solves, self.solve_seconds = 0, 0.0  # right-hand sides so far, and what they took
         self.seconds = time.perf_counter() - began
 
     @classmethod
@@ -74,7 +73,6 @@ class RestFactor:
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
-        began = time.perf_counter()
         right = np.ascontiguousarray(right, dtype=np.float64)
         out = np.empty_like(right)
         for start in range(0, right.shape[1], _CHUNK):
@@ -82,8 +80,6 @@ class RestFactor:
             result = np.empty_like(part)
             self._solver.solve(part, result)
             out[:, start:start + _CHUNK] = result
-        self.solves += right.shape[1]
-        self.solve_seconds += time.perf_counter() - began
         return out
 
     def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
@@ -174,7 +170,7 @@ class _Sparse:
     """Triangular solves on the host; for few touches also the columns of the inverse under their patches."""
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool):
-        self._factor, self._dof, self._device = factor, dof, device
+        self._factor, self._dof = factor, dof
         nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
         self._whole: torch.Tensor | None = None

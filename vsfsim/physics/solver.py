@@ -33,6 +33,7 @@ FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that
 _HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
 _WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
+_RENEWALS, _RENEWED = 60, 5e-4  # of friction's limit in a linear frame: how often, and the change that ends it (the `fem` tier's tolerance)
 _KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
@@ -58,6 +59,7 @@ class Solver:
             options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM), newton=min(options.newton, 15))
         self.options = options
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
+        self._linear_accept = max(self._accept, _RENEWED) if self.friction.any() else self._accept
         self.device, self.precision, self.linear = device, precision, linear
         self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
@@ -183,8 +185,7 @@ class Solver:
         touching.move(pose)
         if not touching.rubs:
             for seen, u, _ in reversed(self._known):
-                same = (seen == pose).all(axis=(1, 2, 3))
-                if same.all():
+                if np.array_equal(seen, pose):
                     balance.u.copy_(u)
                     return
         balance.evaluate(columns)
@@ -282,10 +283,8 @@ class Solver:
         touching.move(pose)
         start = self._guess(pose)
         for _ in range(4):
-            sag = touching.gather(self._sag)
             with clock.measure("contact"):
-                pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100,
-                                                tolerance=self.options.tolerance, start=start)
+                pushed, error = self._condensed(start)
             balance.u.copy_(self._sag + touching.response.patch(every, pushed))
             if not touching.grow(every, pose, balance.u):
                 break
@@ -301,8 +300,25 @@ class Solver:
         self._remember(pose, pushed)
         balance.count()
         balance.newton += 1
-        balance.reason[(state["measure"] > self._accept).cpu().numpy()] = Reason.ITERATIONS
+        balance.reason[(state["measure"] > self._linear_accept).cpu().numpy()] = Reason.ITERATIONS
         return self._report(state)
+
+    def _condensed(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Contact forces (B, 3 s) [N] of linear elasticity and their relative errors (B,); friction's limit is renewed until it is the present one."""
+        touching, every = self.touching, self._balance.every
+        sag = touching.gather(self._sag)
+        for _ in range(_RENEWALS if touching.rubs else 1):
+            pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100, tolerance=self.options.tolerance, start=start)
+            if touching.rubs:
+                moved = sag + (touching.compliance @ pushed[:, :, None])[:, :, 0]
+                touching.evaluate(every, moved)
+                touching.lag(every)
+                touching.evaluate(every, moved)
+                off = (touching.nodal(every) - pushed).norm(dim=1) / pushed.norm(dim=1).clamp(min=self._floor)
+                error, start = torch.maximum(error, off), pushed
+                if bool((error <= _RENEWED).all()):
+                    break
+        return pushed, error
 
     def _guess(self, pose: np.ndarray) -> torch.Tensor:
         """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn on."""
@@ -348,10 +364,11 @@ class Solver:
             # small strain has no det F of its own; the displacements are what a viewer would draw
             reason[(state["astray"] > 0).cpu().numpy() & (reason == Reason.NONE)] = Reason.ASTRAY
         # with friction the limit that was renewed last counts; without, this is the state that Newton's method left
-        reason[(reason == Reason.NONE) & ~(out["residual"] <= self._accept)] = Reason.STALLED
+        accept = self._linear_accept if self.linear else self._accept
+        reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
         if not touching.rubs:
             # a step that stalled at rounding's floor may still be good enough; nothing of its way is remembered
-            reason[(out["residual"] <= self._accept) & ~np.isin(reason, (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
+            reason[(out["residual"] <= accept) & ~np.isin(reason, (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
         out["reason"], out["converged"] = reason, reason == Reason.NONE
         out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
         return out
