@@ -154,7 +154,7 @@ class Equilibrium:
             renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
             # no step helps, not even a projected one: rounding's floor, or nothing to be found
             stuck[open_] = ~moved & safe[open_]
-            self.reason[columns[stuck].cpu().numpy()] = Reason.STALLED
+            self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         balanced = (state["measure"] <= tolerance) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE

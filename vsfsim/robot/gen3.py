@@ -60,13 +60,11 @@ LINKS = (  # [table]
     Link("bracelet_link", "spherical_wrist_2_link", (0, -0.10593, -0.00017505), (1, -1, 0, 0), CONTINUOUS, 0.5,
          (0.000281, 0.011402, -0.029798), (0.394358, 0.596779, -0.577293, 0.393789), (0.000657336, 0.000587019, 0.000320645)),
 )
-MOVING = tuple(link.name for link in LINKS if link.joint_range is not None)
 
 FLANGE_LINK = "bracelet_link"
 FLANGE_POSITION: Vector = (0.0, 0.0, -0.061525)  # [table] the "pinch site"; its z points out of the flange
 FLANGE_QUATERNION: Quaternion = (0.0, 1.0, 0.0, 0.0)
 PEAK_TORQUE = (105.0,) * 4 + (52.0,) * 3  # N m [table]
-CONTINUOUS_TORQUE = (39.0,) * 4 + (9.0,) * 3  # N m [table]
 HOME = (0.0, 0.2618, 3.1416, -2.2689, 0.0, 0.9599, 1.5708)  # rad [table]
 
 
