@@ -40,7 +40,7 @@ class Equilibrium:
     def __init__(self, model: Model, elasticity: Elasticity, touching: Touching, options: SolverOptions, *, floor: float):
         self.model, self.elasticity, self.touching, self.options, self.floor = model, elasticity, touching, options, floor
         self.device = touching.device
-        batch = len(touching.patches)
+        batch = touching.batch
         self.real = torch.float64 if elasticity.real is wp.float64 else torch.float32
         self.u = torch.zeros((3 * len(model.mesh.points), batch), dtype=self.real, device=self.device)
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]

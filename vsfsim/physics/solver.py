@@ -90,12 +90,10 @@ class Solver:
     def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
-        self.touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
+        self.touching, previous = self._meet(poses)
         self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
         every = self._balance.every
-        previous = path.outside(self.bodies, self.model, poses[0], self.touching.first_gap)
-        stride = path.stride(self.bodies, path.mean_thickness(self.model))
-        self._pushed = torch.zeros_like(self.touching.rest)
+        self._pushed = self.touching.nothing()
         if self.linear:
             sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
             self._sag = torch.as_tensor(np.repeat(sag, batch, axis=1), device=self.device)
@@ -112,13 +110,13 @@ class Solver:
                 out = self._linear_frame(previous, poses[t])
             else:
                 self._balance.count()
-                for pose in path.pieces(previous, poses[t], stride, self.bodies):
+                for pose in path.pieces(previous, poses[t], self._stride, self.bodies):
                     begin = self._balance.u.clone()
                     self._start(every, previous, pose)
                     self._advance(every, previous, pose, begin, deadline, self.options.halvings)
                     self.touching.settle(every)
                     previous = pose
-                    self._remember(pose, self.touching.nodal(every))
+                    self._remember(pose, self.touching.remember(every))
                 out = self._report(self._balance.evaluate(every))
             previous = poses[t]
             if keep:
@@ -130,6 +128,12 @@ class Solver:
         data = {f.name: np.stack([row[f.name] for row in rows]) for f in fields(Frames)}
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
+
+    def _meet(self, poses: np.ndarray) -> tuple[Touching, np.ndarray]:
+        """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
+        touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
+        self._stride = path.stride(self.bodies, path.mean_thickness(self.model))
+        return touching, path.outside(self.bodies, self.model, poses[0], touching.first_gap)
 
     def _remember(self, pose: np.ndarray, pushed: torch.Tensor) -> None:
         """Equilibria that later frames may begin from: all of them without friction, the last two with it."""
@@ -189,13 +193,14 @@ class Solver:
                     balance.u.copy_(u)
                     return
         balance.evaluate(columns)
-        meets = columns[touching.touches(columns) | (self._pushed[columns] != 0.0).any(dim=1)]
+        last = touching.recall(self._pushed)
+        meets = columns[touching.touches(columns) | (last[columns] != 0.0).any(dim=1)]
         if not len(meets):
             return
         now = balance.u.clone()
-        guesses = [(now, self._pushed)]
+        guesses = [(now, last)]
         if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
-            (p1, u1, f1), (p0, u0, f0) = self._known[-1], self._known[-2]
+            (p1, u1, f1), (p0, u0, f0) = ((p, u, touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
             ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
             guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
@@ -265,7 +270,7 @@ class Solver:
                 balance.evaluate(lost)
             grown = touching.grow(columns, pose, balance.u)
             if grown:
-                self._pushed = torch.zeros_like(touching.rest)
+                self._pushed = touching.nothing()
                 state = balance.evaluate(columns)
             if len(lost):
                 balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE

@@ -68,6 +68,11 @@ class Touching:
         margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
         return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
+    @property
+    def batch(self) -> int:
+        """Number of touches B."""
+        return len(self.patches)
+
     def _patch(self, faces: np.ndarray) -> contact.Patch:
         return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces])
 
@@ -261,17 +266,21 @@ class Touching:
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """The contact of ``columns``, ready to be inverted together with the body at rest."""
-        rows = self.rows(columns)
-        # of the patch only the nodes that touch count
-        used = (rows != 0.0).any(dim=1).view(len(columns), -1, 3).any(dim=2)
-        most = max(1, int(used.sum(dim=1).amax()))
-        nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
-        dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
-        rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
-        own = self.compliance[columns[:, None, None], dof[:, :, None], dof[:, None, :]]
-        inner = rows @ own @ rows.mT
-        inner.diagonal(dim1=1, dim2=2).add_(1.0)
-        return ContactBlock(dof, rows, torch.linalg.cholesky(inner), self.free.shape[1])
+        return ContactBlock.of(self.rows(columns), self.compliance[columns])
+
+    # ------------------------------------------------------------------------------------------ between steps
+
+    def remember(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces of ``columns`` (k,) as a later step can read them (k, 3 s) [N]."""
+        return self.nodal(columns)
+
+    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
+        """Remembered forces (B, 3 s) [N] on the present patches."""
+        return remembered
+
+    def nothing(self) -> torch.Tensor:
+        """What touches without contact remember."""
+        return torch.zeros_like(self.rest)
 
     # ------------------------------------------------------------------------------------------ nothing slips through
 
@@ -328,6 +337,21 @@ class ContactBlock:
     rows: torch.Tensor
     inner: torch.Tensor
     width: int
+
+    @classmethod
+    def of(cls, rows: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
+        """From the rows R (k, m, 3 s) [sqrt(N/m)] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
+        # of the patch only the nodes that touch count
+        used = (rows != 0.0).any(dim=1).view(len(rows), -1, 3).any(dim=2)
+        most = max(1, int(used.sum(dim=1).amax()))
+        nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+        dof = (3 * nodes[:, :, None] + torch.arange(3, device=rows.device)).flatten(1)
+        width = rows.shape[2]
+        rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
+        own = compliance[torch.arange(len(rows), device=rows.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
+        inner = rows @ own @ rows.mT
+        inner.diagonal(dim1=1, dim2=2).add_(1.0)
+        return cls(dof, rows, torch.linalg.cholesky(inner), width)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""

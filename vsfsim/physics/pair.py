@@ -1,0 +1,497 @@
+"""Contact of a batch of touches between an object and the deformable surface of a sensor that is carried along.
+
+The counterpart of `touching` for two deformable bodies, with the same interface, so that the same solver works on it. The unknowns are the
+displacements of the object's nodes in the world and, after them, those of the sensor's nodes in the sensor's own frame: there its
+elements and its rest-state factor do not change while it is carried along.
+
+A step knows, for every point, the faces of the other surface that it may meet (`search`); the nodes of these are the *patch* of the step. It is
+small, and another one in every step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.physics import contact, pair_contact
+from vsfsim.physics.factor import Response, response
+from vsfsim.physics.model import Model
+from vsfsim.physics.touching import ContactBlock
+
+_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6.0  # Gauss points of a triangle, degree 2, equal weights
+_FOUND = 1e-9  # m: a gap that changes by more when the faces are looked up anew was wrong
+SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
+
+
+@dataclass
+class _Side:
+    """Points of one surface (Q of them) and the faces of the other one, node numbers local to the touch; tensors on the device.
+
+    node, weight, facet: (B, Q, 3), of each point and of the facet whose normal it has. stiffness: (B, Q) [N/m]. faces: (B, F, 3 or 6).
+    count: (B,) int32 faces in use. state: what the kernels write, by name. memory: friction's.
+    """
+
+    node: torch.Tensor
+    weight: torch.Tensor
+    facet: torch.Tensor
+    stiffness: torch.Tensor
+    faces: torch.Tensor
+    count: torch.Tensor
+    candidates: torch.Tensor
+    state: dict[str, torch.Tensor]
+    memory: dict[str, torch.Tensor]
+
+
+class PairTouching:
+    """Contact state of B touches of an object by a sensor's surface.
+
+    The attributes dof, free, real, rest, compliance and response are those of the present step's patch; see `Touching` for them and for the
+    methods that have the same names.
+
+    Args:
+        model: the object. sensor: the body with the touching surface, in its own frame (free displacements there).
+        friction: Coulomb's coefficient of the pair [-]. poses: sensor to world (T, B, 4, 4), to find what is in reach. device: Warp device.
+        within: the way [m] that the surfaces may approach each other in a step; nearer faces are looked at.
+    """
+
+    rubs: bool
+
+    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, within: float):
+        self.model, self.sensor, self.device, self.within = model, sensor, device, within
+        self.kernels = pair_contact.kernels()
+        self.rubs, self._friction = friction > 0.0, float(friction)
+        self.stick = contact.STICK
+        self.batch = poses.shape[1]
+        self._count = len(model.mesh.points)
+        self._every = torch.arange(self.batch, device=device)
+        self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
+        self._sensor_compliance = torch.as_tensor(sensor.factor.compliance(np.arange(len(sensor.mesh.points))), device=device)
+        self._upload(self._reachable(poses))
+
+    # ------------------------------------------------------------------------------------------ set-up
+
+    def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
+        """Boundary triangles of the object that each touch's sensor may meet: inside the box that the sensor sweeps, made wider."""
+        own = self.sensor.mesh.points
+        low, high = own.min(axis=0) - self.within, own.max(axis=0) + self.within
+        at = self.model.mesh.points
+        faces = self.model.mesh.faces
+        out = []
+        for b in range(self.batch):
+            met = np.zeros(len(at), bool)
+            for pose in poses[:, b]:
+                local = (at - pose[:3, 3]) @ pose[:3, :3]
+                met |= ((local > low) & (local < high)).all(axis=1)
+            corners = at[faces[:, :3]]
+            out.append(np.flatnonzero(met[faces].any(axis=1) | self._crossed(corners, poses[:, b], low, high)))
+        return out
+
+    @staticmethod
+    def _crossed(corners: np.ndarray, poses: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Faces (f,) larger than the sensor may have no node in its box: their own boxes are compared too."""
+        out = np.zeros(len(corners), bool)
+        size = (corners.max(axis=1) - corners.min(axis=1)).max(axis=1)
+        large = np.flatnonzero(size > 0.5 * (high - low).min())
+        if len(large):
+            for pose in poses:
+                local = (corners[large] - pose[:3, 3]) @ pose[:3, :3]
+                out[large] |= ((local.max(axis=1) > low) & (local.min(axis=1) < high)).all(axis=1)
+        return out
+
+    def _upload(self, reach: list[np.ndarray]) -> None:
+        mesh, own = self.model.mesh, self.sensor.mesh
+        batch, m = self.batch, len(own.points)
+        nodes = [np.unique(mesh.faces[f]) for f in reach]
+        width = max(1, max(len(n) for n in nodes))
+        most = max(1, max(len(f) for f in reach))
+        listed = np.full((batch, width), -1, np.int64)
+        faces = np.zeros((batch, most, 6), np.int32)
+        normal_of = np.zeros((batch, width, 3), np.int32)
+        tied = np.zeros((batch, width))
+        area, modulus = mesh.face_area(), self.model.surface_modulus
+        own_area, own_modulus = own.face_area(), self.sensor.surface_modulus
+        soft = float(np.median(own_modulus))
+        for b, (f, n) in enumerate(zip(reach, nodes, strict=True)):
+            listed[b, :len(n)] = n
+            if not len(f):
+                continue
+            local = np.searchsorted(n, mesh.faces[f])
+            faces[b, :len(f)] = local
+            # a node stands for a share of its faces; the softer body bounds the pressure, so it sets the stiffness
+            w = contact.PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
+            np.add.at(tied[b], local, w[:, None])
+            normal_of[b, local] = local[:, None, :3]
+        object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
+        at = own.faces + width
+        points = len(_POINTS)
+        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], 1e-3 * own_modulus[None, :])) * np.sqrt(own_area) / points
+
+        def real(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float64, device=self.device)
+
+        def whole(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.int32, device=self.device)
+
+        def many(values: np.ndarray) -> np.ndarray:
+            return np.broadcast_to(values, (batch, *values.shape))
+
+        own_points = np.repeat(at, points, axis=0)
+        on_node = np.repeat(np.arange(width)[:, None], 3, axis=1)
+        self._sides = [
+            self._side(whole(many(own_points)), real(many(np.tile(_POINTS, (len(at), 1)))), whole(many(own_points)), real(np.repeat(pressed, points, axis=1)),
+                       whole(faces), whole(np.array([len(f) for f in reach]))),
+            self._side(whole(many(on_node)), real(many(np.tile([1.0, 0.0, 0.0], (width, 1)))), whole(normal_of), real(tied),
+                       whole(many(at)), whole(np.full(batch, len(at)))),
+        ]
+        self._width = width
+        # degrees of freedom and rest positions of all surface nodes: the object's in reach, then the sensor's
+        rest = np.zeros((batch, width, 3))
+        for b, n in enumerate(nodes):
+            rest[b, :len(n)] = mesh.points[n]
+        carried = 3 * (self._count + np.arange(m))[:, None] + np.arange(3)
+        objects = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
+        self._dof = torch.as_tensor(np.concatenate([objects, many(carried)], axis=1), device=self.device)  # (B, S, 3)
+        self._rest = real(np.concatenate([rest, many(own.points)], axis=1))
+        free = np.concatenate([self.model.free, self.sensor.free])
+        self._free = real(np.where(self._dof.cpu().numpy() >= 0, free[np.maximum(self._dof.cpu().numpy(), 0)], 0.0))
+        self._object: Response = response(self.model.factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
+        self._object_compliance = self._object.compliance()
+        self._x = self._rest.clone()
+        self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
+        self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
+        self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
+
+    def _side(self, node: torch.Tensor, weight: torch.Tensor, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor,
+              count: torch.Tensor) -> _Side:
+        size = tuple(stiffness.shape)
+
+        def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+            return torch.zeros((*size, *more), dtype=dtype, device=self.device)
+
+        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3),
+                 "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
+        memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        return _Side(node, weight, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory)
+
+    # ------------------------------------------------------------------------------------------ poses and history
+
+    def _positions(self, u: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
+        """World positions (B, S, 3) [m] of all surface nodes for displacements u (3 N, B) and the sensor at ``pose`` (B, 4, 4)."""
+        index = self._dof.clamp(min=0).reshape(self.batch, -1)
+        moved = u.gather(0, index.T).T.reshape(self._rest.shape).to(torch.float64) * (self._dof >= 0)
+        out = self._rest + moved
+        out[:, self._width:] = self._to_world(out[:, self._width:], pose)
+        return out
+
+    def _to_world(self, x: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
+        at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
+        return x @ at[:, :3, :3].mT + at[:, None, :3, 3]
+
+    def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
+        self._u_before = u.clone()
+        self._x_before.copy_(self._positions(u, before[:, 0]))
+
+    def move(self, pose: np.ndarray) -> None:
+        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up."""
+        pose = pose[:, 0]
+        if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
+            return
+        self._moved_to = (pose.copy(), self._u_before)
+        self._pose = pose
+        self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
+        self._x_swept.copy_(self._positions(self._u_before, pose))
+        self._x.copy_(self._x_swept)
+        self._look_up()
+
+    def _look_up(self) -> None:
+        """Candidates from the present positions, and the patch that they make."""
+        k = self.kernels
+        columns = wp.from_torch(self._every.to(torch.int32))
+        x = wp.from_torch(self._x, dtype=k.vec3)
+        self._near.zero_()
+        for side in self._sides:
+            size = side.stiffness.shape
+            wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
+                columns, self.within, wp.from_torch(side.node), wp.from_torch(side.weight), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
+            wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
+                side.faces.shape[2], columns, wp.from_torch(side.node), wp.from_torch(side.faces), wp.from_torch(side.candidates),
+                wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
+        self._make_patch()
+
+    def _make_patch(self) -> None:
+        width = self._width
+        chosen = []
+        for start, stop in ((0, width), (width, self._near.shape[1])):
+            near = self._near[:, start:stop]
+            most = max(1, int(near.sum(dim=1).amax()))
+            on, order = torch.sort(near, dim=1, descending=True, stable=True)
+            chosen.append((order[:, :most] + start, on[:, :most] > 0))
+        self._split = chosen[0][0].shape[1]
+        nodes, on = torch.cat([c[0] for c in chosen], dim=1), torch.cat([c[1] for c in chosen], dim=1)
+        self._nodes, self._on = nodes, on
+        place = torch.full(self._near.shape, 0, dtype=torch.int64, device=self.device)
+        self._place = place.scatter_(1, nodes, torch.arange(nodes.shape[1], device=self.device).expand_as(nodes).contiguous())
+        index = nodes[:, :, None].expand(-1, -1, 3)
+        dof = torch.where(on[:, :, None], self._dof.gather(1, index), -1)
+        self.dof = dof.flatten(1)
+        self._index = self.dof.clamp(min=0)
+        self.real = (self.dof >= 0).to(torch.float64)
+        self.free = self._free.gather(1, index).flatten(1) * self.real
+        self.rest = self._rest.gather(1, index).flatten(1) * self.real
+        self.compliance = self._compliance()
+        self.response: Response = self
+        self._packed: Any = None
+
+    def _compliance(self) -> torch.Tensor:
+        split, width = self._split, self._width
+        three = torch.arange(3, device=self.device)
+        a = (3 * self._nodes[:, :split, None] + three).flatten(1)
+        c = (3 * (self._nodes[:, split:, None] - width) + three).flatten(1)
+        out = torch.zeros((self.batch, self.dof.shape[1], self.dof.shape[1]), dtype=torch.float64, device=self.device)
+        rows = torch.arange(self.batch, device=self.device)[:, None, None]
+        out[:, :3 * split, :3 * split] = self._object_compliance[rows, a[:, :, None], a[:, None, :]]
+        out[:, 3 * split:, 3 * split:] = self._sensor_compliance[c[:, :, None], c[:, None, :]]
+        return out * self.real[:, :, None] * self.real[:, None, :]
+
+    # ------------------------------------------------------------------------------------------ the rest-state answer
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 N, k) [m] of both bodies at rest under forces (3 N, k) [N] that are 0 where held."""
+        n = 3 * self._count
+        return torch.cat([self._object.solve(right[:n].contiguous()), self._sensor_compliance @ right[n:]])
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
+        split = 3 * self._split
+        three = torch.arange(3, device=self.device)
+        force = force * self.real[touches]
+        a = (3 * self._nodes[touches, :self._split, None] + three).flatten(1)
+        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, a, force[:, :split])
+        c = (3 * (self._nodes[touches, self._split:, None] - self._width) + three).flatten(1)
+        size = len(self._sensor_compliance)
+        on_sensor = torch.zeros((len(touches), size), dtype=force.dtype, device=self.device).scatter_add_(1, c, force[:, split:])
+        return torch.cat([self._object.patch(touches, on_object), self._sensor_compliance @ on_sensor.T])
+
+    # ------------------------------------------------------------------------------------------ evaluation
+
+    def gather(self, u: torch.Tensor) -> torch.Tensor:
+        """Displacements (B, 3 s) [m] of the patches out of u (3 N, B), the sensor's in its frame."""
+        return u.gather(0, self._index.T).T.to(torch.float64) * self.real
+
+    def _common(self, side: _Side, columns: torch.Tensor) -> list[Any]:
+        return [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), wp.from_torch(side.node), wp.from_torch(side.weight)]
+
+    def _anchors(self, side: _Side) -> list[Any]:
+        k, m = self.kernels, side.memory
+        return [wp.from_torch(m["anchored"]), wp.from_torch(m["face"]), wp.from_torch(m["shape"], dtype=k.vec6)]
+
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their patches."""
+        k = self.kernels
+        x = (self.rest[columns] + displacement).view(len(columns), -1, 3)
+        carried = x[:, self._split:] @ self._turn[columns].mT + torch.as_tensor(self._pose[:, None, :3, 3], device=self.device)[columns]
+        nodes = self._nodes[columns]
+        x = torch.cat([x[:, :self._split], carried], dim=1)
+        keep = self._on[columns][:, :, None]
+        old = self._x[columns]
+        index = nodes[:, :, None].expand(-1, -1, 3)
+        self._x[columns] = old.scatter(1, index, torch.where(keep, x, old.gather(1, index)))
+        for side in self._sides:
+            s, m, size = side.state, side.memory, side.stiffness.shape
+            wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
+                *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
+                wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
+                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
+                wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
+                wp.from_torch(s["slips"]), wp.from_torch(s["astray"]), wp.from_torch(s["energy"])])
+        self._packed = None
+
+    def lag(self, columns: torch.Tensor) -> None:
+        """Renew friction's limit and tangent plane from what `evaluate` found last."""
+        if not self.rubs:
+            return
+        k = self.kernels
+        for side in self._sides:
+            s, m, size = side.state, side.memory, side.stiffness.shape
+            wp.launch(k.lag, dim=(size[1], len(columns)), device=self.device, inputs=[
+                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), wp.from_torch(self.softening), self._friction,
+                wp.from_torch(side.candidates), wp.from_torch(self._x_before, dtype=k.vec3), wp.from_torch(self._x_swept, dtype=k.vec3),
+                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
+                *self._anchors(side), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3)])
+
+    def settle(self, columns: torch.Tensor) -> None:
+        """The step is done: let slipping points drag their anchors, and forget those that left."""
+        if not self.rubs or not len(columns):
+            return
+        k = self.kernels
+        for side in self._sides:
+            s, m, size = side.state, side.memory, side.stiffness.shape
+            wp.launch(k.settle, dim=(size[1], len(columns)), device=self.device, inputs=[
+                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), contact.STICK, wp.from_torch(self._x, dtype=k.vec3),
+                wp.from_torch(side.candidates), wp.from_torch(s["gap"]), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
+                *self._anchors(side)])
+
+    def memory(self) -> list[dict[str, torch.Tensor]]:
+        """Friction's memory, to return to if a step fails; see `restore`."""
+        return [{key: value.clone() for key, value in side.memory.items()} for side in self._sides] if self.rubs else []
+
+    def restore(self, columns: torch.Tensor, memory: list[dict[str, torch.Tensor]]) -> None:
+        """Set friction's memory of ``columns`` back."""
+        for side, kept in zip(self._sides, memory, strict=False):
+            for key, value in kept.items():
+                side.memory[key][columns] = value[columns]
+
+    # ------------------------------------------------------------------------------------------ results
+
+    def _sum(self, name: str, columns: torch.Tensor) -> torch.Tensor:
+        return sum(side.state[name][columns].sum(dim=1) for side in self._sides)
+
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of the contact (k,) [J]."""
+        return self._sum("energy", columns)
+
+    def astray(self, columns: torch.Tensor) -> torch.Tensor:
+        """Points (k,) that lie past the middle of the other body: none, in a solution."""
+        return self._sum("astray", columns)
+
+    def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """Is any point inside the other body? (k,) bool."""
+        return torch.stack([(side.state["gap"][columns] < 0.0).any(dim=1) for side in self._sides]).any(dim=0)
+
+    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
+        """Deepest point (k,) [m]."""
+        return torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0).clamp(min=0.0)
+
+    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """Share of the points in contact that slip (k,) [-]; 0 without contact."""
+        inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
+        return self._sum("slips", columns) / inside.clamp(min=1)
+
+    def _pack(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Of the points in contact, padded to the most: how far each patch node moves them apart (k, a, s) for the normal and, with friction,
+        for the tangential part; push and drag on them (k, a, 3) [N]; roots of their stiffness (k, a, 3, 3)."""
+        if self._packed is not None and torch.equal(self._packed[0], columns):
+            return self._packed[1]
+        parts = []
+        for side in self._sides:
+            active = (side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
+            most = int(active.sum(dim=1).amax())
+            if most == 0:
+                continue
+            on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
+            order, on = order[:, :most], on[:, :most].to(torch.float64)
+
+            def which(table: torch.Tensor, order: torch.Tensor = order) -> torch.Tensor:
+                return table[columns[:, None], order]
+
+            place = self._place[columns]
+            rows = torch.arange(len(columns), device=self.device)[:, None, None]
+            own = place[rows, which(side.node).long()]
+            weight = which(side.weight) * on[:, :, None]
+
+            def apart(face: torch.Tensor, shape: torch.Tensor, side: _Side = side, own: torch.Tensor = own, weight: torch.Tensor = weight,
+                      on: torch.Tensor = on, place: torch.Tensor = place, rows: torch.Tensor = rows) -> torch.Tensor:
+                nodes = side.faces.shape[2]
+                other = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
+                values = torch.cat([weight, -shape[:, :, :nodes] * (on * (face >= 0))[:, :, None]], dim=2)
+                out = torch.zeros((*own.shape[:2], self._nodes.shape[1]), dtype=torch.float64, device=self.device)
+                return out.scatter_add_(2, torch.cat([own, other], dim=2), values)
+
+            normal = apart(which(side.state["face"]), which(side.state["shape"]))
+            across = apart(which(side.memory["face"]), which(side.memory["shape"])) if self.rubs else normal
+            mask = on[:, :, None]
+            parts.append((normal, across, which(side.state["push"]) * mask, which(side.state["drag"]) * mask, which(side.state["rows"]) * mask[:, :, :, None]))
+        if parts:
+            out = tuple(torch.cat(p, dim=1) for p in zip(*parts, strict=True))
+        else:
+            k = len(columns)
+            none = torch.zeros((k, 1, self._nodes.shape[1]), dtype=torch.float64, device=self.device)
+            out = (none, none, none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3, 3)))
+        self._packed = (columns.clone(), out)
+        return out
+
+    def _to_own(self, values: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """Vectors (k, s, 3) on the patches from the world to the frames of their unknowns."""
+        return torch.cat([values[:, :self._split], values[:, self._split:] @ self._turn[columns]], dim=1)
+
+    def nodal_world(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces (k, s, 3) [N] on the patches' nodes, world."""
+        normal, across, push, drag, _ = self._pack(columns)
+        out = normal.mT @ push
+        return out + across.mT @ drag if self.rubs else out
+
+    def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces (k, 3 s) [N] on the patches' nodes, in the frames of their unknowns."""
+        return self._to_own(self.nodal_world(columns), columns).flatten(1)
+
+    def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Force on the sensor (k, 1, 3) [N], world."""
+        return self.nodal_world(columns)[:, self._split:].sum(dim=1, keepdim=True)
+
+    def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Moment on the sensor about its origin (k, 1, 3) [N m], world."""
+        force = self.nodal_world(columns)[:, self._split:]
+        index = self._nodes[columns][:, self._split:, None].expand(-1, -1, 3)
+        lever = self._x[columns].gather(1, index) - torch.as_tensor(self._pose[:, None, :3, 3], device=self.device)[columns]
+        return torch.linalg.cross(lever, force).sum(dim=1, keepdim=True)
+
+    # ------------------------------------------------------------------------------------------ stiffness
+
+    def rows(self, columns: torch.Tensor) -> torch.Tensor:
+        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness."""
+        normal, across, _, _, roots = self._pack(columns)
+        parts = [self._spread(normal, roots[:, :, :1], columns)]
+        if self.rubs:
+            parts.append(self._spread(across, roots[:, :, 1:], columns))
+        return torch.cat(parts, dim=1) * self.free[columns][:, None, :]
+
+    def _spread(self, points: torch.Tensor, roots: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        k, a, s = points.shape
+        split = self._split
+        turned = roots @ self._turn[columns][:, None]
+        out = torch.cat([roots[:, :, :, None, :] * points[:, :, None, :split, None], turned[:, :, :, None, :] * points[:, :, None, split:, None]], dim=3)
+        return out.reshape(k, a * roots.shape[2], 3 * s)
+
+    def stiffness(self, columns: torch.Tensor, bend: torch.Tensor | None = None) -> torch.Tensor:
+        """Contact stiffness (k, 3 s, 3 s) [N/m] on the patches; it has no geometric term (``bend`` is ignored)."""
+        rows = self.rows(columns)
+        return rows.mT @ rows
+
+    def block(self, columns: torch.Tensor) -> ContactBlock:
+        """The contact of ``columns``, ready to be inverted together with both bodies at rest."""
+        return ContactBlock.of(self.rows(columns), self.compliance[columns])
+
+    # ------------------------------------------------------------------------------------------ between steps
+
+    def remember(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces of ``columns`` (all of them) as the next step can read them: (3 N, B) [N]."""
+        size = 3 * (self._count + len(self.sensor.mesh.points))
+        out = torch.zeros((size, len(columns)), dtype=torch.float64, device=self.device)
+        return out.scatter_add_(0, self._index.T, self.nodal(columns).T)
+
+    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
+        """Remembered forces (B, 3 s) [N] on the present patches."""
+        return remembered.gather(0, self._index.T).T * self.real
+
+    def nothing(self) -> torch.Tensor:
+        """Remembered forces of a touch that has none."""
+        return torch.zeros((3 * (self._count + len(self.sensor.mesh.points)), self.batch), dtype=torch.float64, device=self.device)
+
+    def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """Look up who may meet whom anew, from where the surfaces are now; True if that finds contact which was not seen."""
+        seen = [(side.candidates.clone(), side.state["gap"].clone()) for side in self._sides]
+        self._x.copy_(self._positions(u, self._pose))
+        self._look_up()
+        self.evaluate(columns, self.gather(u)[columns])
+        changed = False
+        for side, (_, gap) in zip(self._sides, seen, strict=True):
+            old, new = gap[columns].clamp(max=0.0), side.state["gap"][columns].clamp(max=0.0)
+            changed = changed or bool(((old - new).abs() > _FOUND).any())
+        return changed
