@@ -31,7 +31,7 @@ SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kep
 class _Side:
     """Points of one surface (Q of them) and the faces of the other one, node numbers local to the touch; tensors on the device.
 
-    node, weight, facet: (B, Q, 3), of each point and of the facet whose normal it has. stiffness: (B, Q) [N/m]. faces: (B, F, 3 or 6).
+    node, weight: (B, Q, 1, 3 or 6 nodes) of each point. facet: (B, Q, 3) corners of the facet whose normal it has. stiffness: (B, Q) [N/m]. faces: (B, F, 3 or 6).
     count: (B,) int32 faces in use. state: what the kernels write, by name. memory: friction's.
     """
 
@@ -69,7 +69,8 @@ class PairTouching:
         self._count = len(model.mesh.points)
         self._every = torch.arange(self.batch, device=device)
         self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
-        self._sensor_compliance = torch.as_tensor(sensor.factor.compliance(np.arange(len(sensor.mesh.points))), device=device)
+        inverse = sensor.factor.solve(np.diag(sensor.free))
+        self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=device)
         self._upload(self._reachable(poses))
 
     # ------------------------------------------------------------------------------------------ set-up
@@ -127,8 +128,12 @@ class PairTouching:
             normal_of[b, local] = local[:, None, :3]
         object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
         at = own.faces + width
-        points = len(_POINTS)
-        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], 1e-3 * own_modulus[None, :])) * np.sqrt(own_area) / points
+        # Gauss points of the sensor's faces, linear or quadratic, and their shares of the area
+        linear = own.faces.shape[1] == 3
+        shapes = _POINTS if linear else contact.shape_table(6)[0]
+        share = np.full(len(_POINTS), 1.0 / len(_POINTS)) if linear else contact.WEIGHTS
+        points = len(shapes)
+        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], 1e-3 * own_modulus[None, :])) * np.sqrt(own_area)
 
         def real(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float64, device=self.device)
@@ -140,11 +145,11 @@ class PairTouching:
             return np.broadcast_to(values, (batch, *values.shape))
 
         own_points = np.repeat(at, points, axis=0)
-        on_node = np.repeat(np.arange(width)[:, None], 3, axis=1)
+        on_node = np.arange(width)[:, None]
         self._sides = [
-            self._side(whole(many(own_points)), real(many(np.tile(_POINTS, (len(at), 1)))), whole(many(own_points)), real(np.repeat(pressed, points, axis=1)),
-                       whole(faces), whole(np.array([len(f) for f in reach]))),
-            self._side(whole(many(on_node)), real(many(np.tile([1.0, 0.0, 0.0], (width, 1)))), whole(normal_of), real(tied),
+            self._side(whole(many(own_points)), real(many(np.tile(shapes, (len(at), 1)))), whole(many(own_points[:, :3])),
+                       real((pressed[:, :, None] * share).reshape(batch, -1)), whole(faces), whole(np.array([len(f) for f in reach]))),
+            self._side(whole(many(on_node)), real(many(np.ones((width, 1)))), whole(normal_of), real(tied),
                        whole(many(at)), whole(np.full(batch, len(at)))),
         ]
         self._width = width

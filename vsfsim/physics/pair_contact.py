@@ -29,6 +29,7 @@ def kernels() -> Any:
     real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
     vec6 = wp.types.vector(length=6, dtype=real)
+    vec_most = wp.types.vector(length=CANDIDATES, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_pair_contact"
     facing = wp.constant(real(FACING))
@@ -227,7 +228,7 @@ def kernels() -> Any:
     @wp.func(module=module)
     def slave(b: int, q: int, weight: wp.array3d(dtype=real), node: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
         out = vec3()
-        for i in range(3):
+        for i in range(node.shape[2]):
             out += weight[b, q, i] * x[b, node[b, q, i]]
         return out
 
@@ -263,7 +264,7 @@ def kernels() -> Any:
         p = slave(b, q, weight, node, x_in)
         held = int(0)  # noqa: UP018, RUF046
         worst = within
-        far_of = wp.types.vector(length=CANDIDATES, dtype=real)()
+        far_of = vec_most()
         for face in range(count[b]):
             x0 = x_in[b, faces[b, face, 0]]
             x1 = x_in[b, faces[b, face, 1]]
@@ -304,7 +305,7 @@ def kernels() -> Any:
         q, k = wp.tid()
         b = columns[k]
         if candidates_in[b, q, 0] >= 0 or anchored_in[b, q] > 0:
-            for i in range(3):
+            for i in range(node.shape[2]):
                 near_out[b, node[b, q, i]] = 1
             for c in range(most):
                 face = candidates_in[b, q, c]

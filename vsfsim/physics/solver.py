@@ -51,8 +51,12 @@ class Solver:
 
     def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *, friction: float | Sequence[float] = 0.0, device: str = "cpu",
                  precision: str = "float64", options: SolverOptions | None = None, linear: bool = False):
-        self.model, self.bodies = model, RigidBodies(shapes)
-        self.friction = np.broadcast_to(np.asarray(friction, float), (len(self.bodies),)).copy()
+        bodies = RigidBodies(shapes)
+        self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device, precision, options, linear)
+
+    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str, options: SolverOptions | None,
+               linear: bool) -> None:
+        self.model, self.bodies, self.friction = model, bodies, friction
         options = options or SolverOptions()
         if precision == "float32":
             # rounding of the nodal forces leaves about 1e-3 unbalanced; asking for less would only burn iterations

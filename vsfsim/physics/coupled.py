@@ -1,0 +1,200 @@
+"""A soft sensor that is carried against a soft object: both find one equilibrium, frame by frame.
+
+The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and the factor of its rest state
+stay what they are while it is carried along); `pair.PairTouching` is the contact between them, and everything else is `Solver`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.physics.equilibrium import State
+from vsfsim.physics.factor import RestFactor
+from vsfsim.physics.frames import Frames, SolverOptions
+from vsfsim.physics.model import Model
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.pair import PairTouching
+from vsfsim.physics.solver import Rows, Solver
+
+_STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
+_MARGIN = 0.5  # of the stride: what the surfaces may besides come nearer by their own motion
+_BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
+_TRIES = 60
+
+
+@dataclass(frozen=True)
+class Points:
+    """The nodes of two bodies. points: the object's (world), then the sensor's (its frame) (N, 3) [m]."""
+
+    points: np.ndarray
+
+
+@dataclass(frozen=True)
+class BothFactors:
+    """The rest-state factors of two bodies that do not touch. object, sensor: theirs. split: 3 x the object's nodes."""
+
+    object: RestFactor
+    sensor: RestFactor
+    split: int
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Displacements (3 N, k) [m] under forces (3 N, k) [N]."""
+        return np.concatenate([self.object.solve(right[:self.split]), self.sensor.solve(right[self.split:])])
+
+
+@dataclass(frozen=True)
+class Both:
+    """Two bodies as one model for `Solver`; fields as `Model`.
+
+    object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node numbers after the object's.
+    """
+
+    object: Model
+    sensor: Model
+    mesh: Points
+    blocks: tuple[Block, ...]
+    free: np.ndarray
+    load: np.ndarray
+    young_modulus: np.ndarray
+    element_size: float
+    factor: BothFactors
+
+    @classmethod
+    def of(cls, model: Model, sensor: Model) -> Both:
+        """Put an object and a sensor side by side."""
+        count = len(model.mesh.points)
+        moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
+        return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])), (*model.blocks, *moved),
+                   np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]), model.young_modulus,
+                   min(model.element_size, sensor.element_size), BothFactors(model.factor, sensor.factor, 3 * count))
+
+    def grounding(self) -> np.ndarray:
+        """As `Model.grounding`."""
+        return np.concatenate([self.object.grounding(), self.sensor.grounding()])
+
+    def least_force(self) -> float:
+        """As `Model.least_force`."""
+        return self.object.least_force()
+
+
+class _Carried:
+    """What `path` asks of a rigid body: how far it reaches from its origin."""
+
+    def __init__(self, sensor: Model):
+        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
+
+    def __len__(self) -> int:
+        return 1
+
+    def reach(self, k: int) -> float:
+        """Farthest point from the origin [m]."""
+        return self._reach
+
+
+class CoupledSolver(Solver):
+    """Touches of one object by one soft sensor.
+
+    Args:
+        model: the object, in the world. sensor: in its own frame, +z towards the object; its displacements are 0 in the free state.
+        friction: Coulomb's coefficient of the pair [-]. device, precision, options: see `Solver`.
+    """
+
+    def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu", precision: str = "float64",
+                 options: SolverOptions | None = None):
+        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
+        self.object, self.sensor = model, sensor
+        height = float(np.ptp(sensor.mesh.points[:, 2]))
+        self._stride = _STRIDE * height
+        self._within = (1.0 + _MARGIN) * self._stride
+
+    def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
+        """Follow the sensor through all frames.
+
+        Args:
+            poses: sensor to world (T, B, 4, 4). keep, progress: see `Solver.run`; with ``keep``, ``self.sensor_position`` holds T entries
+                (m, 3, B) of the sensor's nodes in the world [m] and ``self.sensor_force`` (m, 3, B) the contact force on each [N].
+
+        Returns:
+            Frames: force is the one on the sensor; ``pressure`` [Pa] and ``volume`` [m^3] (T, B) of a sensor with gas are in `self`.
+        """
+        self.pressure: list[np.ndarray] = []
+        self.volume: list[np.ndarray] = []
+        self.sensor_position: list[np.ndarray] = []
+        self.sensor_force: list[np.ndarray] = []
+        return super().run(poses, keep=keep, progress=progress)
+
+    def _meet(self, poses: np.ndarray) -> tuple[PairTouching, np.ndarray]:
+        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device, within=self._within)
+        return touching, self._outside(touching, poses[0])
+
+    def _outside(self, touching: PairTouching, pose: np.ndarray) -> np.ndarray:
+        """First poses (B, 1, 4, 4) to come in from: drawn back along the sensor's axis until nothing touches."""
+        out = pose.copy()
+        every = torch.arange(touching.batch, device=self.device)
+        u = torch.zeros((len(self.model.free), touching.batch), dtype=torch.float64, device=self.device)
+        step = _BACK * self.bodies.reach(0)
+        for _ in range(_TRIES):
+            touching.begin(out, u)
+            touching.move(out)
+            touching.evaluate(every, touching.gather(u))
+            inside = (touching.touches(every) | (touching.astray(every) > 0)).cpu().numpy() | self._within_sensor(out)
+            if not inside.any():
+                break
+            out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]
+        return out
+
+    def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
+        """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes are seen by the contact."""
+        at = self.object.mesh.points[self.object.mesh.surface_nodes()]
+        own = self.sensor.mesh.points
+        corners = own[self.sensor.mesh.faces[:, :3]][:, :, :2]
+        height = own[self.sensor.mesh.faces[:, :3]][:, :, 2]
+        out = np.zeros(len(pose), bool)
+        for b in range(len(pose)):
+            local = (at - pose[b, 0, :3, 3]) @ pose[b, 0, :3, :3]
+            local = local[(local > own.min(axis=0)).all(axis=1) & (local < own.max(axis=0)).all(axis=1)]
+            for p in local:
+                a, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+                r = p[:2] - corners[:, 0]
+                det = a[:, 0] * c[:, 1] - a[:, 1] * c[:, 0]
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    s = (r[:, 0] * c[:, 1] - r[:, 1] * c[:, 0]) / det
+                    t = (a[:, 0] * r[:, 1] - a[:, 1] * r[:, 0]) / det
+                over = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
+                top = height[:, 0] + s * (height[:, 1] - height[:, 0]) + t * (height[:, 2] - height[:, 0])
+                if over.any() and p[2] < top[over].max():
+                    out[b] = True
+                    break
+        return out
+
+    def _keep(self) -> None:
+        every, touching = self._balance.every, self.touching
+        u = self._balance.u
+        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
+        split = 3 * len(self.object.mesh.points)
+        contact = self._pushed.view(-1, 3, u.shape[1])
+        self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)].cpu().numpy())
+        turn = touching._turn
+        self.sensor_force.append(torch.einsum("bij,mjb->mib", turn, contact[split // 3:]).cpu().numpy())
+        own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None] + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
+        origin = torch.as_tensor(touching._pose[:, :3, 3].T, device=self.device)
+        self.sensor_position.append((torch.einsum("bij,mjb->mib", turn, own) + origin).cpu().numpy())
+        assert len(every) == u.shape[1]
+
+    def _report(self, state: State) -> Rows:
+        # the object's balance only: the sensor's forces stand in its own frame, and end at its rim
+        split = 3 * len(self.object.mesh.points)
+        mask = torch.zeros_like(self._balance.free)
+        mask[:split] = 1.0
+        own = dict(state)
+        own["contact"], own["internal"] = state["contact"] * mask, state["internal"] * mask
+        out = super()._report(own)
+        if self.elasticity.pressure is not None:
+            self.pressure.append(wp.to_torch(self.elasticity.pressure).cpu().numpy().copy())
+            self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
+        return out
