@@ -28,6 +28,7 @@ from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
+SHEET = 10.0  # times that on linear faces: over a small ball a faceted sheet rests on its edges, i.e. on few of its points
 STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
 FACING = 0.5  # cosine between the object's and the body's outward normal above which a point inside the body counts as astray
 
@@ -350,6 +351,6 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
     padded = np.zeros((len(faces), 6), np.int64)
     padded[:, :corners] = local.reshape(len(faces), corners)
-    pressure_per_metre = PENALTY * modulus / np.sqrt(area)
+    pressure_per_metre = PENALTY * (SHEET if corners == 3 else 1.0) * modulus / np.sqrt(area)
     stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
     return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0))

@@ -286,6 +286,10 @@ class Elasticity:
             elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
 
+    def remembered(self, block: int) -> np.ndarray:
+        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble a matrix on the host."""
+        return self._state[block].numpy()
+
     def multiply(self, index: wp.array, x: wp.array) -> wp.array:
         """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are 0."""
         out = wp.empty_like(x)

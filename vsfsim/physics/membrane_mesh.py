@@ -7,6 +7,7 @@ one half and mirrored. Near the middle of a circle the line is one node.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -88,7 +89,7 @@ def ellipse(a: float, b: float, nodes: int, *, rim: int | None = None) -> tuple[
     # around the line and back, from its right end
     ends = start[-1] + np.arange(middle)
     loops.append(np.concatenate([ends[::-1], ends[1:-1]]) if middle > 1 else ends)
-    triangles = np.concatenate([_strip(points, outer, inner) for outer, inner in zip(loops[:-1], loops[1:], strict=True)])
+    triangles = np.concatenate([_strip(points, outer, inner) for outer, inner in itertools.pairwise(loops)])
     points = _smooth(points, triangles, rim)
     return points, triangles, np.arange(rim)
 

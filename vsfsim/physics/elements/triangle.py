@@ -267,7 +267,7 @@ def kernels(real: type) -> Any:
         nu = ratio[t]
         m = modulus[t]
         state = regime(l1, l2, law[t], nu, relaxed[t])
-        w, g1, g2 = law_of(l1, l2, m, law[t], nu, state)
+        _, g1, g2 = law_of(l1, l2, m, law[t], nu, state)
         g11 = zero
         g12 = zero
         g22 = zero
