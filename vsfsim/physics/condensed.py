@@ -10,10 +10,14 @@ that energy solves it for all touches at once. It is the `linear` tier, and the 
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import torch
 
 from vsfsim.physics import contact
-from vsfsim.physics.touching import Touching
+
+if TYPE_CHECKING:
+    from vsfsim.physics.touching import Touching
 
 _SLACK = 1e-12  # of the energy: rounding of the sum over the patch
 _BLUNT = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness, stage by stage

@@ -22,7 +22,6 @@ from vsfsim.physics.pair import PairTouching
 from vsfsim.physics.solver import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
-_MARGIN = 0.5  # of the stride: what the surfaces may besides come nearer by their own motion
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
 _TRIES = 60
 
@@ -110,7 +109,6 @@ class CoupledSolver(Solver):
         self.object, self.sensor = model, sensor
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height
-        self._within = (1.0 + _MARGIN) * self._stride
 
     def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the sensor through all frames.
@@ -129,7 +127,7 @@ class CoupledSolver(Solver):
         return super().run(poses, keep=keep, progress=progress)
 
     def _meet(self, poses: np.ndarray) -> tuple[PairTouching, np.ndarray]:
-        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device, within=self._within)
+        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device, stride=self._stride)
         return touching, self._outside(touching, poses[0])
 
     def _outside(self, touching: PairTouching, pose: np.ndarray) -> np.ndarray:

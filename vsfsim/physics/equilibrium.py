@@ -14,7 +14,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics import clock, condensed
+from vsfsim.physics import clock
 from vsfsim.physics.direction import newton_direction
 from vsfsim.physics.elasticity import Elasticity
 from vsfsim.physics.factor import spread
@@ -184,7 +184,7 @@ class Equilibrium:
         base = self.u[:, columns].gather(0, at).T.to(torch.float64) * real + change
         pushed = touching.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
         with clock.measure("contact"):
-            force, error = condensed.solve(touching, columns, base, pushed, iterations=12, tolerance=1e-3)
+            force, error = touching.condensed(columns, base, pushed, iterations=12, tolerance=1e-3)
         useful = (error < 0.1) & (force != 0.0).any(dim=1)
         if bool(useful.any()):
             more = touching.response.patch(columns[useful], force[useful])

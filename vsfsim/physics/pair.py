@@ -17,26 +17,29 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics import contact, pair_contact
+from vsfsim.physics import contact, pair_condensed, pair_contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.touching import ContactBlock
 
-_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6.0  # Gauss points of a triangle, degree 2, equal weights
+_MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
+_BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
+_SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
+_TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 _FOUND = 1e-9  # m: a gap that changes by more when the faces are looked up anew was wrong
 SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
 
 
 @dataclass
 class _Side:
-    """Points of one surface (Q of them) and the faces of the other one, node numbers local to the touch; tensors on the device.
+    """The nodes of one surface (Q of them) and the faces of the other one, numbers local to the touch; tensors on the device.
 
-    node, weight: (B, Q, 1, 3 or 6 nodes) of each point. facet: (B, Q, 3) corners of the facet whose normal it has. stiffness: (B, Q) [N/m]. faces: (B, F, 3 or 6).
-    count: (B,) int32 faces in use. state: what the kernels write, by name. memory: friction's.
+    first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
+    faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
+    this step, -1 pads. state: what the kernels write, by name. memory: friction's.
     """
 
-    node: torch.Tensor
-    weight: torch.Tensor
+    first: int
     facet: torch.Tensor
     stiffness: torch.Tensor
     faces: torch.Tensor
@@ -55,13 +58,15 @@ class PairTouching:
     Args:
         model: the object. sensor: the body with the touching surface, in its own frame (free displacements there).
         friction: Coulomb's coefficient of the pair [-]. poses: sensor to world (T, B, 4, 4), to find what is in reach. device: Warp device.
-        within: the way [m] that the surfaces may approach each other in a step; nearer faces are looked at.
+        stride: longest way of the sensor in a step [m].
     """
 
     rubs: bool
 
-    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, within: float):
-        self.model, self.sensor, self.device, self.within = model, sensor, device, within
+    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
+        self.model, self.sensor, self.device = model, sensor, device
+        self._margin = _MARGIN * stride
+        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
         self.kernels = pair_contact.kernels()
         self.rubs, self._friction = friction > 0.0, float(friction)
         self.stick = contact.STICK
@@ -78,7 +83,8 @@ class PairTouching:
     def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
         """Boundary triangles of the object that each touch's sensor may meet: inside the box that the sensor sweeps, made wider."""
         own = self.sensor.mesh.points
-        low, high = own.min(axis=0) - self.within, own.max(axis=0) + self.within
+        margin = _BULGE * float(np.ptp(own[:, 2]))
+        low, high = own.min(axis=0) - margin, own.max(axis=0) + margin
         at = self.model.mesh.points
         faces = self.model.mesh.faces
         out = []
@@ -126,14 +132,16 @@ class PairTouching:
             w = contact.PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
             np.add.at(tied[b], local, w[:, None])
             normal_of[b, local] = local[:, None, :3]
+        # the same for the sensor's nodes; against what is far softer than it a softer penalty will do
+        corners = own.faces.shape[1]
         object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
+        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], _SOFTEST * own_modulus[None, :])) * np.sqrt(own_area)
+        carried_stiffness = np.zeros((batch, m))
+        for b in range(batch):
+            np.add.at(carried_stiffness[b], own.faces, pressed[b][:, None] / corners)
+        carried_normal = np.zeros((m, 3), np.int64)
+        carried_normal[own.faces] = own.faces[:, None, :3]
         at = own.faces + width
-        # Gauss points of the sensor's faces, linear or quadratic, and their shares of the area
-        linear = own.faces.shape[1] == 3
-        shapes = _POINTS if linear else contact.shape_table(6)[0]
-        share = np.full(len(_POINTS), 1.0 / len(_POINTS)) if linear else contact.WEIGHTS
-        points = len(shapes)
-        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], 1e-3 * own_modulus[None, :])) * np.sqrt(own_area)
 
         def real(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float64, device=self.device)
@@ -144,13 +152,9 @@ class PairTouching:
         def many(values: np.ndarray) -> np.ndarray:
             return np.broadcast_to(values, (batch, *values.shape))
 
-        own_points = np.repeat(at, points, axis=0)
-        on_node = np.arange(width)[:, None]
         self._sides = [
-            self._side(whole(many(own_points)), real(many(np.tile(shapes, (len(at), 1)))), whole(many(own_points[:, :3])),
-                       real((pressed[:, :, None] * share).reshape(batch, -1)), whole(faces), whole(np.array([len(f) for f in reach]))),
-            self._side(whole(many(on_node)), real(many(np.ones((width, 1)))), whole(normal_of), real(tied),
-                       whole(many(at)), whole(np.full(batch, len(at)))),
+            self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces), whole(np.array([len(f) for f in reach]))),
+            self._side(0, whole(normal_of), real(tied), whole(many(at)), whole(np.full(batch, len(at)))),
         ]
         self._width = width
         # degrees of freedom and rest positions of all surface nodes: the object's in reach, then the sensor's
@@ -170,8 +174,7 @@ class PairTouching:
         self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
 
-    def _side(self, node: torch.Tensor, weight: torch.Tensor, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor,
-              count: torch.Tensor) -> _Side:
+    def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor, count: torch.Tensor) -> _Side:
         size = tuple(stiffness.shape)
 
         def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
@@ -180,7 +183,7 @@ class PairTouching:
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        return _Side(node, weight, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory)
+        return _Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory)
 
     # ------------------------------------------------------------------------------------------ poses and history
 
@@ -198,7 +201,7 @@ class PairTouching:
 
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
         """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
-        self._u_before = u.clone()
+        self._u_before, self._pose_before = u.clone(), before[:, 0]
         self._x_before.copy_(self._positions(u, before[:, 0]))
 
     def move(self, pose: np.ndarray) -> None:
@@ -211,10 +214,11 @@ class PairTouching:
         self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
         self._x_swept.copy_(self._positions(self._u_before, pose))
         self._x.copy_(self._x_swept)
-        self._look_up()
+        way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
+        self._look_up(float(way.max()) + self._margin)
 
-    def _look_up(self) -> None:
-        """Candidates from the present positions, and the patch that they make."""
+    def _look_up(self, within: float) -> None:
+        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make."""
         k = self.kernels
         columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
@@ -222,10 +226,10 @@ class PairTouching:
         for side in self._sides:
             size = side.stiffness.shape
             wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
-                columns, self.within, wp.from_torch(side.node), wp.from_torch(side.weight), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
                 wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
-                side.faces.shape[2], columns, wp.from_torch(side.node), wp.from_torch(side.faces), wp.from_torch(side.candidates),
+                side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
                 wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
         self._make_patch()
 
@@ -269,7 +273,12 @@ class PairTouching:
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] of both bodies at rest under forces (3 N, k) [N] that are 0 where held."""
         n = 3 * self._count
-        return torch.cat([self._object.solve(right[:n].contiguous()), self._sensor_compliance @ right[n:]])
+        return torch.cat([self._object.solve(right[:n].contiguous()), self._sensor_solve(right[n:])])
+
+    def _sensor_solve(self, right: torch.Tensor) -> torch.Tensor:
+        if self.device == "cpu" and len(right) > _TABLE:
+            return torch.as_tensor(self.sensor.factor.solve(right.contiguous().numpy()))
+        return self._sensor_compliance @ right
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
@@ -281,7 +290,7 @@ class PairTouching:
         c = (3 * (self._nodes[touches, self._split:, None] - self._width) + three).flatten(1)
         size = len(self._sensor_compliance)
         on_sensor = torch.zeros((len(touches), size), dtype=force.dtype, device=self.device).scatter_add_(1, c, force[:, split:])
-        return torch.cat([self._object.patch(touches, on_object), self._sensor_compliance @ on_sensor.T])
+        return torch.cat([self._object.patch(touches, on_object), self._sensor_solve(on_sensor.T)])
 
     # ------------------------------------------------------------------------------------------ evaluation
 
@@ -290,7 +299,7 @@ class PairTouching:
         return u.gather(0, self._index.T).T.to(torch.float64) * self.real
 
     def _common(self, side: _Side, columns: torch.Tensor) -> list[Any]:
-        return [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), wp.from_torch(side.node), wp.from_torch(side.weight)]
+        return [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
 
     def _anchors(self, side: _Side) -> list[Any]:
         k, m = self.kernels, side.memory
@@ -396,21 +405,8 @@ class PairTouching:
             def which(table: torch.Tensor, order: torch.Tensor = order) -> torch.Tensor:
                 return table[columns[:, None], order]
 
-            place = self._place[columns]
-            rows = torch.arange(len(columns), device=self.device)[:, None, None]
-            own = place[rows, which(side.node).long()]
-            weight = which(side.weight) * on[:, :, None]
-
-            def apart(face: torch.Tensor, shape: torch.Tensor, side: _Side = side, own: torch.Tensor = own, weight: torch.Tensor = weight,
-                      on: torch.Tensor = on, place: torch.Tensor = place, rows: torch.Tensor = rows) -> torch.Tensor:
-                nodes = side.faces.shape[2]
-                other = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
-                values = torch.cat([weight, -shape[:, :, :nodes] * (on * (face >= 0))[:, :, None]], dim=2)
-                out = torch.zeros((*own.shape[:2], self._nodes.shape[1]), dtype=torch.float64, device=self.device)
-                return out.scatter_add_(2, torch.cat([own, other], dim=2), values)
-
-            normal = apart(which(side.state["face"]), which(side.state["shape"]))
-            across = apart(which(side.memory["face"]), which(side.memory["shape"])) if self.rubs else normal
+            normal = self._apart(side, columns, order, on, which(side.state["face"]), which(side.state["shape"]))
+            across = self._apart(side, columns, order, on, which(side.memory["face"]), which(side.memory["shape"])) if self.rubs else normal
             mask = on[:, :, None]
             parts.append((normal, across, which(side.state["push"]) * mask, which(side.state["drag"]) * mask, which(side.state["rows"]) * mask[:, :, :, None]))
         if parts:
@@ -421,6 +417,17 @@ class PairTouching:
             out = (none, none, none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3, 3)))
         self._packed = (columns.clone(), out)
         return out
+
+    def _apart(self, side: _Side, columns: torch.Tensor, order: torch.Tensor, on: torch.Tensor, face: torch.Tensor, shape: torch.Tensor) -> torch.Tensor:
+        """How far each patch node (k, a, s) moves the nodes ``order`` (k, a) of a side from the places ``shape`` on the ``face`` of the other;
+        ``on`` (k, a): 0 for padded ones."""
+        place = self._place[columns]
+        rows = torch.arange(len(columns), device=self.device)[:, None, None]
+        own = place.gather(1, side.first + order)[:, :, None]
+        other = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
+        values = torch.cat([on[:, :, None], -shape[:, :, :side.faces.shape[2]] * (on * (face >= 0))[:, :, None]], dim=2)
+        out = torch.zeros((*own.shape[:2], self._nodes.shape[1]), dtype=torch.float64, device=self.device)
+        return out.scatter_add_(2, torch.cat([own, other], dim=2), values)
 
     def _to_own(self, values: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Vectors (k, s, 3) on the patches from the world to the frames of their unknowns."""
@@ -473,6 +480,48 @@ class PairTouching:
         """The contact of ``columns``, ready to be inverted together with both bodies at rest."""
         return ContactBlock.of(self.rows(columns), self.compliance[columns])
 
+    # ------------------------------------------------------------------------------------------ the condensed problem
+
+    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `pair_condensed.solve`."""
+        return pair_condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
+
+    def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
+        """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those ``asked`` before."""
+        now = [side.state["gap"][columns] < part * self._margin for side in self._sides]
+        return now if asked is None else [a | b for a, b in zip(now, asked, strict=True)]
+
+    def normal_rows(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Of the nodes ``asked``, padded to the most: how the patches' displacements change their gaps (k, p, 3 s) [-], the gaps (k, p) [m], how much
+        they give under a force (k, p) [m/N], and whether they touch (k, p) bool. A padded one is far off."""
+        parts = []
+        for side, mask in zip(self._sides, asked, strict=True):
+            most = int(mask.sum(dim=1).amax())
+            if most == 0:
+                continue
+            on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
+            order, on = order[:, :most], on[:, :most] > 0
+            state = {key: side.state[key][columns[:, None], order] for key in ("gap", "face", "shape", "normal")}
+            points = self._apart(side, columns, order, on.to(torch.float64), state["face"], state["shape"])
+            rows = self._spread(points, state["normal"][:, :, None, :], columns) * self.free[columns][:, None, :]
+            give = 1.0 / (self.softening[columns][:, None] * side.stiffness[columns[:, None], order]).clamp(min=1e-12)
+            parts.append((rows, torch.where(on, state["gap"], 1.0), torch.where(on, give, 1.0), on & (state["gap"] < 0.0)))
+        if not parts:
+            k = len(columns)
+            one = torch.ones((k, 1), dtype=torch.float64, device=self.device)
+            return torch.zeros((k, 1, self.dof.shape[1]), dtype=torch.float64, device=self.device), one, one, one < 0.0
+        rows, gap, give, held = (torch.cat(p, dim=1) for p in zip(*parts, strict=True))
+        return rows, gap, give, held
+
+    def tangential(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Friction's forces (k, 3 s) [N] on the patches and the rows (k, m, 3 s) [sqrt(N/m)] of their stiffness, None without friction."""
+        if not self.rubs:
+            return torch.zeros_like(self.rest[columns]), None
+        _, across, _, drag, roots = self._pack(columns)
+        force = self._to_own(across.mT @ drag, columns).flatten(1) * self.real[columns]
+        return force, self._spread(across, roots[:, :, 1:], columns) * self.free[columns][:, None, :]
+
     # ------------------------------------------------------------------------------------------ between steps
 
     def remember(self, columns: torch.Tensor) -> torch.Tensor:
@@ -493,7 +542,7 @@ class PairTouching:
         """Look up who may meet whom anew, from where the surfaces are now; True if that finds contact which was not seen."""
         seen = [(side.candidates.clone(), side.state["gap"].clone()) for side in self._sides]
         self._x.copy_(self._positions(u, self._pose))
-        self._look_up()
+        self._look_up(self._margin)
         self.evaluate(columns, self.gather(u)[columns])
         changed = False
         for side, (_, gap) in zip(self._sides, seen, strict=True):

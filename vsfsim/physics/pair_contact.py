@@ -3,8 +3,9 @@
     Pi_n = sum_q w_q/2 <-g>^2,     g = +-|x_q - c(x_q)|,    c the nearest point of the other surface
     Pi_t as in `contact`,          d = tangential part of x_q - X(anchor),  the anchor a material point of the other surface
 
-Both surfaces push: every Gauss point of the sensor's triangles against the object's quadratic triangles, and every surface node of the object
-against the sensor's triangles, so that neither a bump of the one nor an edge of the other gets through between points. At the nearest point
+Both surfaces push: every node of the sensor against the object's quadratic triangles, and every surface node of the object against the sensor's
+triangles, so that neither a bump of the one nor an edge of the other gets through between nodes; w_q is the node's share of its faces' area times
+a pressure for each metre. At the nearest point
 the way along the surface costs nothing, so the force on x_q is -w_q g n and the one on the other surface is its opposite, shared out by the
 shape functions at c: forces and moments balance exactly. The change of n with the deformation is left out of the stiffness (where points
 stick, as they do on rubber, its part vanishes).
@@ -226,13 +227,6 @@ def kernels() -> Any:
         return out
 
     @wp.func(module=module)
-    def slave(b: int, q: int, weight: wp.array3d(dtype=real), node: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        out = vec3()
-        for i in range(node.shape[2]):
-            out += weight[b, q, i] * x[b, node[b, q, i]]
-        return out
-
-    @wp.func(module=module)
     def axis_across(m: vec3):
         out = wp.cross(m, vec3(real(0.0), real(0.0), real(1.0)))
         if wp.abs(m[2]) > real(0.9):
@@ -244,8 +238,7 @@ def kernels() -> Any:
         # model
         columns: wp.array(dtype=wp.int32),
         within: real,
-        node: wp.array3d(dtype=wp.int32),
-        weight: wp.array3d(dtype=real),
+        first: int,
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
         count: wp.array(dtype=wp.int32),
@@ -261,7 +254,7 @@ def kernels() -> Any:
             candidates_out[b, q, i] = -1
         if stiffness[b, q] <= real(0.0):
             return
-        p = slave(b, q, weight, node, x_in)
+        p = x_in[b, first + q]
         held = int(0)  # noqa: UP018, RUF046
         worst = within
         far_of = vec_most()
@@ -292,7 +285,7 @@ def kernels() -> Any:
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
-        node: wp.array3d(dtype=wp.int32),
+        first: int,
         faces: wp.array3d(dtype=wp.int32),
         # state in
         candidates_in: wp.array3d(dtype=wp.int32),
@@ -305,8 +298,7 @@ def kernels() -> Any:
         q, k = wp.tid()
         b = columns[k]
         if candidates_in[b, q, 0] >= 0 or anchored_in[b, q] > 0:
-            for i in range(node.shape[2]):
-                near_out[b, node[b, q, i]] = 1
+            near_out[b, first + q] = 1
             for c in range(most):
                 face = candidates_in[b, q, c]
                 if face >= 0:
@@ -321,8 +313,7 @@ def kernels() -> Any:
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
-        node: wp.array3d(dtype=wp.int32),
-        weight: wp.array3d(dtype=real),
+        first: int,
         facet: wp.array3d(dtype=wp.int32),
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
@@ -362,7 +353,7 @@ def kernels() -> Any:
         n = vec3()
         w = softening[b] * stiffness[b, q]
         if w > real(0.0) and (candidates_in[b, q, 0] >= 0 or limit_in[b, q] > real(0.0)):
-            p = slave(b, q, weight, node, x_in)
+            p = x_in[b, first + q]
             if candidates_in[b, q, 0] >= 0:
                 face, shape, gap, n = meet(p, b, q, nodes, candidates_in, faces, x_in)
                 if gap < real(0.0):
@@ -416,8 +407,7 @@ def kernels() -> Any:
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
-        node: wp.array3d(dtype=wp.int32),
-        weight: wp.array3d(dtype=real),
+        first: int,
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
         softening: wp.array(dtype=real),
@@ -449,14 +439,14 @@ def kernels() -> Any:
                 # where the other surface came upon the point in this step, had both kept their shapes; where it is now, if it bulged up
                 face = face_in[b, q]
                 shape = shape_in[b, q]
-                face0, shape0, g0, n0 = meet(slave(b, q, weight, node, x_before), b, q, nodes, candidates_in, faces, x_before)
-                face1, shape1, g1, n1 = meet(slave(b, q, weight, node, x_swept), b, q, nodes, candidates_in, faces, x_swept)
+                face0, shape0, g0, n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
+                face1, shape1, g1, n1 = meet(x_swept[b, first + q], b, q, nodes, candidates_in, faces, x_swept)
                 if face1 >= 0 and g1 < real(0.0):
                     face = face1
                     shape = shape1
                     if face0 >= 0 and g0 > real(0.0):
                         part = g0 / (g0 - g1)
-                        p = (real(1.0) - part) * slave(b, q, weight, node, x_before) + part * slave(b, q, weight, node, x_swept)
+                        p = (real(1.0) - part) * x_before[b, first + q] + part * x_swept[b, first + q]
                         # the face that it met, half-way between its two places
                         c0 = place(b, face1, nodes, shape1, faces, x_before)
                         c1 = place(b, face1, nodes, shape1, faces, x_swept)
@@ -474,8 +464,7 @@ def kernels() -> Any:
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
-        node: wp.array3d(dtype=wp.int32),
-        weight: wp.array3d(dtype=real),
+        first: int,
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
         stick: real,
@@ -499,7 +488,7 @@ def kernels() -> Any:
             anchored_out[b, q] = 1
             m = across_in[b, q]
             at = place(b, anchor_face_out[b, q], nodes, anchor_shape_out[b, q], faces, x_in)
-            d = slave(b, q, weight, node, x_in) - at
+            d = x_in[b, first + q] - at
             d = d - wp.dot(d, m) * m
             way = wp.length(d)
             v = stick * stiffness[b, q]

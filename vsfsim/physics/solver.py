@@ -210,8 +210,8 @@ class Solver:
         chosen = now.clone()
         for base, pushed in guesses:
             with clock.measure("prediction"):
-                change, _ = condensed.solve(touching, meets, touching.gather(base)[meets], pushed[meets],
-                                            iterations=20, tolerance=1e-4)
+                change, _ = touching.condensed(meets, touching.gather(base)[meets], pushed[meets],
+                                               iterations=20, tolerance=1e-4)
             balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
             state = balance.evaluate(meets)
             better = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] < best))

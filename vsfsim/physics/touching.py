@@ -14,7 +14,7 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import Capsule, Plane, Sphere
-from vsfsim.physics import contact
+from vsfsim.physics import condensed, contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
@@ -291,6 +291,11 @@ class Touching:
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """The contact of ``columns``, ready to be inverted together with the body at rest."""
         return ContactBlock.of(self.rows(columns), self.compliance[columns])
+
+    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `condensed.solve`."""
+        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
 
     # ------------------------------------------------------------------------------------------ between steps
 
