@@ -13,11 +13,11 @@ import numpy as np
 import torch
 import warp as wp
 
+from vsfsim.physics.elements.block import Block
 from vsfsim.physics.equilibrium import State
 from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
-from vsfsim.physics.elements.block import Block
 from vsfsim.physics.pair import PairTouching
 from vsfsim.physics.solver import Rows, Solver
 

@@ -20,7 +20,7 @@ import warp as wp
 from vsfsim.physics import contact, pair_condensed, pair_contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
-from vsfsim.physics.touching import ContactBlock
+from vsfsim.physics.pair_links import Compliance, LinkBlock, Links, LinkStiffness
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
 _BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
@@ -47,6 +47,18 @@ class _Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
+
+
+@dataclass(frozen=True)
+class _Contact:
+    """The points in contact of the touches ``columns`` (k,): links along the normals and across them, whose rows carry the roots of the stiffness,
+    and the nodal forces of both (k, 3 s) [N]."""
+
+    columns: torch.Tensor
+    normal: list[Links]
+    across: list[Links]
+    push: torch.Tensor
+    drag: torch.Tensor
 
 
 class PairTouching:
@@ -253,20 +265,26 @@ class PairTouching:
         self.real = (self.dof >= 0).to(torch.float64)
         self.free = self._free.gather(1, index).flatten(1) * self.real
         self.rest = self._rest.gather(1, index).flatten(1) * self.real
-        self.compliance = self._compliance()
+        self.compliance = self._answers()
         self.response: Response = self
-        self._packed: Any = None
+        self._contact: _Contact | None = None
 
-    def _compliance(self) -> torch.Tensor:
+    def _answers(self) -> Compliance:
         split, width = self._split, self._width
         three = torch.arange(3, device=self.device)
         a = (3 * self._nodes[:, :split, None] + three).flatten(1)
-        c = (3 * (self._nodes[:, split:, None] - width) + three).flatten(1)
-        out = torch.zeros((self.batch, self.dof.shape[1], self.dof.shape[1]), dtype=torch.float64, device=self.device)
         rows = torch.arange(self.batch, device=self.device)[:, None, None]
-        out[:, :3 * split, :3 * split] = self._object_compliance[rows, a[:, :, None], a[:, None, :]]
-        out[:, 3 * split:, 3 * split:] = self._sensor_compliance[c[:, :, None], c[:, None, :]]
-        return out * self.real[:, :, None] * self.real[:, None, :]
+        own = self._object_compliance[rows, a[:, :, None], a[:, None, :]] * self.real[:, :3 * split, None] * self.real[:, None, :3 * split]
+        return Compliance(own, self._sensor_compliance, (3 * (self._nodes[:, split:, None] - width) + three).flatten(1), self.free)
+
+    def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them, both bodies at rest."""
+        split = 3 * self._split
+        force = force * self.free[columns]
+        on_object = (self.compliance.on_object[columns] @ force[:, :split, None])[:, :, 0]
+        dof = self.compliance.dof[columns]
+        on_sensor = torch.zeros((len(columns), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, dof, force[:, split:])
+        return torch.cat([on_object, self._sensor_solve(on_sensor.T).T.gather(1, dof)], dim=1) * self.free[columns]
 
     # ------------------------------------------------------------------------------------------ the rest-state answer
 
@@ -325,7 +343,7 @@ class PairTouching:
                 wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
                 wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
                 wp.from_torch(s["slips"]), wp.from_torch(s["astray"]), wp.from_torch(s["energy"])])
-        self._packed = None
+        self._contact = None
 
     def lag(self, columns: torch.Tensor) -> None:
         """Renew friction's limit and tangent plane from what `evaluate` found last."""
@@ -388,60 +406,66 @@ class PairTouching:
         inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
         return self._sum("slips", columns) / inside.clamp(min=1)
 
-    def _pack(self, columns: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Of the points in contact, padded to the most: how far each patch node moves them apart (k, a, s) for the normal and, with friction,
-        for the tangential part; push and drag on them (k, a, 3) [N]; roots of their stiffness (k, a, 3, 3)."""
-        if self._packed is not None and torch.equal(self._packed[0], columns):
-            return self._packed[1]
-        parts = []
-        for side in self._sides:
-            active = (side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
-            most = int(active.sum(dim=1).amax())
-            if most == 0:
-                continue
-            on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
-            order, on = order[:, :most], on[:, :most].to(torch.float64)
+    def _chosen(self, side: _Side, columns: torch.Tensor, mask: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """Nodes of a side (k, a) that ``mask`` (k, Q) names, padded to the most, and 1 where they are not padded (k, a)."""
+        most = int(mask.sum(dim=1).amax())
+        if most == 0:
+            return None
+        on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
+        return order[:, :most], on[:, :most].to(torch.float64)
 
-            def which(table: torch.Tensor, order: torch.Tensor = order) -> torch.Tensor:
-                return table[columns[:, None], order]
-
-            normal = self._apart(side, columns, order, on, which(side.state["face"]), which(side.state["shape"]))
-            across = self._apart(side, columns, order, on, which(side.memory["face"]), which(side.memory["shape"])) if self.rubs else normal
-            mask = on[:, :, None]
-            parts.append((normal, across, which(side.state["push"]) * mask, which(side.state["drag"]) * mask, which(side.state["rows"]) * mask[:, :, :, None]))
-        if parts:
-            out = tuple(torch.cat(p, dim=1) for p in zip(*parts, strict=True))
-        else:
-            k = len(columns)
-            none = torch.zeros((k, 1, self._nodes.shape[1]), dtype=torch.float64, device=self.device)
-            out = (none, none, none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3)), none.new_zeros((k, 1, 3, 3)))
-        self._packed = (columns.clone(), out)
-        return out
-
-    def _apart(self, side: _Side, columns: torch.Tensor, order: torch.Tensor, on: torch.Tensor, face: torch.Tensor, shape: torch.Tensor) -> torch.Tensor:
-        """How far each patch node (k, a, s) moves the nodes ``order`` (k, a) of a side from the places ``shape`` on the ``face`` of the other;
-        ``on`` (k, a): 0 for padded ones."""
+    def _links(self, side: _Side, columns: torch.Tensor, order: torch.Tensor, on: torch.Tensor, face: torch.Tensor, shape: torch.Tensor,
+               directions: torch.Tensor) -> Links:
+        """The nodes ``order`` (k, a) of a side, tied to the places ``shape`` (k, a, 6) on the ``face`` (k, a) of the other side, with
+        ``directions`` (k, a, m, 3) in the world; ``on`` (k, a): 0 for padded ones."""
+        split, count = self._split, self._nodes.shape[1]
         place = self._place[columns]
         rows = torch.arange(len(columns), device=self.device)[:, None, None]
         own = place.gather(1, side.first + order)[:, :, None]
         other = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
-        values = torch.cat([on[:, :, None], -shape[:, :, :side.faces.shape[2]] * (on * (face >= 0))[:, :, None]], dim=2)
-        out = torch.zeros((*own.shape[:2], self._nodes.shape[1]), dtype=torch.float64, device=self.device)
-        return out.scatter_add_(2, torch.cat([own, other], dim=2), values)
+        across = -shape[:, :, :side.faces.shape[2]] * (on * (face >= 0))[:, :, None]
+        one = on[:, :, None]
+        (at, weight), (node, held) = ((other, across), (own, one)) if side.first else ((own, one), (other, across))
+        table = torch.zeros((*order.shape, max(split, 1)), dtype=torch.float64, device=self.device)
+        table.scatter_add_(2, at.clamp(max=split - 1), weight)
+        return Links(table, (node - split).clamp(0, count - split - 1), held, directions, directions @ self._turn[columns][:, None])
 
-    def _to_own(self, values: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """Vectors (k, s, 3) on the patches from the world to the frames of their unknowns."""
-        return torch.cat([values[:, :self._split], values[:, self._split:] @ self._turn[columns]], dim=1)
-
-    def nodal_world(self, columns: torch.Tensor) -> torch.Tensor:
-        """Contact forces (k, s, 3) [N] on the patches' nodes, world."""
-        normal, across, push, drag, _ = self._pack(columns)
-        out = normal.mT @ push
-        return out + across.mT @ drag if self.rubs else out
+    def _touching(self, columns: torch.Tensor) -> _Contact:
+        """The points in contact, as they were evaluated last."""
+        if self._contact is not None and torch.equal(self._contact.columns, columns):
+            return self._contact
+        normal, across = [], []
+        force = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
+        drag = torch.zeros_like(force)
+        turn = self._turn[columns]
+        for side in self._sides:
+            active = (side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
+            chosen = self._chosen(side, columns, active)
+            if chosen is None:
+                continue
+            order, on = chosen
+            at = (columns[:, None], order)
+            state, memory = side.state, side.memory
+            roots = state["rows"][at] * on[:, :, None, None]
+            normal.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], roots[:, :, :1]))
+            push = state["push"][at] * on[:, :, None]
+            force += normal[-1].share(push, push @ turn, force.shape[1])
+            if self.rubs:
+                across.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], roots[:, :, 1:]))
+                pull = state["drag"][at] * on[:, :, None]
+                drag += across[-1].share(pull, pull @ turn, force.shape[1])
+        self._contact = _Contact(columns.clone(), normal, across, force, drag)
+        return self._contact
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces (k, 3 s) [N] on the patches' nodes, in the frames of their unknowns."""
-        return self._to_own(self.nodal_world(columns), columns).flatten(1)
+        contact = self._touching(columns)
+        return contact.push + contact.drag
+
+    def nodal_world(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces (k, s, 3) [N] on the patches' nodes, world."""
+        own = self.nodal(columns).view(len(columns), -1, 3)
+        return torch.cat([own[:, :self._split], own[:, self._split:] @ self._turn[columns].mT], dim=1)
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """Force on the sensor (k, 1, 3) [N], world."""
@@ -456,29 +480,15 @@ class PairTouching:
 
     # ------------------------------------------------------------------------------------------ stiffness
 
-    def rows(self, columns: torch.Tensor) -> torch.Tensor:
-        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness."""
-        normal, across, _, _, roots = self._pack(columns)
-        parts = [self._spread(normal, roots[:, :, :1], columns)]
-        if self.rubs:
-            parts.append(self._spread(across, roots[:, :, 1:], columns))
-        return torch.cat(parts, dim=1) * self.free[columns][:, None, :]
+    def stiffness(self, columns: torch.Tensor, bend: torch.Tensor | None = None) -> LinkStiffness:
+        """Contact stiffness on the patches; it has no geometric term (``bend`` is ignored)."""
+        contact = self._touching(columns)
+        return LinkStiffness([*contact.normal, *contact.across], self.free[columns])
 
-    def _spread(self, points: torch.Tensor, roots: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        k, a, s = points.shape
-        split = self._split
-        turned = roots @ self._turn[columns][:, None]
-        out = torch.cat([roots[:, :, :, None, :] * points[:, :, None, :split, None], turned[:, :, :, None, :] * points[:, :, None, split:, None]], dim=3)
-        return out.reshape(k, a * roots.shape[2], 3 * s)
-
-    def stiffness(self, columns: torch.Tensor, bend: torch.Tensor | None = None) -> torch.Tensor:
-        """Contact stiffness (k, 3 s, 3 s) [N/m] on the patches; it has no geometric term (``bend`` is ignored)."""
-        rows = self.rows(columns)
-        return rows.mT @ rows
-
-    def block(self, columns: torch.Tensor) -> ContactBlock:
+    def block(self, columns: torch.Tensor) -> LinkBlock:
         """The contact of ``columns``, ready to be inverted together with both bodies at rest."""
-        return ContactBlock.of(self.rows(columns), self.compliance[columns])
+        contact = self._touching(columns)
+        return LinkBlock.of([*contact.normal, *contact.across], self.compliance.pick(columns))
 
     # ------------------------------------------------------------------------------------------ the condensed problem
 
@@ -492,35 +502,28 @@ class PairTouching:
         now = [side.state["gap"][columns] < part * self._margin for side in self._sides]
         return now if asked is None else [a | b for a, b in zip(now, asked, strict=True)]
 
-    def normal_rows(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Of the nodes ``asked``, padded to the most: how the patches' displacements change their gaps (k, p, 3 s) [-], the gaps (k, p) [m], how much
-        they give under a force (k, p) [m/N], and whether they touch (k, p) bool. A padded one is far off."""
-        parts = []
+    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[list[Links], torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The nodes ``asked``, padded to the most: their links along the normals, gaps (k, p) [m], how much they give under a force (k, p) [m/N],
+        and whether they touch (k, p) bool. A padded one is far off."""
+        links, gaps, gives, held = [], [], [], []
         for side, mask in zip(self._sides, asked, strict=True):
-            most = int(mask.sum(dim=1).amax())
-            if most == 0:
+            chosen = self._chosen(side, columns, mask)
+            if chosen is None:
                 continue
-            on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
-            order, on = order[:, :most], on[:, :most] > 0
-            state = {key: side.state[key][columns[:, None], order] for key in ("gap", "face", "shape", "normal")}
-            points = self._apart(side, columns, order, on.to(torch.float64), state["face"], state["shape"])
-            rows = self._spread(points, state["normal"][:, :, None, :], columns) * self.free[columns][:, None, :]
-            give = 1.0 / (self.softening[columns][:, None] * side.stiffness[columns[:, None], order]).clamp(min=1e-12)
-            parts.append((rows, torch.where(on, state["gap"], 1.0), torch.where(on, give, 1.0), on & (state["gap"] < 0.0)))
-        if not parts:
-            k = len(columns)
-            one = torch.ones((k, 1), dtype=torch.float64, device=self.device)
-            return torch.zeros((k, 1, self.dof.shape[1]), dtype=torch.float64, device=self.device), one, one, one < 0.0
-        rows, gap, give, held = (torch.cat(p, dim=1) for p in zip(*parts, strict=True))
-        return rows, gap, give, held
+            order, on = chosen
+            at = (columns[:, None], order)
+            state = side.state
+            links.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], state["normal"][at][:, :, None]))
+            give = 1.0 / (self.softening[columns][:, None] * side.stiffness[at]).clamp(min=1e-12)
+            gaps.append(torch.where(on > 0.0, state["gap"][at], 1.0))
+            gives.append(torch.where(on > 0.0, give, 1.0))
+            held.append((on > 0.0) & (state["gap"][at] < 0.0))
+        return links, *(torch.cat(p, dim=1) if p else torch.zeros((len(columns), 0), device=self.device) for p in (gaps, gives, held))
 
-    def tangential(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor | None]:
-        """Friction's forces (k, 3 s) [N] on the patches and the rows (k, m, 3 s) [sqrt(N/m)] of their stiffness, None without friction."""
-        if not self.rubs:
-            return torch.zeros_like(self.rest[columns]), None
-        _, across, _, drag, roots = self._pack(columns)
-        force = self._to_own(across.mT @ drag, columns).flatten(1) * self.real[columns]
-        return force, self._spread(across, roots[:, :, 1:], columns) * self.free[columns][:, None, :]
+    def tangential(self, columns: torch.Tensor) -> tuple[torch.Tensor, list[Links]]:
+        """Friction's forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make its stiffness (none without friction)."""
+        contact = self._touching(columns)
+        return contact.drag, contact.across
 
     # ------------------------------------------------------------------------------------------ between steps
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from vsfsim.physics import complementarity
+from vsfsim.physics import complementarity, pair_links
 
 if TYPE_CHECKING:
     from vsfsim.physics.pair import PairTouching
@@ -28,45 +28,50 @@ _CLOSE = 0.2  # of the margin of a step: nearer nodes are asked whether they tou
 def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
           tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
     """As `condensed.solve`."""
-    compliance = touching.compliance[columns]
+    compliance = touching.compliance.pick(columns)
+    size = base.shape[1]
     q = torch.zeros_like(base)
     u = base.clone()
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     asked = None
     for _ in range(min(iterations, _MOST)):
         touching.evaluate(columns, u)
-        nodal = touching.nodal(columns)
-        miss = _times(compliance, nodal - pushed - q)
-        size = miss.abs().amax(dim=1) / u.abs().amax(dim=1).clamp(min=1e-9)
-        better = size < error
+        miss = touching.respond(columns, touching.nodal(columns) - pushed - q)
+        off = miss.abs().amax(dim=1) / u.abs().amax(dim=1).clamp(min=1e-9)
+        better = off < error
         best = torch.where(better[:, None], q, best)
-        error = torch.where(better, size, error)
+        error = torch.where(better, off, error)
         if bool((error < _TIGHT * tolerance).all()):
             break
         asked = touching.near(columns, _CLOSE, asked)
-        rows, gap, give, held = touching.normal_rows(columns, asked)
+        normal, gap, give, held = touching.meeting(columns, asked)
         drag, across = touching.tangential(columns)
-        answer = compliance @ rows.mT  # displacements per unit of each normal force
-        offset = base - u + _times(compliance, drag - pushed)
-        matrix = rows @ answer
-        if across is not None:
+        change = base - u + touching.respond(columns, drag - pushed)
+        force = torch.zeros_like(base)
+        if normal:
+            answer = pair_links.answers(normal, compliance)
+            matrix = pair_links.gram(normal, answer)
+        if across:
             # points that stick give way like springs: Woodbury's formula for A' = (A^-1 + S)^-1
-            inside = across @ compliance
-            inner = inside @ across.mT
+            inside = pair_links.answers(across, compliance)
+            inner = pair_links.gram(across, inside)
             inner.diagonal(dim1=1, dim2=2).add_(1.0)
-            inner = torch.linalg.cholesky(inner)
-            mixed = across @ answer
-            matrix = matrix - mixed.mT @ torch.cholesky_solve(mixed, inner)
-            offset = offset - _times(inside.mT, torch.cholesky_solve(_times(across, offset)[:, :, None], inner)[:, :, 0])
-        matrix.diagonal(dim1=1, dim2=2).add_(give)
-        force = complementarity.solve(matrix, gap + _times(rows, offset), held)
-        change = offset + _times(answer, force)
-        if across is not None:
-            more = _times(answer, force)
-            change = offset + more - _times(inside.mT, torch.cholesky_solve(_times(across, more)[:, :, None], inner)[:, :, 0])
-        q = _times(rows.mT, force) + drag - pushed
-        if across is not None:
-            q = q - _times(across.mT, _times(across, change))
+            inner = torch.linalg.cholesky(0.5 * (inner + inner.mT))
+            change = change - _times(inside.mT, torch.cholesky_solve(pair_links.jump(across, change)[:, :, None], inner)[:, :, 0])
+            if normal:
+                mixed = pair_links.gram(across, answer)  # (k, rows across, p)
+                held_back = torch.cholesky_solve(mixed, inner)
+                matrix = matrix - mixed.mT @ held_back
+                answer = answer - held_back.mT @ inside
+        if normal:
+            matrix = 0.5 * (matrix + matrix.mT)
+            matrix.diagonal(dim1=1, dim2=2).add_(give)
+            answered = complementarity.solve(matrix, gap + pair_links.jump(normal, change), held)
+            change = change + _times(answer.mT, answered)
+            force = pair_links.push(normal, answered, size)
+        q = force + drag - pushed
+        if across:
+            q = q - pair_links.push(across, pair_links.jump(across, change), size)
         u = u + change
     return best, error
 
