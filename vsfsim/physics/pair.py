@@ -25,6 +25,8 @@ from vsfsim.physics.pair_links import Compliance, LinkBlock, Links, LinkStiffnes
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
 _BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
+_SECOND = 0.02  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
+# a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
 _TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 _FOUND = 1e-9  # m: a gap that changes by more when the faces are looked up anew was wrong
 SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
@@ -36,7 +38,8 @@ class _Side:
 
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
-    this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    this step, -1 pads. state: what the kernels write, by name. memory: friction's. second: these are the other walls of valleys, for the
+    same nodes as another side; friction acts on that one.
     """
 
     first: int
@@ -47,6 +50,7 @@ class _Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
+    second: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,7 +146,7 @@ class PairTouching:
             faces[b, :len(f)] = local
             # a node stands for a share of its faces; the softer body bounds the pressure, so it sets the stiffness
             w = contact.PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
-            np.add.at(tied[b], local, w[:, None])
+            np.add.at(tied[b], local, _SECOND * w[:, None])
             normal_of[b, local] = local[:, None, :3]
         # the same for the sensor's nodes; against what is far softer than it a softer penalty will do
         corners = own.faces.shape[1]
@@ -168,6 +172,10 @@ class PairTouching:
             self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces), whole(np.array([len(f) for f in reach]))),
             self._side(0, whole(normal_of), real(tied), whole(many(at)), whole(np.full(batch, len(at)))),
         ]
+        nodes_side = self._sides[0]
+        walls = self._side(width, nodes_side.facet, nodes_side.stiffness, nodes_side.faces, nodes_side.count)
+        walls.candidates, walls.second = nodes_side.candidates, True
+        self._sides.append(walls)
         self._width = width
         # degrees of freedom and rest positions of all surface nodes: the object's in reach, then the sensor's
         rest = np.zeros((batch, width, 3))
@@ -192,7 +200,7 @@ class PairTouching:
         def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
             return torch.zeros((*size, *more), dtype=dtype, device=self.device)
 
-        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3),
+        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
         return _Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory)
@@ -235,7 +243,7 @@ class PairTouching:
         columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
         self._near.zero_()
-        for side in self._sides:
+        for side in (side for side in self._sides if not side.second):
             size = side.stiffness.shape
             wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
                 columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
@@ -337,11 +345,11 @@ class PairTouching:
         for side in self._sides:
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                *self._common(side, columns), int(side.second), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
                 wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
                 wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
                 wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
-                wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
+                wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["way"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
                 wp.from_torch(s["slips"]), wp.from_torch(s["astray"]), wp.from_torch(s["energy"])])
         self._contact = None
 
@@ -350,7 +358,7 @@ class PairTouching:
         if not self.rubs:
             return
         k = self.kernels
-        for side in self._sides:
+        for side in (side for side in self._sides if not side.second):
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.lag, dim=(size[1], len(columns)), device=self.device, inputs=[
                 *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), wp.from_torch(self.softening), self._friction,
@@ -363,7 +371,7 @@ class PairTouching:
         if not self.rubs or not len(columns):
             return
         k = self.kernels
-        for side in self._sides:
+        for side in (side for side in self._sides if not side.second):
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.settle, dim=(size[1], len(columns)), device=self.device, inputs=[
                 *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), contact.STICK, wp.from_torch(self._x, dtype=k.vec3),
@@ -450,7 +458,7 @@ class PairTouching:
             normal.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], roots[:, :, :1]))
             push = state["push"][at] * on[:, :, None]
             force += normal[-1].share(push, push @ turn, force.shape[1])
-            if self.rubs:
+            if self.rubs and not side.second:
                 across.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], roots[:, :, 1:]))
                 pull = state["drag"][at] * on[:, :, None]
                 drag += across[-1].share(pull, pull @ turn, force.shape[1])
@@ -520,10 +528,32 @@ class PairTouching:
             held.append((on > 0.0) & (state["gap"][at] < 0.0))
         return links, *(torch.cat(p, dim=1) if p else torch.zeros((len(columns), 0), device=self.device) for p in (gaps, gives, held))
 
-    def tangential(self, columns: torch.Tensor) -> tuple[torch.Tensor, list[Links]]:
-        """Friction's forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make its stiffness (none without friction)."""
+    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, list[Links]]:
+        """Friction's forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make its stiffness (none without friction).
+
+        ``stuck``: as if every point that friction holds stuck, however far it is from its anchor.
+        """
         contact = self._touching(columns)
-        return contact.drag, contact.across
+        if not stuck or not self.rubs:
+            return contact.drag, contact.across
+        turn = self._turn[columns]
+        force, links = torch.zeros_like(contact.drag), []
+        for side in (side for side in self._sides if not side.second):
+            chosen = self._chosen(side, columns, side.memory["limit"][columns] > 0.0)
+            if chosen is None:
+                continue
+            order, on = chosen
+            at = (columns[:, None], order)
+            memory = side.memory
+            stiffness = self.stick * self.softening[columns][:, None] * side.stiffness[at] * on
+            normal = memory["across"][at]
+            axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
+            first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
+            directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
+            links.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], directions))
+            pull = -stiffness[:, :, None] * side.state["way"][at]
+            force += links[-1].share(pull, pull @ turn, force.shape[1])
+        return force, links
 
     # ------------------------------------------------------------------------------------------ between steps
 

@@ -34,7 +34,7 @@ def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pus
     u = base.clone()
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     asked = None
-    for _ in range(min(iterations, _MOST)):
+    for step in range(min(iterations, _MOST)):
         touching.evaluate(columns, u)
         miss = touching.respond(columns, touching.nodal(columns) - pushed - q)
         off = miss.abs().amax(dim=1) / u.abs().amax(dim=1).clamp(min=1e-9)
@@ -45,7 +45,8 @@ def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pus
             break
         asked = touching.near(columns, _CLOSE, asked)
         normal, gap, give, held = touching.meeting(columns, asked)
-        drag, across = touching.tangential(columns)
+        # rubber mostly sticks: begin with all of it stuck, since from far past its anchor a point would seem to slip for ever
+        drag, across = touching.tangential(columns, stuck=step == 0)
         change = base - u + touching.respond(columns, drag - pushed)
         force = torch.zeros_like(base)
         if normal:

@@ -220,6 +220,29 @@ def kernels() -> Any:
         return found, shape, gap, normal
 
     @wp.func(module=module)
+    def other_wall(p: vec3, b: int, q: int, nodes: int, first_face: int, foot: vec3, candidates: wp.array3d(dtype=wp.int32),
+                   faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # in a valley between two faces a point rests on both: the nearest face that rises above the foot of the plumb line on the first one
+        found = int(-1)  # noqa: UP018, RUF046
+        shape = vec6()
+        gap = real(1e30)
+        normal = vec3()
+        for k in range(most):
+            face = candidates[b, q, k]
+            if face >= 0 and face != first_face:
+                n, c, out = nearest(p, b, face, nodes, faces, x)
+                delta = p - c
+                height = wp.dot(delta, out)
+                aside = wp.length(delta - height * out)
+                # a point that has sunk in lies past the valley's line, by less than it has sunk
+                if aside <= real(1e-9) + real(0.5) * wp.abs(height) and wp.dot(foot - c, out) > real(-1e-10) and height < gap:
+                    found = face
+                    shape = n
+                    gap = height
+                    normal = out
+        return found, shape, gap, normal
+
+    @wp.func(module=module)
     def place(b: int, face: int, nodes: int, shape: vec6, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
         out = vec3()
         for i in range(nodes):
@@ -314,6 +337,7 @@ def kernels() -> Any:
         nodes: int,
         columns: wp.array(dtype=wp.int32),
         first: int,
+        second: int,  # 1: the other wall of a valley instead of the nearest face
         facet: wp.array3d(dtype=wp.int32),
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
@@ -334,6 +358,7 @@ def kernels() -> Any:
         normal_out: wp.array2d(dtype=vec3),
         push_out: wp.array2d(dtype=vec3),
         drag_out: wp.array2d(dtype=vec3),
+        way_out: wp.array2d(dtype=vec3),
         rows_out: wp.array2d(dtype=mat33),
         slips_out: wp.array2d(dtype=wp.int32),
         astray_out: wp.array2d(dtype=wp.int32),
@@ -343,6 +368,7 @@ def kernels() -> Any:
         b = columns[k]
         push = vec3()
         drag = vec3()
+        d = vec3()
         rows = mat33()
         energy = real(0.0)
         gap = real(1e30)
@@ -356,6 +382,8 @@ def kernels() -> Any:
             p = x_in[b, first + q]
             if candidates_in[b, q, 0] >= 0:
                 face, shape, gap, n = meet(p, b, q, nodes, candidates_in, faces, x_in)
+                if second == 1:
+                    face, shape, gap, n = other_wall(p, b, q, nodes, face, p - gap * n, candidates_in, faces, x_in)
                 if gap < real(0.0):
                     y0 = x_in[b, facet[b, q, 0]]
                     own = wp.normalize(wp.cross(x_in[b, facet[b, q, 1]] - y0, x_in[b, facet[b, q, 2]] - y0))
@@ -397,6 +425,7 @@ def kernels() -> Any:
         normal_out[b, q] = n
         push_out[b, q] = push
         drag_out[b, q] = drag
+        way_out[b, q] = d
         rows_out[b, q] = rows
         slips_out[b, q] = slips
         astray_out[b, q] = astray
@@ -439,7 +468,7 @@ def kernels() -> Any:
                 # where the other surface came upon the point in this step, had both kept their shapes; where it is now, if it bulged up
                 face = face_in[b, q]
                 shape = shape_in[b, q]
-                face0, shape0, g0, n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
+                face0, _shape0, g0, _n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
                 face1, shape1, g1, n1 = meet(x_swept[b, first + q], b, q, nodes, candidates_in, faces, x_swept)
                 if face1 >= 0 and g1 < real(0.0):
                     face = face1
@@ -453,7 +482,7 @@ def kernels() -> Any:
                         shift = p - ((real(1.0) - part) * c0 + part * c1)
                         shift = shift - wp.dot(shift, n1) * n1
                         moved = c1 + shift
-                        face, shape, g2, n2 = meet(moved, b, q, nodes, candidates_in, faces, x_swept)
+                        face, shape, _g2, _n2 = meet(moved, b, q, nodes, candidates_in, faces, x_swept)
                 anchor_face_out[b, q] = face
                 anchor_shape_out[b, q] = shape
                 anchored_out[b, q] = 2
@@ -493,7 +522,7 @@ def kernels() -> Any:
             way = wp.length(d)
             v = stick * stiffness[b, q]
             if v * way > limit_in[b, q]:
-                face, shape, g, n = meet(at + (real(1.0) - limit_in[b, q] / (v * way)) * d, b, q, nodes, candidates_in, faces, x_in)
+                face, shape, _g, _n = meet(at + (real(1.0) - limit_in[b, q] / (v * way)) * d, b, q, nodes, candidates_in, faces, x_in)
                 if face >= 0:
                     anchor_face_out[b, q] = face
                     anchor_shape_out[b, q] = shape

@@ -77,7 +77,7 @@ class Links:
         return torch.cat([on_object, out], dim=1).flatten(1)
 
     def _object_rows(self) -> torch.Tensor:
-        k, a, split = self.on_object.shape
+        k, _, split = self.on_object.shape
         return (self.world[:, :, :, None, :] * self.on_object[:, :, None, :, None]).reshape(k, self.rows, 3 * split)
 
     def answers(self, compliance: Compliance) -> torch.Tensor:
@@ -92,7 +92,7 @@ class Links:
 
     def gram(self, answers: torch.Tensor) -> torch.Tensor:
         """J X^T (k, a m, r) for rows X (k, r, 3 s)."""
-        k, a, split = self.on_object.shape
+        k, _, split = self.on_object.shape
         out = self._object_rows() @ answers[:, :, :3 * split].mT
         sensor = answers[:, :, 3 * split:].reshape(k, answers.shape[1], -1, 3)
         at = torch.arange(k, device=answers.device)[:, None, None, None]
