@@ -1,7 +1,7 @@
-"""A press of an air-filled bubble on rigid bodies: path of its mount in, force and pressure against depth out.
+"""A press of an air-filled bubble on a deformable object or on rigid bodies: path of its mount in, force and pressure against depth out.
 
-The bubble moves along ``[press]`` in the probe's place: its mount's origin follows the path, its +z leads. The solver works in the mount frame,
-where the obstacles move.
+The bubble moves along ``[press]`` in the probe's place: its mount's origin follows the path, its +z leads. Against rigid bodies the solver works in
+the mount frame, where the obstacles move; with an object both find one equilibrium (`CoupledSolver`).
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Plane
 from vsfsim.generate.touch import audit, clearance
-from vsfsim.physics import bubble
-from vsfsim.physics.device import compile_kernels, solver_kernels
+from vsfsim.physics import bubble, tiers
+from vsfsim.physics.coupled import CoupledSolver, free_way
+from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
@@ -113,32 +114,77 @@ class BubblePress:
         return out
 
 
-def press(scene: Scene, *, device: str = "cpu", precision: str = "float64", cache: Path | None = None, keep: bool = False,
+@dataclass(frozen=True)
+class _Run:
+    """What a solver gave. gap: way of the mount to first contact [m]. node, push: positions of the membrane's nodes and contact forces on them in the mount frame
+    (T, n, 3) [m], [N]. pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. force, reaction: on the sensor, and of what holds the other side,
+    in the world (T, 3) [N]. body_force: on each body (T, K, 3) [N]. edge: what penetration is measured by [m]. object: tetrahedra and tier, or None."""
+
+    frames: Frames
+    gap: float
+    node: np.ndarray
+    push: np.ndarray
+    pressure: np.ndarray
+    inside: np.ndarray
+    reaction: np.ndarray
+    body_force: np.ndarray
+    bodies: tuple[str, ...]
+    friction: tuple[float, ...]
+    tolerance: float
+    notes: tuple[str, ...] = ()
+
+
+def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str = "cpu", precision: str = "float64", cache: Path | None = None, keep: bool = False,
           progress: Callable[[int, int, str], None] | None = None) -> BubblePress:
-    """Run the ``[press]`` of a scene with a ``[sensor]`` and obstacles.
+    """Run the ``[press]`` of a scene with a ``[sensor]`` and an object, or obstacles.
 
     Args:
-        scene: concrete. device: Warp device. precision: "float32" or "float64". cache: folder of inflated shapes. keep: also keep every frame's state.
-        progress: called with (done, in all, what).
+        scene: concrete. tier: of the object, overrides the scene's. seed: of what a family draws. device: Warp device. precision: "float32" or "float64".
+        cache: folder of inflated shapes and meshes. keep: also keep every frame's state. progress: called with (done, in all, what).
 
     Raises:
-        SceneError: there is no path, an object besides, or the bubble cannot be built.
+        SceneError: there is no path, both an object and obstacles, a tier that a sensor cannot press, or something cannot be built.
     """
+    from vsfsim.generate.press import path_notes
     from vsfsim.generate.press_text import statement
 
     assert scene.sensor is not None
     spec = scene.press
     if spec is None:
         raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of the middle of its rim, e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
-    if scene.object is not None:
-        raise SceneError(f"{scene.source}: a [sensor] on a deformable [object] is not part of `vsfsim press` yet; take [object] out and give [[obstacles]].")
+    if scene.object is not None and scene.obstacles:
+        raise SceneError(f"{scene.source}: a [sensor] presses an [object] or [[obstacles]]; this scene has both. Take one of them out.")
+    if scene.object is None and tier is not None:
+        raise SceneError(f"--tier {tier}: this scene has a [sensor] and no [object], and tiers are of objects; the sensor's mesh is set by nodes in [sensor]. Leave --tier out.")
     began = time.perf_counter()
     model = bubble.build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=cache)
     built = time.perf_counter() - began
-    compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
     mount = press_path(spec, Plane())  # a plane's +z leads, as a sensor's does
-    poses = in_mount(scene, mount)
     axis, start = _first_way(scene)
+    if scene.object is None:
+        run = _on_obstacles(scene, model, mount, axis, start, device, precision, progress)
+    else:
+        run = _on_object(scene, model, mount, axis, start, device, precision, tier, seed, cache, progress)
+    frames = run.frames
+    turn = mount[:, :3, :3]
+    wrench = np.concatenate([run.push.sum(axis=1), np.cross(run.node, run.push).sum(axis=1)], axis=1)
+    way = (mount[:, :3, 3] - start) @ axis
+    return BubblePress(
+        depth=np.maximum(way - run.gap, 0.0), force=np.einsum("tij,tj->ti", turn, wrench[:, :3]), body_force=run.body_force, bodies=run.bodies, friction=run.friction,
+        wrench=wrench, reaction=run.reaction,
+        pressure=run.pressure, pressure_change=run.pressure - model.pressure, volume=run.inside + model.dead_volume,
+        converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0], cg_iterations=frames.cg_iterations[:, 0],
+        slipping=frames.slipping[:, 0], seconds=frames.seconds, audit=audit(frames, 0), apex=float(model.mesh.points[:, 2].max()),
+        dome_volume=float(model.mesh.volume[0]), edge=model.element_size, build_seconds=built, triangles=len(model.mesh.faces), nodes=len(model.mesh.points),
+        device=device, precision=precision, tolerance=run.tolerance, inward=spec.inward, notes=(*path_notes(run.gap, float(way.max()), 0.0), *run.notes),
+        statement=_statement(frames, statement(frames, 0, edge=model.element_size, tolerance=run.tolerance, linear=False)),
+        state=BubbleState(model, mount, run.node, run.push) if keep else None)
+
+
+def _on_obstacles(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis: np.ndarray, start: np.ndarray, device: str, precision: str,
+                  progress: Callable[[int, int, str], None] | None) -> _Run:
+    compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
+    poses = in_mount(scene, mount)
     first = np.eye(4)
     first[:3, :3], first[:3, 3] = mount[0, :3, :3], start
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis) for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
@@ -153,27 +199,36 @@ def press(scene: Scene, *, device: str = "cpu", precision: str = "float64", cach
             progress(frames, len(poses), "frames")
 
     frames = solver.run(poses[:, None], keep=True, progress=done)
-    turn = mount[:, :3, :3]
-    push = np.stack([f[..., 0] for f in solver.surface_force])
-    node = model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
-    wrench = np.concatenate([push.sum(axis=1), np.cross(node, push).sum(axis=1)], axis=1)
-    way = (mount[:, :3, 3] - start) @ axis
 
     def world(force: np.ndarray) -> np.ndarray:
-        return np.einsum("tij,t...j->t...i", turn, force)
+        return np.einsum("tij,t...j->t...i", mount[:, :3, :3], force)
 
-    from vsfsim.generate.press import path_notes
+    return _Run(frames, gap, model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history]), np.stack([f[..., 0] for f in solver.surface_force]),
+                np.array(pressure), np.array(inside), world(frames.reaction[:, 0]), world(frames.body_force[:, 0]),
+                tuple(f"obstacle {i + 1}" for i in range(len(scene.obstacles))), scene.frictions, OPTIONS.tolerance)
 
-    return BubblePress(
-        depth=np.maximum(way - gap, 0.0), force=world(wrench[:, :3]), body_force=world(frames.body_force[:, 0]),
-        bodies=tuple(f"obstacle {i + 1}" for i in range(len(scene.obstacles))), friction=scene.frictions, wrench=wrench, reaction=world(frames.reaction[:, 0]),
-        pressure=np.array(pressure), pressure_change=np.array(pressure) - model.pressure, volume=np.array(inside) + model.dead_volume,
-        converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0], cg_iterations=frames.cg_iterations[:, 0],
-        slipping=frames.slipping[:, 0], seconds=frames.seconds, audit=audit(frames, 0), apex=float(model.mesh.points[:, 2].max()),
-        dome_volume=float(model.mesh.volume[0]), edge=model.element_size, build_seconds=built, triangles=len(model.mesh.faces), nodes=len(model.mesh.points),
-        device=device, precision=precision, tolerance=OPTIONS.tolerance, inward=spec.inward,
-        notes=tuple(path_notes(gap, float(way.max()), 0.0)), statement=_statement(frames, statement(frames, 0, edge=model.element_size, tolerance=OPTIONS.tolerance, linear=False)),
-        state=BubbleState(model, mount, node, push) if keep else None)
+
+def _on_object(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis: np.ndarray, start: np.ndarray, device: str, precision: str, tier: str | None,
+               seed: int, cache: Path | None, progress: Callable[[int, int, str], None] | None) -> _Run:
+    assert scene.sensor is not None
+    chosen = tiers.choose(scene, tier)
+    if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
+        if tier is not None or scene.object.tier != "auto":
+            raise SceneError(f"{scene.source}: tier {chosen!r} cannot be pressed by a [sensor], which bends far; tier = \"fem-coarse\" or finer would do.")
+        chosen = "fem-coarse"
+    body = tiers.build(scene, chosen, seed=seed, cache=cache)
+    compile_kernels(pair_kernels(precision, [block.kind for block in (*body.blocks, *model.blocks)]), device, progress=progress)
+    first = mount[0].copy()
+    first[:3, 3] = start
+    options = tiers.options(chosen)
+    solver = CoupledSolver(body, model, friction=scene.sensor.friction, device=device, precision=precision, options=options)
+    frames = solver.run(mount[:, None], keep=True, progress=None if progress is None else lambda t: progress(t, len(mount), "frames"))
+    turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
+    node = np.einsum("tji,tnj->tni", turn, np.stack([x[..., 0] for x in solver.sensor_position]) - at)
+    push = np.einsum("tji,tnj->tni", turn, np.stack([f[..., 0] for f in solver.sensor_force]))
+    return _Run(frames, free_way(body, model, first, axis), node, push, np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], frames.reaction[:, 0],
+                -frames.force, ("object",), (scene.sensor.friction,), options.tolerance,
+                notes=(*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the object's"))
 
 
 def _statement(frames: Frames, words: str) -> str:

@@ -196,3 +196,36 @@ class CoupledSolver(Solver):
             self.pressure.append(wp.to_torch(self.elasticity.pressure).cpu().numpy().copy())
             self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
         return out
+
+
+def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) -> float:
+    """How far the sensor can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the object at rest [m]; infinite if it does not.
+
+    Between flat facets: from every node of either surface to the other one.
+    """
+    own = sensor.mesh.points @ pose[:3, :3].T + pose[:3, 3]
+    at = model.mesh.points
+    sheet, skin = own[sensor.mesh.faces[:, :3]], at[model.mesh.faces[:, :3]]
+    there = _along(own[np.unique(sensor.mesh.faces[:, :3])], skin, axis)
+    back = _along(at[np.unique(model.mesh.faces[:, :3])], sheet, -axis)
+    return float(min(there, back))
+
+
+def _along(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> float:
+    """Shortest way [m] of any of the points (p, 3) along ``axis`` to any of the triangles (f, 3, 3), no less than -1e-9."""
+    across = np.linalg.svd(axis[None])[2][1:]  # two directions across the axis
+    p, t = points @ across.T, triangles @ across.T
+    edge1, edge2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
+    det = edge1[:, 0] * edge2[:, 1] - edge1[:, 1] * edge2[:, 0]
+    flat = np.abs(det) > 1e-16
+    height, best = triangles @ axis, np.inf
+    for chunk in np.array_split(np.arange(len(p)), max(1, len(p) // 200)):
+        r = p[chunk, None] - t[None, flat, 0]
+        u = (r[..., 0] * edge2[flat, 1] - r[..., 1] * edge2[flat, 0]) / det[flat]
+        v = (edge1[flat, 0] * r[..., 1] - edge1[flat, 1] * r[..., 0]) / det[flat]
+        h = height[flat]
+        way = h[:, 0] + u * (h[:, 1] - h[:, 0]) + v * (h[:, 2] - h[:, 0]) - (points[chunk] @ axis)[:, None]
+        met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > -1e-9)
+        if met.any():
+            best = min(best, float(way[met].min()))
+    return best

@@ -37,6 +37,15 @@ def solver_kernels(precision: str, kinds: Iterable[str] = ("tet10",)) -> list[An
     return [*elements, elasticity.kernels(real).gather, contact.kernels().evaluate]
 
 
+def pair_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:
+    """As `solver_kernels`, of a sensor and an object that touch."""
+    from vsfsim.physics import elasticity, pair_contact
+
+    real = wp.float64 if precision == "float64" else wp.float32
+    elements = [importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels(real).forces for kind in kinds]
+    return [*elements, elasticity.kernels(real).gather, pair_contact.kernels().evaluate]
+
+
 def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int, int, str], None] | None = None) -> None:
     """Load the modules of ``kernels`` on ``device``, compiling what is not in Warp's cache (seconds each, then kept).
 

@@ -160,10 +160,10 @@ class PairTouching:
         at = own.faces + width
 
         def real(values: np.ndarray) -> torch.Tensor:
-            return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.float64, device=self.device)
+            return torch.as_tensor(np.array(values), dtype=torch.float64, device=self.device)
 
         def whole(values: np.ndarray) -> torch.Tensor:
-            return torch.as_tensor(np.ascontiguousarray(values), dtype=torch.int32, device=self.device)
+            return torch.as_tensor(np.array(values), dtype=torch.int32, device=self.device)
 
         def many(values: np.ndarray) -> np.ndarray:
             return np.broadcast_to(values, (batch, *values.shape))
