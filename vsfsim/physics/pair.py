@@ -38,8 +38,7 @@ class _Side:
 
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
-    this step, -1 pads. state: what the kernels write, by name. memory: friction's. second: these are the other walls of valleys, for the
-    same nodes as another side; friction acts on that one.
+    this step, -1 pads. state: what the kernels write, by name. memory: friction's.
     """
 
     first: int
@@ -50,7 +49,6 @@ class _Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
-    second: bool = False
 
 
 @dataclass(frozen=True)
@@ -172,10 +170,6 @@ class PairTouching:
             self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces), whole(np.array([len(f) for f in reach]))),
             self._side(0, whole(normal_of), real(tied), whole(many(at)), whole(np.full(batch, len(at)))),
         ]
-        nodes_side = self._sides[0]
-        walls = self._side(width, nodes_side.facet, nodes_side.stiffness, nodes_side.faces, nodes_side.count)
-        walls.candidates, walls.second = nodes_side.candidates, True
-        self._sides.append(walls)
         self._width = width
         # degrees of freedom and rest positions of all surface nodes: the object's in reach, then the sensor's
         rest = np.zeros((batch, width, 3))
@@ -243,7 +237,7 @@ class PairTouching:
         columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
         self._near.zero_()
-        for side in (side for side in self._sides if not side.second):
+        for side in self._sides:
             size = side.stiffness.shape
             wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
                 columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
@@ -345,7 +339,7 @@ class PairTouching:
         for side in self._sides:
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), int(side.second), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
                 wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
                 wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
                 wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
@@ -358,7 +352,7 @@ class PairTouching:
         if not self.rubs:
             return
         k = self.kernels
-        for side in (side for side in self._sides if not side.second):
+        for side in self._sides:
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.lag, dim=(size[1], len(columns)), device=self.device, inputs=[
                 *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), wp.from_torch(self.softening), self._friction,
@@ -371,7 +365,7 @@ class PairTouching:
         if not self.rubs or not len(columns):
             return
         k = self.kernels
-        for side in (side for side in self._sides if not side.second):
+        for side in self._sides:
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.settle, dim=(size[1], len(columns)), device=self.device, inputs=[
                 *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), contact.STICK, wp.from_torch(self._x, dtype=k.vec3),
@@ -458,7 +452,7 @@ class PairTouching:
             normal.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], roots[:, :, :1]))
             push = state["push"][at] * on[:, :, None]
             force += normal[-1].share(push, push @ turn, force.shape[1])
-            if self.rubs and not side.second:
+            if self.rubs:
                 across.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], roots[:, :, 1:]))
                 pull = state["drag"][at] * on[:, :, None]
                 drag += across[-1].share(pull, pull @ turn, force.shape[1])
@@ -538,7 +532,7 @@ class PairTouching:
             return contact.drag, contact.across
         turn = self._turn[columns]
         force, links = torch.zeros_like(contact.drag), []
-        for side in (side for side in self._sides if not side.second):
+        for side in self._sides:
             chosen = self._chosen(side, columns, side.memory["limit"][columns] > 0.0)
             if chosen is None:
                 continue

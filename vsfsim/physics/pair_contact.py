@@ -220,29 +220,6 @@ def kernels() -> Any:
         return found, shape, gap, normal
 
     @wp.func(module=module)
-    def other_wall(p: vec3, b: int, q: int, nodes: int, first_face: int, foot: vec3, candidates: wp.array3d(dtype=wp.int32),
-                   faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        # in a valley between two faces a point rests on both: the nearest face that rises above the foot of the plumb line on the first one
-        found = int(-1)  # noqa: UP018, RUF046
-        shape = vec6()
-        gap = real(1e30)
-        normal = vec3()
-        for k in range(most):
-            face = candidates[b, q, k]
-            if face >= 0 and face != first_face:
-                n, c, out = nearest(p, b, face, nodes, faces, x)
-                delta = p - c
-                height = wp.dot(delta, out)
-                aside = wp.length(delta - height * out)
-                # a point that has sunk in lies past the valley's line, by less than it has sunk
-                if aside <= real(1e-9) + real(0.5) * wp.abs(height) and wp.dot(foot - c, out) > real(-1e-10) and height < gap:
-                    found = face
-                    shape = n
-                    gap = height
-                    normal = out
-        return found, shape, gap, normal
-
-    @wp.func(module=module)
     def place(b: int, face: int, nodes: int, shape: vec6, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
         out = vec3()
         for i in range(nodes):
@@ -337,7 +314,6 @@ def kernels() -> Any:
         nodes: int,
         columns: wp.array(dtype=wp.int32),
         first: int,
-        second: int,  # 1: the other wall of a valley instead of the nearest face
         facet: wp.array3d(dtype=wp.int32),
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
@@ -382,8 +358,6 @@ def kernels() -> Any:
             p = x_in[b, first + q]
             if candidates_in[b, q, 0] >= 0:
                 face, shape, gap, n = meet(p, b, q, nodes, candidates_in, faces, x_in)
-                if second == 1:
-                    face, shape, gap, n = other_wall(p, b, q, nodes, face, p - gap * n, candidates_in, faces, x_in)
                 if gap < real(0.0):
                     y0 = x_in[b, facet[b, q, 0]]
                     own = wp.normalize(wp.cross(x_in[b, facet[b, q, 1]] - y0, x_in[b, facet[b, q, 2]] - y0))
