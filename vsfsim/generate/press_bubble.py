@@ -118,7 +118,7 @@ def press(scene: Scene, *, device: str = "cpu", precision: str = "float64", cach
     """Run the ``[press]`` of a scene with a ``[sensor]`` and obstacles.
 
     Args:
-        scene: concrete. device: Warp device. precision: "float32" or "float64". cache: folder of inflated shapes. keep: also keep every frame's state.
+        scene: concrete. device: Warp device. precision: "float64". cache: folder of inflated shapes. keep: also keep every frame's state.
         progress: called with (done, in all, what).
 
     Raises:
@@ -132,6 +132,9 @@ def press(scene: Scene, *, device: str = "cpu", precision: str = "float64", cach
         raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of the middle of its rim, e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
     if scene.object is not None:
         raise SceneError(f"{scene.source}: a [sensor] on a deformable [object] is not part of `vsfsim press` yet; take [object] out and give [[obstacles]].")
+    if precision != "float64":
+        raise SceneError(f"--precision {precision}: a [sensor] needs float64. At rest its membrane balances some 50 N of gas pressure node by node, and single precision "
+                         "leaves more of it unbalanced than a light touch pushes.")
     began = time.perf_counter()
     model = bubble.build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=cache)
     built = time.perf_counter() - began
