@@ -26,7 +26,7 @@ from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
 
-OPTIONS = SolverOptions(tolerance=1e-4)
+OPTIONS = SolverOptions(tolerance=5e-4)  # as the fem tier: with friction, tighter balances are not always reached where a point hovers between touching and leaving
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,7 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
     """Run the ``[press]`` of a scene with a ``[sensor]`` and an object, or obstacles.
 
     Args:
-        scene: concrete. tier: of the object, overrides the scene's. seed: of what a family draws. device: Warp device. precision: "float32" or "float64".
+        scene: concrete. tier: of the object, overrides the scene's. seed: of what a family draws. device: Warp device. precision: "float64".
         cache: folder of inflated shapes and meshes. keep: also keep every frame's state. progress: called with (done, in all, what).
 
     Raises:
@@ -156,6 +156,9 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
         raise SceneError(f"{scene.source}: a [sensor] presses an [object] or [[obstacles]]; this scene has both. Take one of them out.")
     if scene.object is None and tier is not None:
         raise SceneError(f"--tier {tier}: this scene has a [sensor] and no [object], and tiers are of objects; the sensor's mesh is set by nodes in [sensor]. Leave --tier out.")
+    if precision != "float64":
+        raise SceneError(f"--precision {precision}: a [sensor] needs float64. At rest its membrane balances some 50 N of gas pressure node by node, and single precision "
+                         "leaves more of it unbalanced than a light touch pushes.")
     began = time.perf_counter()
     model = bubble.build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=cache)
     built = time.perf_counter() - began
