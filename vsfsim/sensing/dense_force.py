@@ -73,7 +73,8 @@ class EstimatorOptions:
 
     displacement_std: noise of a node's displacement, per component [m]. model_std: what a linear model adds to it in a large press, as a
     displacement [m]; `taut` only. force_scale: size of a node's force that is worth explaining [N]; the lasso's weight is 1 / force_scale and the
-    ridge's 1 / force_scale^2. friction: of the cone, `taut` and `membrane` only [-]. rounds: linearisations, `membrane` only. tolerance, iterations: of the program.
+    ridge's 1 / force_scale^2. friction: of the cone, `taut` and `membrane` only [-]. rounds: linearisations, `membrane` only.
+    tolerance: of the program's optimality conditions [-]. iterations: of the program, at most.
     """
 
     displacement_std: float = 5e-5
