@@ -137,6 +137,8 @@ class DenseForceEstimator:
                 raise SensorError("dense force: method 'membrane' needs the stress-free coordinates of the nodes (reference); give them, or use 'paper'.")
             shear = calibration.stiffness / 3.0 if calibration.shear is None else calibration.shear
             self._membrane = NeoHookeanMembrane(calibration.reference, self.triangles, shear)
+            # what the model finds unbalanced on the free dome, from its own coarseness or a modulus that is a little off: tared
+            self._tare = (self._membrane.forces(self.rest) - calibration.pressure * nodal_areas(self.rest, self.triangles)).ravel()[self.free][:, None]
         else:
             modulus = RELEASED_STIFFNESS if method == "released" else calibration.stiffness
             full = plane_stress_stiffness(self.rest, self.triangles, modulus, poisson_ratio=calibration.poisson_ratio)
@@ -205,7 +207,7 @@ class DenseForceEstimator:
             for _ in range(self.options.rounds):
                 tangent = self._cut(self._membrane.tangent(x) - pressure[t] * pressure_stiffness(x, self.triangles))
                 here = (x - self.rest).ravel()[self.free][:, None]
-                out = (self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)).ravel()[self.free][:, None]
+                out = (self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)).ravel()[self.free][:, None] - self._tare
                 inward = -nodal_normals(x, self.triangles)[self.inner][:, None]
                 found: Solution = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward)
                 x = self.rest.copy()
