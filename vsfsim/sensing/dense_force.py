@@ -28,7 +28,7 @@ import numpy as np
 from scipy import sparse
 
 from vsfsim.core.errors import did_you_mean
-from vsfsim.sensing.force_program import ForceProgram, Solution, solve
+from vsfsim.sensing.force_program import ForceProgram, solve
 from vsfsim.sensing.membrane_fe import (
     NeoHookeanMembrane,
     SensorError,
@@ -203,15 +203,16 @@ class DenseForceEstimator:
         displacement = measured.copy()
         converged = np.ones(len(seen), bool)
         for t in range(len(seen)):
-            x = seen[t]
+            x, found = seen[t], None
             for _ in range(self.options.rounds):
                 tangent = self._cut(self._membrane.tangent(x) - pressure[t] * pressure_stiffness(x, self.triangles))
                 here = (x - self.rest).ravel()[self.free][:, None]
                 out = (self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)).ravel()[self.free][:, None] - self._tare
                 inward = -nodal_normals(x, self.triangles)[self.inner][:, None]
-                found: Solution = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward)
+                found = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward, start=None if found is None else found.start)
                 x = self.rest.copy()
                 x.ravel()[self.free] += found.displacement[:, 0]
+            assert found is not None
             force[:, t], displacement[:, t] = found.force[:, 0], found.displacement[:, 0]
             residual[t], converged[t] = found.residual[0], found.converged[0]
         return self._result(displacement, force, residual, converged)

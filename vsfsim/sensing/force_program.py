@@ -56,13 +56,14 @@ class Solution:
 
     displacement: u (3 n, T) [m]. force: f (3 n, T) [N], in the cone and exactly 0 where the lasso says so.
     residual: of the optimality conditions (T,) [-]: the larger of |f - K u - c| over the raw forces |K d + c|, and of the stationarity in u over its
-    terms. iterations: spent.
+    terms. iterations: spent. start: force (3 n, T) [N], scaled multipliers (3 n, T) [N] and penalty from which a similar program can go on; see `solve`.
     """
 
     displacement: np.ndarray
     force: np.ndarray
     residual: np.ndarray
     iterations: int
+    start: tuple[np.ndarray, np.ndarray, float] | None = None
 
     @property
     def converged(self) -> np.ndarray:
@@ -92,12 +93,13 @@ def prox(force: np.ndarray, step: float, program: ForceProgram, inward: np.ndarr
 
 
 def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, program: ForceProgram, *,
-          inward: np.ndarray | None = None) -> Solution:
+          inward: np.ndarray | None = None, start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
     """Solve the program for T right-hand sides that share K.
 
     Args:
         stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only. offset: c (3 n, T) [N]. measured: d (3 n, T) [m].
-        program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone.
+        program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone. start: `Solution.start` of a program
+            like this one, to begin from its answer.
 
     Raises:
         SensorError: shapes that do not fit, or numbers that are not finite.
@@ -113,7 +115,7 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
     stiffness = sparse.csr_matrix(stiffness)
     if program.lasso == 0.0 and program.friction is None:
         return _ridge(stiffness, offset, measured, weight, program.ridge)
-    return _admm(stiffness, offset, measured, weight, program, inward)
+    return _admm(stiffness, offset, measured, weight, program, inward, start)
 
 
 def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, ridge: float) -> Solution:
@@ -126,15 +128,18 @@ def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarra
     return Solution(u, f, np.linalg.norm(gradient, axis=0) / np.maximum(scale, 1e-300), 1)
 
 
-def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram, inward: np.ndarray | None) -> Solution:
+def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram, inward: np.ndarray | None,
+          start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
     gram = sparse.csc_matrix(k.T @ k)
     transposed = sparse.csr_matrix(k.T)
     # weight u + rho K^T K u: where the two are alike the method is fastest
     rho = float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
     shape = (len(d) // 3, 3, d.shape[1])
     f = k @ d + c
-    raw = np.maximum(np.linalg.norm(f, axis=0), 1e-12)  # below a piconewton there is nothing to solve
+    raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # below a nanonewton there is nothing to solve
     scaled = np.zeros_like(f)  # dual over rho
+    if start is not None:
+        f, scaled, rho = start[0].copy(), start[1].copy(), start[2]
     factor = None
     done = np.full(d.shape[1], np.inf)
     best = None
@@ -152,7 +157,7 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
             primal = np.linalg.norm(forward - f, axis=0) / raw
             pull = rho * (transposed @ scaled)
             terms = np.maximum(np.linalg.norm(pull, axis=0), np.linalg.norm(weight[:, None] * (u - d), axis=0))
-            terms = np.maximum(terms, 1e-12 * weight.mean())  # a picometre
+            terms = np.maximum(terms, 1e-9 * weight.mean())  # a nanometre
             dual = np.linalg.norm(weight[:, None] * (u - d) + pull, axis=0) / terms
             change = rho * np.linalg.norm(transposed @ (f - before), axis=0) / terms
             dual = np.maximum(dual, change)
@@ -167,4 +172,4 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
                 scaled = scaled / factor_of
                 factor = None
     u, f = best
-    return Solution(u, f, done, iteration)
+    return Solution(u, f, done, iteration, (f, scaled, rho))
