@@ -141,28 +141,34 @@ def test_one_node_is_shrunk_and_put_on_its_cone():
         assert found.force[:, 0] == pytest.approx(expected, abs=1e-7)
 
 
-@pytest.mark.parametrize(("lasso", "ridge", "friction"), [(0.0, 3.0, None), (4.0, 0.0, None), (4.0, 1.0, 0.6), (2.0, 0.0, np.inf)])
-def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, ridge, friction):
+@pytest.mark.parametrize(("lasso", "ridge", "smooth", "friction"), [
+    (0.0, 3.0, 0.0, None), (0.0, 1.0, 2.0, None), (4.0, 0.0, 0.0, None), (4.0, 1.0, 0.0, 0.6), (4.0, 0.0, 3.0, 0.6), (2.0, 0.0, 0.0, np.inf)])
+def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, ridge, smooth, friction):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((12, 12))
     k = root @ root.T * 20 + 50 * np.eye(12)
     inward = rng.standard_normal((4, 1, 3))
     inward /= np.linalg.norm(inward, axis=2, keepdims=True)
     c, d, w = rng.standard_normal((12, 1)), 1e-2 * rng.standard_normal((12, 1)), 4e4
-    program = ForceProgram(w, lasso=lasso, ridge=ridge, friction=friction, tolerance=1e-8, iterations=100_000)
-    found = solve(sparse.csr_matrix(k), c, d, program, inward=inward)
+    edges = np.array([[0, 1], [1, 2], [0, 3]])
+    program = ForceProgram(w, lasso=lasso, ridge=ridge, smooth=smooth, friction=friction, tolerance=1e-8, iterations=100_000)
+    found = solve(sparse.csr_matrix(k), c, d, program, inward=inward, edges=edges)
     f = found.force.reshape(4, 3)
     # KKT: with y = -K^-T w (u - d) the force must be the fixed point f = prox(f + y), node by node
     u = np.linalg.solve(k, found.force - c)
     y = -np.linalg.solve(k.T, w * (u - d)).reshape(4, 3)
+    for i, j in edges:
+        y[i] -= smooth * (f[i] - f[j])
+        y[j] -= smooth * (f[j] - f[i])
     assert prox(f + y, 1.0, program, inward[:, 0]) == pytest.approx(f, abs=1e-5)
     assert found.residual[0] < 1e-8
     if found.start is not None:  # from its own answer there is nothing left to do but to look
-        again = solve(sparse.csr_matrix(k), c, d, program, inward=inward, start=found.start)
+        again = solve(sparse.csr_matrix(k), c, d, program, inward=inward, edges=edges, start=found.start)
         assert again.iterations <= 20 and again.force == pytest.approx(found.force, abs=1e-6)
 
     def cost(x):
-        return 0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c) - d) ** 2) + lasso * np.linalg.norm(x.reshape(4, 3), axis=1).sum() + 0.5 * ridge * x @ x
+        return 0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c) - d) ** 2) + lasso * np.linalg.norm(x.reshape(4, 3), axis=1).sum() + 0.5 * ridge * x @ x \
+            + 0.5 * smooth * sum(np.sum((x[3 * i:3 * i + 3] - x[3 * j:3 * j + 3]) ** 2) for i, j in edges)
 
     constraint = [] if friction is None else [{"type": "ineq", "fun": lambda x: np.concatenate([
         np.einsum("ni,ni->n", x.reshape(4, 3), inward[:, 0]),
@@ -194,7 +200,7 @@ def test_the_cone_is_convex_and_holds_its_own():
 
 def test_exact_readings_give_back_the_pushes(calibration, presses):
     position, pressure, true = presses
-    found = DenseForceEstimator(calibration, method="membrane", options=EstimatorOptions(force_scale=1.0)).estimate(position, pressure)
+    found = DenseForceEstimator(calibration, method="membrane", options=EstimatorOptions(force_scale=1.0, neighbour_scale=np.inf)).estimate(position, pressure)
     size = np.sqrt((true**2).sum(axis=2).mean(axis=1))
     error = np.sqrt(((found.force - true) ** 2).sum(axis=2).mean(axis=1))
     # what is left is the lasso's pull, lambda K^2 / w, far under a thousandth of the push

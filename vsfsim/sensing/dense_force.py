@@ -14,7 +14,7 @@ with d the tracked displacements: no inward push, no cone of friction. Methods h
     paper      the quadratic program (squared forces)
     released   the default of the public code (sum of norms, which makes most nodes exactly free), its weights
     taut       ours, for a bubble of which no more is known than for `paper`: K also holds the skin's tension (a soap film's under the calibrated
-               pressure) and the turning of the full pressure with the skin; sum of norms, forces in a cone of friction about the inward normal
+               pressure) and the turning of the full pressure with the skin; sum of norms, neighbours alike, forces in a cone of friction about the inward normal
     membrane   ours, where the stress-free shape is known: neo-Hookean skin at the measured shape, then as `taut`; linearised anew about its own answer
 
 `vsfsim bench dense-force` compares all five with the simulator's true contact forces.
@@ -73,22 +73,24 @@ class EstimatorOptions:
 
     displacement_std: noise of a node's displacement, per component [m]. model_std: what a linear model adds to it in a large press, as a
     displacement [m]; `taut` only. force_scale: size of a node's force that is worth explaining [N]; the lasso's weight is 1 / force_scale and the
-    ridge's 1 / force_scale^2. friction: of the cone, `taut` and `membrane` only [-]. rounds: linearisations, `membrane` only.
+    ridge's 1 / force_scale^2. neighbour_scale: how far the forces of neighbouring nodes in contact differ [N], `taut` and `membrane` only; infinity for
+    any. friction: of the cone, `taut` and `membrane` only [-]. rounds: linearisations, `membrane` only.
     tolerance: of the program's optimality conditions [-]. iterations: of the program, at most.
     """
 
     displacement_std: float = 5e-5
     model_std: float = 5e-4
     force_scale: float = 0.05
+    neighbour_scale: float = 0.05
     friction: float = 1.0
     rounds: int = 2
     tolerance: float = 1e-4
     iterations: int = 4000
 
     def __post_init__(self) -> None:
-        for name in ("displacement_std", "model_std", "force_scale", "friction", "tolerance"):
+        for name in ("displacement_std", "model_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
             value = getattr(self, name)
-            if not 0.0 < value or (name != "friction" and not np.isfinite(value)):
+            if not 0.0 < value or (name not in ("friction", "neighbour_scale") and not np.isfinite(value)):
                 raise SensorError(f"dense force: {name} is {value!r}; it must be greater than 0.")
         if self.rounds < 1 or self.iterations < 1:
             raise SensorError(f"dense force: rounds {self.rounds} and iterations {self.iterations}; give at least 1.")
@@ -106,6 +108,12 @@ class DenseForce:
     position: np.ndarray
     residual: np.ndarray
     converged: np.ndarray
+
+
+def inner_edges(triangles: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """Edges (e, 2) between nodes that are free, numbered among the free ones alone; triangles (m, 3), rim (n,) bool."""
+    pairs = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    return (np.cumsum(~rim) - 1)[pairs[~rim[pairs].any(axis=1)]]
 
 
 class DenseForceEstimator:
@@ -132,6 +140,7 @@ class DenseForceEstimator:
         self.method, self.calibration, self.options = method, calibration, options or EstimatorOptions()
         self.inner = np.flatnonzero(~rim)
         self.free = (3 * self.inner[:, None] + np.arange(3)).ravel()
+        self._edges = inner_edges(self.triangles, rim)
         if method == "membrane":
             if calibration.reference is None:
                 raise SensorError("dense force: method 'membrane' needs the stress-free coordinates of the nodes (reference); give them, or use 'paper'.")
@@ -171,7 +180,7 @@ class DenseForceEstimator:
         if self.method == "residual":
             return self._result(measured, self._stiffness @ measured + offset, np.zeros(len(seen)), np.ones(len(seen), bool))
         inward = np.stack([-nodal_normals(x, self.triangles)[self.inner] for x in seen], axis=1)
-        found = solve(self._stiffness, offset, measured, self._program, inward=inward)
+        found = solve(self._stiffness, offset, measured, self._program, inward=inward, edges=self._edges)
         if self.method == "taut":
             return self._result(found.displacement, found.force, found.residual, found.converged)
         # as the public code: the forces that the found displacements mean, not their sparse twin
@@ -188,7 +197,7 @@ class DenseForceEstimator:
             return replace(program, weight=2.0 * RELEASED_DISPLACEMENT * (np.asarray(self.calibration.rim).sum() / len(self.rest)) ** 2, lasso=RELEASED_FORCE)
         if self.method == "taut":
             program = replace(program, weight=1.0 / (o.displacement_std**2 + o.model_std**2))
-        return replace(program, lasso=1.0 / o.force_scale, friction=o.friction)
+        return replace(program, lasso=1.0 / o.force_scale, smooth=o.neighbour_scale**-2, friction=o.friction)
 
     def _cut(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
         return matrix.tocsr()[self.free][:, self.free]
@@ -209,7 +218,7 @@ class DenseForceEstimator:
                 here = (x - self.rest).ravel()[self.free][:, None]
                 out = (self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)).ravel()[self.free][:, None] - self._tare
                 inward = -nodal_normals(x, self.triangles)[self.inner][:, None]
-                found = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward, start=None if found is None else found.start)
+                found = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward, edges=self._edges, start=None if found is None else found.start)
                 x = self.rest.copy()
                 x.ravel()[self.free] += found.displacement[:, 0]
             assert found is not None

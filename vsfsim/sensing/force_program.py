@@ -1,9 +1,10 @@
 """The convex program behind the force estimator: displacements near the measured ones whose forces are few, small and push inwards.
 
-    min_u  1/2 w |u - d|^2 + sum_i ( lambda |f_i| + kappa/2 |f_i|^2 )   with  f = K u + c,  f_i in C_i
+    min_u  1/2 w |u - d|^2 + sum_i ( lambda |f_i| + kappa/2 |f_i|^2 ) + s/2 sum_ij |f_i - f_j|^2   with  f = K u + c,  f_i in C_i
 
 d the measured displacements, K and c a linear model of the forces, C_i all of space or the cone of Coulomb friction about the inward
-normal. lambda makes nodes without contact exactly free of force (a group lasso), kappa alone makes it a quadratic program (ridge).
+normal, ij the edges of the mesh. lambda makes nodes without contact exactly free of force (a group lasso), kappa alone makes it a quadratic program
+(ridge), and s says that a contact presses alike on neighbours: without it the noise, which K makes large between neighbours, leaves spikes.
 Solved by the alternating direction method of multipliers (Boyd et al. 2011): f is split off, its step is a projection onto the cone
 and a shrinkage, and the step of u has one sparse factor for all columns. At the end the optimality conditions are measured, not assumed.
 """
@@ -28,13 +29,14 @@ class ForceProgram:
     """Weights of one program.
 
     weight: w of the displacements, 1 / variance (one number, or one per degree of freedom) [1/m^2]. lasso: lambda [1/N]. ridge: kappa [1/N^2].
-    friction: coefficient of the cone; None for no cone at all, infinity for "inwards, however slanted" [-].
+    smooth: s, see `solve` [1/N^2]. friction: coefficient of the cone; None for no cone at all, infinity for "inwards, however slanted" [-].
     tolerance: of the optimality conditions, relative [-]. iterations: at most.
     """
 
     weight: float | np.ndarray
     lasso: float = 0.0
     ridge: float = 0.0
+    smooth: float = 0.0
     friction: float | None = None
     tolerance: float = 1e-4
     iterations: int = 4000
@@ -43,7 +45,7 @@ class ForceProgram:
         weight = np.asarray(self.weight, float)
         if not (np.isfinite(weight).all() and (weight > 0.0).all()):
             raise SensorError("force program: weight must be greater than 0 everywhere, in 1/m^2 (one over the variance of a displacement).")
-        for name, value in (("lasso", self.lasso), ("ridge", self.ridge)):
+        for name, value in (("lasso", self.lasso), ("ridge", self.ridge), ("smooth", self.smooth)):
             if not 0.0 <= value < np.inf:
                 raise SensorError(f"force program: {name} is {value!r}; it must be at least 0 and finite.")
         if self.friction is not None and not self.friction > 0.0:
@@ -93,13 +95,14 @@ def prox(force: np.ndarray, step: float, program: ForceProgram, inward: np.ndarr
 
 
 def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, program: ForceProgram, *,
-          inward: np.ndarray | None = None, start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
+          inward: np.ndarray | None = None, edges: np.ndarray | None = None, start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
     """Solve the program for T right-hand sides that share K.
 
     Args:
         stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only. offset: c (3 n, T) [N]. measured: d (3 n, T) [m].
-        program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone. start: `Solution.start` of a program
-            like this one, to begin from its answer.
+        program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone.
+        edges: pairs of neighbours among the n nodes (e, 2); needed with ``smooth``. start: `Solution.start` of a program like this one, to begin from
+            its answer.
 
     Raises:
         SensorError: shapes that do not fit, or numbers that are not finite.
@@ -111,29 +114,43 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
         raise SensorError("force program: a stiffness, offset or measured displacement is not finite; leave out frames that were not read.")
     if program.friction is not None and (inward is None or inward.shape != (size // 3, measured.shape[1], 3)):
         raise SensorError(f"force program: a cone needs inward normals ({size // 3}, {measured.shape[1]}, 3).")
+    if program.smooth and edges is None:
+        raise SensorError("force program: smooth needs the edges of the mesh, (e, 2).")
     weight = np.broadcast_to(np.asarray(program.weight, float), (size,))
     stiffness = sparse.csr_matrix(stiffness)
+    rough = program.smooth * roughness(edges, size // 3) if program.smooth and edges is not None else sparse.csr_matrix((size, size))
     if program.lasso == 0.0 and program.friction is None:
-        return _ridge(stiffness, offset, measured, weight, program.ridge)
-    return _admm(stiffness, offset, measured, weight, program, inward, start)
+        return _ridge(stiffness, offset, measured, weight, program.ridge * sparse.identity(size, format="csr") + rough)
+    return _admm(stiffness, offset, measured, weight, program, inward, rough, start)
 
 
-def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, ridge: float) -> Solution:
-    """The quadratic program without cone: its normal equations, at once."""
-    factor = splu(sparse.csc_matrix(sparse.diags(weight) + ridge * (k.T @ k)))
-    u = factor.solve(weight[:, None] * d - ridge * (k.T @ c))
+def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
+    """R (3 n, 3 n) with f . R f = sum over the edges (e, 2) of |f_i - f_j|^2: the Laplacian of the graph, in x, y and z."""
+    i, j = np.asarray(edges).T
+    one = np.ones(len(i))
+    graph = sparse.csr_matrix((np.concatenate([one, one, -one, -one]), (np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i]))), shape=(nodes, nodes))
+    return sparse.kron(graph, sparse.identity(3)).tocsr()
+
+
+def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, quadratic: sparse.csr_matrix) -> Solution:
+    """The quadratic program without cone, f . quadratic f / 2: its normal equations, at once."""
+    pulled = k.T @ quadratic
+    factor = splu(sparse.csc_matrix(sparse.diags(weight) + pulled @ k))
+    u = factor.solve(weight[:, None] * d - pulled @ c)
     f = k @ u + c
-    gradient = weight[:, None] * (u - d) + ridge * (k.T @ f)
-    scale = np.linalg.norm(weight[:, None] * d, axis=0) + np.linalg.norm(ridge * (k.T @ c), axis=0)
+    gradient = weight[:, None] * (u - d) + pulled @ f
+    scale = np.linalg.norm(weight[:, None] * d, axis=0) + np.linalg.norm(pulled @ c, axis=0)
     return Solution(u, f, np.linalg.norm(gradient, axis=0) / np.maximum(scale, 1e-300), 1)
 
 
 def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram, inward: np.ndarray | None,
-          start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
+          rough: sparse.csr_matrix, start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
     gram = sparse.csc_matrix(k.T @ k)
     transposed = sparse.csr_matrix(k.T)
-    # weight u + rho K^T K u: where the two are alike the method is fastest
-    rho = float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
+    pulled = sparse.csr_matrix(transposed @ rough)
+    fixed = sparse.csc_matrix(sparse.diags(weight) + pulled @ k)
+    # weight u + rho K^T K u: the displacements that are neither stiff nor soft decide; 100 is what takes the fewest steps on bubbles
+    rho = 100.0 * float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
     shape = (len(d) // 3, 3, d.shape[1])
     f = k @ d + c
     raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # below a nanonewton there is nothing to solve
@@ -145,8 +162,8 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
     best = None
     for iteration in range(1, program.iterations + 1):
         if factor is None:
-            factor = splu(sparse.csc_matrix(sparse.diags(weight) + rho * gram))
-        u = factor.solve(weight[:, None] * d + rho * (transposed @ (f - scaled - c)))
+            factor = splu(sparse.csc_matrix(fixed + rho * gram))
+        u = factor.solve(weight[:, None] * d - pulled @ c + rho * (transposed @ (f - scaled - c)))
         forward = k @ u + c
         mixed = _RELAXATION * forward + (1.0 - _RELAXATION) * f
         before = f
@@ -158,14 +175,15 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
             pull = rho * (transposed @ scaled)
             terms = np.maximum(np.linalg.norm(pull, axis=0), np.linalg.norm(weight[:, None] * (u - d), axis=0))
             terms = np.maximum(terms, 1e-9 * weight.mean())  # a nanometre
-            dual = np.linalg.norm(weight[:, None] * (u - d) + pull, axis=0) / terms
+            dual = np.linalg.norm(weight[:, None] * (u - d) + pulled @ forward + pull, axis=0) / terms
             change = rho * np.linalg.norm(transposed @ (f - before), axis=0) / terms
             dual = np.maximum(dual, change)
             done = np.maximum(primal, dual)
             best = (u, f)
             if (done < program.tolerance).all():
                 break
-            ratio = float(np.median(primal) / max(np.median(dual), 1e-300))
+            open_ = done >= program.tolerance
+            ratio = float(np.median(primal[open_]) / max(np.median(dual[open_]), 1e-300))
             if (ratio > _BALANCE or ratio < 1.0 / _BALANCE) and iteration % (5 * _CHECK) == 0:
                 factor_of = float(np.clip(np.sqrt(ratio), 0.2, 5.0))
                 rho *= factor_of
