@@ -80,3 +80,25 @@ def pressure_law(dataset: Annotated[Path, typer.Argument(help="Folder of a datas
     print(law.table(result))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command("dense-force")
+def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
+                device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+                out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate import bench_dense_force as bench
+
+    _check_device(device)
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    rows, field, presses = bench.bench(nodes=nodes, device=device, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench.tables(rows, field)
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(bench.table(rows, field, presses))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

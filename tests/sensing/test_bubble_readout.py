@@ -104,3 +104,43 @@ def test_what_it_refuses(fine, coarse):
         readout.frames(points, points, np.zeros(2), rest_pressure=0.0)
     with pytest.raises(SensorError, match="rim"):
         FlatMesh(coarse.points, coarse.triangles, np.zeros(3, bool))
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    from vsfsim.core.bubble import Bubble
+    from vsfsim.physics.bubble import build_bubble
+    return build_bubble(Bubble(nodes=420), cache=tmp_path_factory.mktemp("bubble"))
+
+
+def test_the_real_sensor_is_read_on_its_390_nodes(model):
+    from vsfsim.sensing.bubble import readout_of
+
+    readout = readout_of(model)
+    assert len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714 and readout.readout.rim.sum() == 64
+    nodes = readout.positions(model.mesh.points[None])[0]
+    inner = ~readout.readout.rim
+    # the sensor's own interpolation, which differs outside the finer rim alone
+    assert nodes[inner] == pytest.approx(model.read_out.positions(model.mesh.points)[inner], abs=1e-12)
+    assert np.abs(nodes[~inner, 2]).max() < 1e-12  # the rim is planar
+    # and a force on any node keeps its moment
+    force = np.zeros((1, len(model.mesh.points), 3))
+    force[0, ::7] = np.random.default_rng(0).standard_normal((len(force[0, ::7]), 3))
+    before, after = wrench(model.mesh.points[None], force), wrench(nodes[None], readout.forces(model.mesh.points[None], force))
+    assert after[0] == pytest.approx(before[0], abs=1e-12) and after[1] == pytest.approx(before[1], abs=1e-13)
+
+
+def test_the_pressure_is_that_of_the_solvers_gas(model):
+    import warp as wp
+
+    from vsfsim.physics.elasticity import Elasticity
+    from vsfsim.sensing.bubble import gauge_pressure
+
+    u = np.zeros_like(model.mesh.points)
+    u[:, 2] = -0.2 * model.mesh.points[:, 2]
+    elastic = Elasticity(model, device="cpu", real=wp.float64)
+    elastic.begin(1)
+    elastic.forces(wp.zeros(1, dtype=wp.int32, device="cpu"), wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))
+    found = gauge_pressure(model, np.stack([model.mesh.points, model.mesh.points + u]))
+    assert found[0] == pytest.approx(model.pressure, rel=1e-9)
+    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]), rel=1e-9) and found[1] > model.pressure + 1000.0

@@ -15,8 +15,16 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.shape import ProbeShape, Sphere
+from vsfsim.physics import sdf
+from vsfsim.physics.bubble import BubbleModel, build_bubble
+from vsfsim.physics.solver import Solver
+from vsfsim.robot.press import turn_to
+from vsfsim.sensing.bubble import gauge_pressure, readout_of
 from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
 from vsfsim.sensing.dense_force_score import PressRecord, calibrate, noisy, score
+from vsfsim.sensing.membrane_fe import SensorError, nodal_normals
 
 NOISE = (0.0, 5e-5, 1e-4, 2e-4)
 """White noise of each coordinate of a node [m]; a real camera's depth has 5e-5 a pixel."""
@@ -25,6 +33,72 @@ DEPTHS = (0.0, 3e-3, 6e-3, 1.1e-2)
 """Edges of the bins of depth [m]."""
 
 Progress = Callable[[str], None]
+
+_FRAMES = (-0.001, 0.0015, 0.003, 0.005, 0.0075, 0.010)  # way past first contact [m]
+_FRICTION = 2.0  # the bubble hardly slips, as the paper says of the real one
+BALL, TIP, FLAT, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.060), Sphere(0.012)
+SHAPES: Sequence[tuple[ProbeShape, Sequence[tuple[str, tuple[float, float]]]]] = (
+    (BALL, (("ball, middle", (0.0, 0.0)), ("ball, aside", (0.025, 0.010)))),
+    (TIP, (("tip, middle", (0.0, 0.0)), ("tip, aside", (-0.020, 0.012)))),
+    (FLAT, (("flat ball", (0.0, 0.0)),)),
+)
+"""Rigid shapes and where on the dome (x, y) [m] they are pressed in, along the normal there. Balls of 20, 5 and 60 mm radius."""
+CALIBRATION = ((OTHER, (("12 mm, a", (0.012, -0.008)), ("12 mm, b", (-0.022, 0.0)))),)
+"""The same for the presses that calibrate."""
+
+
+def simulate(model: BubbleModel, shapes: Sequence[tuple[ProbeShape, Sequence[tuple[str, tuple[float, float]]]]], *, device: str = "cpu",
+             progress: Progress = lambda _: None) -> list[PressRecord]:
+    """Press a bubble on rigid shapes and read it out; frames that found no equilibrium are left out."""
+    readout = readout_of(model)
+    out = []
+    normals = nodal_normals(model.mesh.points, model.mesh.faces)
+    for shape, spots in shapes:
+        progress(f"pressing on {', '.join(name for name, _ in spots)}")
+        columns = []
+        for _, spot in spots:
+            node = int(np.linalg.norm(model.mesh.points[:, :2] - spot, axis=1).argmin())
+            axis = -normals[node]
+            pose = np.eye(4)
+            pose[:3, :3] = turn_to(axis, shape)
+            start = np.tile(pose, (len(_FRAMES), 1, 1))
+            back = sdf.support(shape, pose[:3, :3].T @ axis)
+            start[:, :3, 3] = model.mesh.points[node] + (np.array(_FRAMES) - back)[:, None] * axis
+            columns.append(start)
+        solver = Solver(model, shape, friction=_FRICTION, device=device)
+        frames = solver.run(np.stack(columns, axis=1), keep=True)
+        for k, (name, _) in enumerate(spots):
+            good = frames.converged[:, k]
+            points = model.mesh.points + np.stack([u[:, k].reshape(-1, 3) for u in solver.history])[good]
+            # what the solver keeps is the force on the body, which is the bubble
+            force = np.stack([f[..., k] for f in solver.surface_force])[good]
+            seen = readout.frames(points, force, gauge_pressure(model, points), rest_pressure=model.pressure)
+            out.append(PressRecord(name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position, seen.pressure_change + model.pressure, seen.node_force))
+    return out
+
+
+def calibration_of(model: BubbleModel) -> BubbleCalibration:
+    """What a perfectly informed owner of this bubble knows, on the read-out mesh."""
+    readout = readout_of(model)
+    rest = readout.positions(model.mesh.points[None])[0]
+    return BubbleCalibration(rest, readout.readout.triangles, readout.readout.rim, model.spec.modulus, model.pressure,
+                             reference=readout.readout.points / model.spec.pre_stretch)
+
+
+def bench(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[float] = NOISE,
+          progress: Progress = lambda _: None) -> tuple[list[Row], list[Contender], list[PressRecord]]:
+    """All of it on a Punyo; ``nodes`` of the simulator's mesh, None for the default.
+
+    Raises:
+        SensorError: no press found an equilibrium.
+    """
+    model = build_bubble(Bubble() if nodes is None else Bubble(nodes=nodes))
+    training = simulate(model, CALIBRATION, device=device, progress=progress)
+    presses = simulate(model, SHAPES, device=device, progress=progress)
+    if not any(len(p.depth) for p in presses) or not any(len(p.depth) for p in training):
+        raise SensorError(f"bench dense-force: no frame of the presses converged on the mesh of {len(model.mesh.points)} nodes; take another number of nodes.")
+    field = contenders(calibration_of(model), training, progress=progress)
+    return compare(field, presses, noise=noise, progress=progress), field, presses
 
 
 @dataclass(frozen=True)

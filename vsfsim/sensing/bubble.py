@@ -7,11 +7,17 @@ other by its material coordinates: the flat ellipse before the air is let in.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 
+from vsfsim.physics.elements import gas
+from vsfsim.physics.membrane_mesh import closed
 from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
+
+if TYPE_CHECKING:
+    from vsfsim.physics.bubble import BubbleModel
 
 _CHUNK = 2_000_000  # pairs of point and triangle looked at together
 _SLACK = 1e-9  # of a barycentric weight: on an edge
@@ -159,6 +165,28 @@ class BubbleReadout:
         if array.ndim != 3 or array.shape[1:] != (len(self.solver.points), 3):
             raise SensorError(f"bubble: {what} have shape {array.shape}; give frames of all nodes of the solver's mesh, (T, {len(self.solver.points)}, 3).")
         return array
+
+
+def readout_of(model: BubbleModel) -> BubbleReadout:
+    """The read-out of a bubble that `vsfsim.physics.bubble.build_bubble` made: the solver's mesh and the 390 nodes."""
+    def flat(points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> FlatMesh:
+        held = np.zeros(len(points), bool)
+        held[rim] = True
+        return FlatMesh(points, np.asarray(faces, np.int64), held)
+
+    seen = model.read_out
+    return BubbleReadout(flat(model.flat, model.mesh.faces, model.mesh.rim), flat(seen.flat, seen.faces, seen.rim))
+
+
+def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:
+    """Gauge pressure (T,) [Pa] of the model's air when its nodes are at ``points`` (T, n, 3) [m]: p V^gamma, or the supply's if it is open."""
+    spec = model.spec
+    if not spec.sealed:
+        return np.full(len(points), model.pressure)
+    faces = closed(model.mesh.faces, model.mesh.rim)
+    dome = np.array([gas.volume(x, faces) for x in points])
+    start = spec.ambient_pressure + model.pressure
+    return start * ((model.mesh.volume[0] + model.dead_volume) / (dome + model.dead_volume)) ** spec.gamma - spec.ambient_pressure
 
 
 def wrench(points: np.ndarray, force: np.ndarray, *, origin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

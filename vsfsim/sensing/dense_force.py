@@ -196,7 +196,9 @@ class DenseForceEstimator:
             # |.|^2 k = w/2 |.|^2
             return replace(program, weight=2.0 * RELEASED_DISPLACEMENT * (np.asarray(self.calibration.rim).sum() / len(self.rest)) ** 2, lasso=RELEASED_FORCE)
         if self.method == "taut":
-            program = replace(program, weight=1.0 / (o.displacement_std**2 + o.model_std**2))
+            # spikes come from the noise of the nodes; the model's own error is as smooth as the press, so it calls for no more smoothing
+            share = o.displacement_std**2 / (o.displacement_std**2 + o.model_std**2)
+            return replace(program, weight=share * precision, lasso=1.0 / o.force_scale, smooth=share * o.neighbour_scale**-2, friction=o.friction)
         return replace(program, lasso=1.0 / o.force_scale, smooth=o.neighbour_scale**-2, friction=o.friction)
 
     def _cut(self, matrix: sparse.csr_matrix) -> sparse.csr_matrix:
