@@ -81,7 +81,7 @@ class EstimatorOptions:
     displacement_std: float = 5e-5
     model_std: float = 5e-4
     force_scale: float = 0.05
-    neighbour_scale: float = 0.05
+    neighbour_scale: float = 0.2
     friction: float = 1.0
     rounds: int = 2
     tolerance: float = 1e-4
