@@ -124,7 +124,7 @@ def test_shipped_scenes_load(name):
     ("fov = 0.7", "fov = 45", "[camera]: fov is 45; it must be a number from 0.05 to 2.8 rad."),
     ("train = 4", "train = 3", "[dataset]: splits add up to 5, but there are 6 objects; make them equal."),
     ("train = 4", "train = -4", "splits is {'train': -4, 'test': 2}; give the number of objects of each"),
-    ("[probe]", "[[probe]]", "[probe] is [{"), ("[probe]", "[sensor]", "[sensor]: the bubble sensor is not built yet"),
+    ("[probe]", "[[probe]]", "[probe] is [{"), ("[probe]", "[sensor]", "[sensor]: unknown key 'shape'"),
 ])
 def test_a_scene_that_says_something_wrong(old, new, message):
     assert old in FULL

@@ -34,7 +34,7 @@ class Bubble:
     young_modulus: float = 1.36e6
     thickness: float = 0.0005
     pre_stretch: float = 1.10
-    gauge_pressure: float = 7843.0
+    gauge_pressure: float = 7820.0
     gas_volume: float = 150e-6
     gamma: float = 1.4
     ambient_pressure: float = ATMOSPHERE

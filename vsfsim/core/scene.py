@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.core.bubble import Bubble, parse_sensor
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import (
@@ -107,13 +108,14 @@ class Scene:
 
     name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
     probe: moves along the path; parts move with it; obstacles stand in the world. source: the file it came from.
-    given: tables and keys at the top of the file. The other fields: see their classes; None where the file has no such table.
+    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's place.
+    The other fields: see their classes; None where the file has no such table. Without an object there are a sensor and obstacles.
     """
 
     name: str
     needs: tuple[str, ...]
     gravity: tuple[float, float, float]
-    object: ObjectSpec
+    object: ObjectSpec | None
     probe: ProbeShape
     parts: tuple[RigidBody, ...]
     obstacles: tuple[RigidBody, ...]
@@ -123,15 +125,20 @@ class Scene:
     dataset: DatasetSpec | None
     source: Path
     given: frozenset[str] = frozenset()
+    sensor: Bubble | None = None
 
     @property
     def bodies(self) -> tuple[ProbeShape, ...]:
-        """Shapes of all K rigid bodies: the probe, its parts, the obstacles."""
+        """Shapes of all K rigid bodies: the probe, its parts, the obstacles; with a sensor, the obstacles."""
+        if self.sensor is not None:
+            return tuple(b.shape for b in self.obstacles)
         return (self.probe, *(b.shape for b in (*self.parts, *self.obstacles)))
 
     @property
     def frictions(self) -> tuple[float, ...]:
-        """Coulomb coefficient of each of the K rigid bodies against the object [-]."""
+        """Coulomb coefficient of each of the K rigid bodies against what they touch, the object or the sensor [-]."""
+        if self.sensor is not None:
+            return tuple(self.sensor.friction if b.friction is None else b.friction for b in self.obstacles)
         own = self.object.friction
         return (own, *(own if b.friction is None else b.friction for b in (*self.parts, *self.obstacles)))
 
@@ -253,10 +260,14 @@ def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
                                   "obstacles", "press", "touches", "camera", "dataset"))
-    if "sensor" in tree:
-        raise SceneError(f"{path} [sensor]: the bubble sensor is not built yet; use [probe] with a rigid shape.")
-    if "object" not in tree:
-        raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}.")
+    sensor = parse_sensor(tree["sensor"], path) if "sensor" in tree else None
+    if sensor is not None and "probe" in tree:
+        raise SceneError(f"{path}: there is a [sensor] and a [probe]; one of them moves along the path. What a bubble is to touch goes into [object] or [[obstacles]].")
+    if "object" not in tree and (sensor is None or not tree.get("obstacles")):
+        raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
+                         + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None else ", or a [sensor] and [[obstacles]] for it to press on."))
+    if sensor is not None and "touches" in tree:
+        raise SceneError(f"{path} [touches]: a dataset made with a [sensor] is not built yet; use [press], or a [probe].")
     needs = tree.get("needs", ["normal-force"])
     if not isinstance(needs, list):
         raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")
@@ -274,7 +285,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         name=str(tree.get("name", path.stem)),
         needs=tuple(needs),
         gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
-        object=_object(tree["object"], path),
+        object=_object(tree["object"], path) if "object" in tree else None,
         probe=probe,
         parts=parts,
         obstacles=obstacles,
@@ -284,6 +295,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         dataset=_dataset(tree["dataset"], path) if "dataset" in tree else None,
         source=path,
         given=frozenset(tree),
+        sensor=sensor,
     )
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.core.scene import Scene
+
 
 def inspect(what: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     """Draw the picture of a dataset folder or of a scene; returns lines to print.
@@ -42,6 +44,8 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     loaded = load_scene(find_scene(name))
     # as object 0 of a dataset of this seed
     scene = loaded.sample(stream(seed, _SCENE, 0))
+    if scene.object is None:
+        return _sensor(scene, loaded.name, out or Path(f"{loaded.name}.png"), device=device)
     tier = tiers.choose(scene)
     solid, values = tiers.body(scene, tier, seed=stream(seed, _BODY, 0))
     mean = values.mean(axis=1)
@@ -56,4 +60,31 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
         if inside.any():
             lines.append(f"  {region:<14} E {np.average(mean[inside], weights=volume[inside]):9.3g} Pa  {1e6 * volume[inside].sum():8.1f} cm^3")
     lines.extend(f"note: {sentence}" for sentence in solid.notes)
+    return [*lines, f"turntable: {path}"]
+
+
+def _sensor(scene: Scene, name: str, path: Path, *, device: str) -> list[str]:
+    """The free dome of a scene's sensor: a turntable, and its figures."""
+    from vsfsim.physics import bubble
+    from vsfsim.physics.bubble_shape import punyo_rms, stretches
+    from vsfsim.physics.elements import gas
+    from vsfsim.sensing.camera import Surface
+    from vsfsim.sensing.turntable import turntable
+
+    spec = scene.sensor
+    assert spec is not None
+    model = bubble.build_bubble(spec, where=f"{scene.source} [sensor]")
+    mesh = model.mesh
+    surface = Surface(mesh.points, mesh.faces, np.zeros(len(mesh.faces), np.int64), None, mesh.points)
+    turntable(surface, path, title=f"{name}, free dome", device=device)
+    apex = int(mesh.points[:, 2].argmax())
+    largest, least = stretches(model)[(mesh.faces == apex).any(axis=1)].mean(axis=0)
+    rate = gas.at_rest(model.blocks[2])[2]
+    lines = [f"{name}: a bubble of {len(mesh.points)} nodes and {len(mesh.faces)} triangles, mean edge {1e3 * model.element_size:.2f} mm; "
+             f"read-out mesh of {len(model.read_out.flat)} nodes, {len(model.read_out.faces)} triangles, {len(model.read_out.rim)} on the rim",
+             f"  rim            {2e3 * spec.semi_axes[0]:.1f} x {2e3 * spec.semi_axes[1]:.1f} mm, E h {spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
+             f"  free dome      apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at {model.pressure:.0f} Pa gauge; stretch at the apex {least:.3f} x {largest:.3f}",
+             f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, " + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
+    if spec.semi_axes == type(spec)().semi_axes:
+        lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - rho^2)^0.763, a real Punyo's")
     return [*lines, f"turntable: {path}"]

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.scene import SceneFile
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.generate import press as presses
 from vsfsim.generate.press_text import text as table
 
@@ -24,6 +25,11 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     """
     keep = picture is not None or save is not None
     scene = loaded.sample(seed)
+    if scene.sensor is not None:
+        for option, given in (("--tier", tier), ("--refine", refine), ("--picture", picture)):
+            if given is not None:
+                raise SceneError(f"{option} {given}: a [sensor] has no {'tiers: its mesh is set by nodes in [sensor]' if option == '--tier' else 'such output yet'}; leave {option} out.")
+        return _press_bubble(scene, loaded.name, device=device, precision=precision, plot=plot, save=save, progress=progress)
     words, found = [], {}
     if refine is None:
         result = presses.press(scene, tier=tier, device=device, precision=precision, seed=seed, keep=keep, progress=progress)
@@ -52,3 +58,18 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
         write(result, save)
         words.append(f"saved: {save}")
     return "\n".join([table(result), *words]), {**result.table(), **found}, good
+
+
+def _press_bubble(scene: Scene, name: str, *, device: str, precision: str, plot: Path | None, save: Path | None,
+                  progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
+    from vsfsim.generate import press_bubble, press_bubble_file, press_plot
+
+    result = press_bubble.press(scene, device=device, precision=precision, keep=save is not None, progress=progress)
+    words = []
+    if plot is not None:
+        press_plot.plot_pressure(result, name, plot)
+        words.append(f"plot: {plot}")
+    if save is not None:
+        press_bubble_file.save(result, save)
+        words.append(f"saved: {save}")
+    return "\n".join([press_bubble.text(result), *words]), result.table(), bool(result.converged.all())

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.generate.press import PressResult
+from vsfsim.generate.press_bubble import BubblePress
 
 
 def plot(result: PressResult, title: str, path: Path) -> None:
@@ -29,6 +30,30 @@ def plot(result: PressResult, title: str, path: Path) -> None:
     axes.set_title(f"{title}: tier {result.tier}, {result.tets} tetrahedra", fontsize=10)
     axes.grid(alpha=0.3)
     axes.legend(frameon=False, fontsize=9)
+    figure.tight_layout()
+    figure.savefig(path)
+    plt.close(figure)
+
+
+def plot_pressure(result: BubblePress, title: str, path: Path) -> None:
+    """Draw force and pressure change of a bubble against depth into ``path`` (PNG); frames that failed are crossed out."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(figsize=(6.0, 4.2), dpi=130)
+    depth, force = 1e3 * result.depth, np.linalg.norm(result.force, axis=1)
+    axes.plot(depth, force, "o-", ms=3.5, color="tab:blue")
+    axes.set_xlabel("depth past first contact [mm]")
+    axes.set_ylabel("force [N]", color="tab:blue")
+    other = axes.twinx()
+    other.plot(depth, result.pressure_change, "s-", ms=3.0, color="tab:orange")
+    other.set_ylabel("pressure change [Pa]", color="tab:orange")
+    bad = ~result.converged
+    axes.plot(depth[bad], force[bad], "x", ms=9, color="tab:red")
+    axes.set_title(f"{title}: bubble of {result.nodes} nodes", fontsize=10)
+    axes.grid(alpha=0.3)
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)

@@ -105,9 +105,12 @@ def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.nd
 
 
 def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[Block, Block]:
-    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in ``points`` (n, 3) [m]."""
+    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in ``points`` (n, 3) [m].
+
+    The rim may turn: a clamp bends the sheet over sqrt(D / tension), 0.3 mm, less than any element; half resolved, it would make the dome depend on the mesh.
+    """
     rest = flat / spec.pre_stretch
-    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending)
+    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending, clamped=False)
 
 
 def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:

@@ -3,7 +3,7 @@
     E(x) = A D/2 [ (1 - nu) (|h11|^2 + |h22|^2 + 2 |h12|^2) + nu |h11 + h22|^2 ],    h_ab = d^2 x / dX_a dX_b,   D = E h^3 / (12 (1 - nu^2))
 
 h (three vectors) is the second derivative of the one quadratic map that takes the six nodes of the triangle and its three neighbours from their
-rest places X in the plane to where they are: exact for every quadratic deflection, on any mesh, so D is what it is called. A sum of
+rest places X in the plane to where they are: exact for every quadratic deflection on any sound mesh (its six places not on a conic), so D is what it is called. A sum of
 k theta^2 over dihedral angles is not: its D depends on the mesh (on equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like a plate of
 Poisson's ratio -1/3, three times too stiff in a clamped disc; Seung and Nelson 1988, Phys. Rev. A 38; Grinspun et al. 2003). The patch of
 four triangles is that of Onate and Flores 2005 (the rotation-free triangle EBST, Comput. Methods Appl. Mech. Eng. 194).
@@ -25,6 +25,7 @@ import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 6
+_BLIND = 0.02  # of the largest singular value: a curvature that six places on a conic cannot tell is taken as none, not as anything
 
 
 def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *, poisson_ratio: float = 0.5, clamped: bool = True,
@@ -53,8 +54,10 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     centre = place.mean(axis=1, keepdims=True)
     size = np.linalg.norm(place - centre, axis=2).mean(axis=1)
     x, y = np.moveaxis((place - centre) / size[:, None, None], 2, 0)
-    fit = np.linalg.inv(np.stack([np.ones_like(x), x, y, 0.5 * x * x, x * y, 0.5 * y * y], axis=2))
-    b11, b12, b22 = (fit[:, 3 + i] / size[:, None] ** 2 for i in range(3))
+    # what is left of the six places when the best plane is taken out is due to the three second derivatives
+    rest_of = np.swapaxes(np.linalg.qr(np.stack([np.ones_like(x), x, y], axis=2), mode="complete")[0][:, :, 3:], 1, 2)
+    fit = np.linalg.pinv(rest_of @ np.stack([0.5 * x * x, x * y, 0.5 * y * y], axis=2), rcond=_BLIND) @ rest_of
+    b11, b12, b22 = (fit[:, i] / size[:, None] ** 2 for i in range(3))
     a, b, c = (rest[triangles[:, i]] for i in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     assert (area > 0.0).all() and bending > 0.0 and np.isfinite(fit).all()
@@ -65,7 +68,7 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     energy = (1.0 - poisson_ratio) * (square(b11) + square(b22) + 2.0 * square(b12)) + poisson_ratio * square(b11 + b22)
     energy *= (bending * area)[:, None, None]
     stiffness = [np.swapaxes(m, 1, 2) @ energy @ m for m in (plane, out)]
-    return Block("hinge", stencil.astype(np.int32), {"points": points[stencil], "plane": stiffness[0], "out": stiffness[1],
+    return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]], "plane": stiffness[0], "out": stiffness[1],
                                                      "normal": np.tile(np.asarray(normal, float), (len(triangles), 1))})
 
 
@@ -106,7 +109,7 @@ def kernels(real: type) -> Any:
     def forces(
         # model
         nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        edges: wp.array2d(dtype=vec3),
         plane: wp.array3d(dtype=real),
         out: wp.array3d(dtype=real),
         normal: wp.array(dtype=vec3),
@@ -122,15 +125,15 @@ def kernels(real: type) -> Any:
         b = index[k]
         n = normal[t]
         i0 = 3 * nodes[t, 0]
-        first = points[t, 0] + vec3(u_in[i0, b], u_in[i0 + 1, b], u_in[i0 + 2, b])
+        first = vec3(u_in[i0, b], u_in[i0 + 1, b], u_in[i0 + 2, b])
         energy = real(0.0)
         for a in range(6):
             total = vec3()
             for c in range(1, 6):
                 i = 3 * nodes[t, c]
-                total += pull(plane, out, n, t, a, c, points[t, c] + vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
+                total += pull(plane, out, n, t, a, c, edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first))
             j = 3 * nodes[t, a]
-            energy += real(0.5) * wp.dot(total, points[t, a] + vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
+            energy += real(0.5) * wp.dot(total, edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first))
             for c in range(3):
                 force_out[t, 3 * a + c, b] = total[c]
         energy_out[t, b] = energy
@@ -140,7 +143,7 @@ def kernels(real: type) -> Any:
     def multiply(
         # model
         nodes: wp.array2d(dtype=wp.int32),
-        points: wp.array2d(dtype=vec3),
+        edges: wp.array2d(dtype=vec3),
         plane: wp.array3d(dtype=real),
         out: wp.array3d(dtype=real),
         normal: wp.array(dtype=vec3),
@@ -166,7 +169,7 @@ def kernels(real: type) -> Any:
 
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
-        return [wp.array(p["points"], dtype=vec3, device=device), *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
+        return [wp.array(p["edges"], dtype=vec3, device=device), *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
                 wp.array(p["normal"], dtype=vec3, device=device)]
 
     class Kernels:
