@@ -110,7 +110,7 @@ def test_what_it_refuses(fine, coarse):
 def model(tmp_path_factory):
     from vsfsim.core.bubble import Bubble
     from vsfsim.physics.bubble import build_bubble
-    return build_bubble(Bubble(nodes=420), cache=tmp_path_factory.mktemp("bubble"))
+    return build_bubble(Bubble(nodes=300), cache=tmp_path_factory.mktemp("bubble"))
 
 
 def test_the_real_sensor_is_read_on_its_390_nodes(model):
@@ -144,3 +144,44 @@ def test_the_pressure_is_that_of_the_solvers_gas(model):
     found = gauge_pressure(model, np.stack([model.mesh.points, model.mesh.points + u]))
     assert found[0] == pytest.approx(model.pressure, rel=1e-9)
     assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]), rel=1e-9) and found[1] > model.pressure + 1000.0
+
+
+def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
+    import dataclasses
+
+    from vsfsim.bench.mock import mock_view
+    from vsfsim.data.hdf5 import read_view, write_view
+    from vsfsim.sensing.bubble_camera import BubbleCamera
+    from vsfsim.sensing.bubble_touch import touch_fields
+
+    view = mock_view(0, split="test", touches=1)
+    touch = view.touches[0]
+    frames = len(touch.time)
+    rng = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    pose = touch.mount_pose.copy()
+    pose[:, :3, :3] = turn * np.sign(np.linalg.det(turn))
+    local = np.broadcast_to(model.mesh.points, (frames, *model.mesh.points.shape)).copy()
+    world = np.einsum("tij,tnj->tni", pose[:, :3, :3], local) + pose[:, None, :3, 3]
+    force = np.zeros_like(world)
+    force[3, 200] = [0.3, -0.2, 1.0]
+    pressure = np.full(frames, model.pressure)
+    converged = touch.converged.copy()
+    converged[5] = False
+    world[5] = np.nan
+    more = touch_fields(model, world, force, pressure, pose, converged=converged, camera=BubbleCamera(width=64, height=48, focal=43.0))
+    write_view(tmp_path / "x.h5", dataclasses.replace(view, touches=(dataclasses.replace(touch, mount_pose=pose, converged=converged, **more),)))
+    back = read_view(tmp_path / "x.h5").touches[0]
+    assert back.rest_pressure == model.pressure and np.isnan(back.pressure[5]) and np.isfinite(np.delete(back.pressure, 5)).all()
+    # float32 of half a metre
+    assert back.node_force[3].sum(axis=0) == pytest.approx(force[3, 200], abs=1e-6)
+    arm = back.node_position[3] - pose[3, :3, 3]
+    assert back.moment[3] == pytest.approx(np.cross(world[3, 200] - pose[3, :3, 3], force[3, 200]), abs=1e-15)
+    assert np.cross(arm, back.node_force[3]).sum(axis=0) == pytest.approx(back.moment[3], abs=2e-7)
+    assert ((back.node_position[0] - pose[0, :3, 3]) @ pose[0, :3, :3]) == pytest.approx(back.node_rest, abs=1e-7)
+    assert back.node_reference * model.spec.pre_stretch == pytest.approx(model.read_out.flat) and back.node_triangles.shape == (714, 3)
+    assert np.isnan(back.inside_depth[5]).all() and (back.inside_depth[4] > 0).mean() > 0.7 and back.inside_rgb.shape == (frames, 48, 64, 3)
+    with pytest.raises(SensorError, match="not finite"):
+        touch_fields(model, world, force, pressure, pose)
+    with pytest.raises(SensorError, match="mount poses"):
+        touch_fields(model, world, force, pressure, pose[:2])
