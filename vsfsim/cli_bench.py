@@ -58,7 +58,7 @@ def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the
 
 
 @app.command("pressure-law")
-def pressure_law(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset made with a bubble.")],
+def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
                  plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
                  area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
                  out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
@@ -70,7 +70,7 @@ def pressure_law(dataset: Annotated[Path, typer.Argument(help="Folder of a datas
     stdout = out is not None and str(out) == "-"
     for name, path in (("--plot", plot), ("--json", None if stdout else out)):
         _check_writable(name, path)
-    found = law.readings(Dataset.open(dataset, blind=True))
+    found = law.rigid_presses(progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
     result = law.study(found, area=area)
     if plot is not None:
         law.plot(found, result, plot)

@@ -55,7 +55,7 @@ def test_a_real_press(tmp_path):
     from vsfsim.physics.bubble import build_bubble
 
     model = build_bubble(Bubble(nodes=800), cache=tmp_path)
-    (one,) = bench.simulate(model, ((bench.BALL, (("ball", (0.01, 0.0)),)),))
+    (one,) = bench.simulate(model, ((bench.BALL, (bench.Spot("ball", 0.01, 0.0),)),))
     assert len(one.depth) >= 5 and one.depth[-1] == 0.01
     net = one.force.sum(axis=1)
     assert (np.diff(np.linalg.norm(net, axis=1)) >= 0).all() and net[-1, 2] < -3.0  # N, into the dome

@@ -1,6 +1,6 @@
 """How far estimated contact forces of the bubble are from the true ones: `vsfsim bench dense-force`.
 
-The bubble is pressed on rigid shapes at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh with white noise, and the pressure
+The bubble is pressed on rigid balls at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh with white noise, and the pressure
 with the real sensor's 5.4 Pa. Truth are the simulator's contact forces, moved to the read-out mesh with net force and moment kept. E h and the force scale
 of `paper` and `taut` are calibrated by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor; `released` is
 taken as published; `membrane` knows the skin that the simulator was given, but on its own coarser mesh, and is also shown with an E h that is 10 % too large.
@@ -8,6 +8,7 @@ taken as published; `membrane` knows the skin that the simulator was given, but 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,11 +17,9 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.bubble import Bubble
-from vsfsim.core.shape import ProbeShape, Sphere
-from vsfsim.physics import sdf
+from vsfsim.core.shape import Sphere
 from vsfsim.physics.bubble import BubbleModel, build_bubble
 from vsfsim.physics.solver import Solver
-from vsfsim.robot.press import turn_to
 from vsfsim.sensing.bubble import gauge_pressure, readout_of
 from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
 from vsfsim.sensing.dense_force_score import PressRecord, calibrate, noisy, score
@@ -36,44 +35,55 @@ Progress = Callable[[str], None]
 
 _FRAMES = (-0.001, 0.0015, 0.003, 0.005, 0.0075, 0.010)  # way past first contact [m]
 _FRICTION = 2.0  # the bubble hardly slips, as the paper says of the real one
-BALL, TIP, FLAT, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.060), Sphere(0.012)
-SHAPES: Sequence[tuple[ProbeShape, Sequence[tuple[str, tuple[float, float]]]]] = (
-    (BALL, (("ball, middle", (0.0, 0.0)), ("ball, aside", (0.025, 0.010)))),
-    (TIP, (("tip, middle", (0.0, 0.0)), ("tip, aside", (-0.020, 0.012)))),
-    (FLAT, (("flat ball", (0.0, 0.0)),)),
+BALL, TIP, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.012)
+
+
+@dataclass(frozen=True)
+class Spot:
+    """One press of a ball. name: for tables. x, y: of the place on the dome, mount frame [m]. slant: of its way from the normal there, towards +x [rad]."""
+
+    name: str
+    x: float
+    y: float
+    slant: float = 0.0
+
+
+Plan = Sequence[tuple[Sphere, Sequence[Spot]]]
+
+PRESSES: Plan = (
+    (BALL, (Spot("ball, middle", 0.0, 0.0), Spot("ball, aside", 0.025, 0.010), Spot("ball, slanted", -0.010, 0.0, math.radians(30.0)))),
+    (TIP, (Spot("tip, middle", 0.0, 0.0), Spot("tip, aside", -0.020, 0.012))),
 )
-"""Rigid shapes and where on the dome (x, y) [m] they are pressed in, along the normal there. Balls of 20, 5 and 60 mm radius."""
-CALIBRATION = ((OTHER, (("12 mm, a", (0.012, -0.008)), ("12 mm, b", (-0.022, 0.0)))),)
-"""The same for the presses that calibrate."""
+"""Balls of 20 and 5 mm radius."""
+CALIBRATION: Plan = ((OTHER, (Spot("12 mm, a", 0.012, -0.008), Spot("12 mm, b", -0.022, 0.0))),)
+"""The presses that calibrate."""
 
 
-def simulate(model: BubbleModel, shapes: Sequence[tuple[ProbeShape, Sequence[tuple[str, tuple[float, float]]]]], *, device: str = "cpu",
-             progress: Progress = lambda _: None) -> list[PressRecord]:
-    """Press a bubble on rigid shapes and read it out; frames that found no equilibrium are left out."""
+def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu", progress: Progress = lambda _: None) -> list[PressRecord]:
+    """Press a bubble on rigid balls and read it out; frames that found no equilibrium are left out."""
     readout = readout_of(model)
     out = []
     normals = nodal_normals(model.mesh.points, model.mesh.faces)
-    for shape, spots in shapes:
-        progress(f"pressing on {', '.join(name for name, _ in spots)}")
+    for shape, spots in plan:
+        progress(f"pressing on {', '.join(spot.name for spot in spots)}")
         columns = []
-        for _, spot in spots:
-            node = int(np.linalg.norm(model.mesh.points[:, :2] - spot, axis=1).argmin())
-            axis = -normals[node]
-            pose = np.eye(4)
-            pose[:3, :3] = turn_to(axis, shape)
-            start = np.tile(pose, (len(_FRAMES), 1, 1))
-            back = sdf.support(shape, pose[:3, :3].T @ axis)
-            start[:, :3, 3] = model.mesh.points[node] + (np.array(_FRAMES) - back)[:, None] * axis
-            columns.append(start)
+        for spot in spots:
+            node = int(np.linalg.norm(model.mesh.points[:, :2] - (spot.x, spot.y), axis=1).argmin())
+            normal = normals[node]
+            across = np.array([1.0, 0.0, 0.0]) - normal[0] * normal
+            way = math.sin(spot.slant) * across / np.linalg.norm(across) - math.cos(spot.slant) * normal
+            poses = np.tile(np.eye(4), (len(_FRAMES), 1, 1))
+            poses[:, :3, 3] = model.mesh.points[node] + shape.radius * normal + np.array(_FRAMES)[:, None] * way
+            columns.append(poses)
         solver = Solver(model, shape, friction=_FRICTION, device=device)
         frames = solver.run(np.stack(columns, axis=1), keep=True)
-        for k, (name, _) in enumerate(spots):
+        for k, spot in enumerate(spots):
             good = frames.converged[:, k]
             points = model.mesh.points + np.stack([u[:, k].reshape(-1, 3) for u in solver.history])[good]
             # what the solver keeps is the force on the body, which is the bubble
             force = np.stack([f[..., k] for f in solver.surface_force])[good]
             seen = readout.frames(points, force, gauge_pressure(model, points), rest_pressure=model.pressure)
-            out.append(PressRecord(name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position, seen.pressure_change + model.pressure, seen.node_force))
+            out.append(PressRecord(spot.name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position, seen.pressure_change + model.pressure, seen.node_force))
     return out
 
 
@@ -94,7 +104,7 @@ def bench(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[floa
     """
     model = build_bubble(Bubble() if nodes is None else Bubble(nodes=nodes))
     training = simulate(model, CALIBRATION, device=device, progress=progress)
-    presses = simulate(model, SHAPES, device=device, progress=progress)
+    presses = simulate(model, PRESSES, device=device, progress=progress)
     if not any(len(p.depth) for p in presses) or not any(len(p.depth) for p in training):
         raise SensorError(f"bench dense-force: no frame of the presses converged on the mesh of {len(model.mesh.points)} nodes; take another number of nodes.")
     field = contenders(calibration_of(model), training, progress=progress)

@@ -17,8 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.shape import Sphere
 from vsfsim.data.records import ObjectView, Touch
+from vsfsim.generate.bench_dense_force import Plan, Progress, Spot, simulate
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.sensing.membrane_fe import SensorError
 
 BASE_AREA = 7.18e-3
 """Area inside the Punyo's rim [m^2]: openvsf's mesh, and pi times 57.25 mm times 40 mm to 0.2 %."""
@@ -99,6 +104,29 @@ def _of_touch(touch: Touch, number: int) -> tuple[np.ndarray, ...]:
         arm = centre - touch.mount_pose[:, :3, 3]
         distance = np.linalg.norm(arm - np.einsum("ti,ti->t", arm, axis)[:, None] * axis, axis=1)
     return (touch.pressure - touch.rest_pressure)[used], normal[used], summed[used], distance[used], np.full(int(used.sum()), number)
+
+
+LAW_PRESSES: Plan = (
+    (Sphere(0.015), tuple(Spot(f"x {1e3 * x:.0f}, y {1e3 * y:.0f} mm", x, y) for x, y in
+                          ((0.0, 0.0), (0.010, 0.0), (0.020, 0.0), (0.030, 0.0), (0.0, 0.010), (0.0, 0.020), (-0.015, 0.015), (-0.030, 0.010)))),
+)
+"""Presses on a rigid ball, all over one half of the dome, for when there is no dataset."""
+
+
+def rigid_presses(*, nodes: int | None = None, device: str = "cpu", progress: Progress = lambda _: None) -> LawReadings:
+    """Frames in contact of a Punyo pressed on a rigid ball at eight places; ``nodes`` of its mesh, None for the default."""
+    model = build_bubble(Bubble() if nodes is None else Bubble(nodes=nodes))
+    parts = []
+    for number, press in enumerate(simulate(model, LAW_PRESSES, device=device, progress=progress)):
+        total = press.force.sum(axis=1)
+        used = np.linalg.norm(total, axis=1) > CONTACT
+        size = np.linalg.norm(press.force[used], axis=2)
+        centre = np.einsum("tn,tni->ti", size, press.position[used]) / size.sum(axis=1, keepdims=True)
+        parts.append((press.pressure[used] - model.pressure, -total[used, 2], size.sum(axis=1), np.linalg.norm(centre[:, :2], axis=1), np.full(int(used.sum()), number)))
+    out = LawReadings(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    if not len(out.change):
+        raise SensorError(f"pressure law: no press on the mesh of {len(model.mesh.points)} nodes found an equilibrium; take another number of nodes.")
+    return out
 
 
 def law(name: str, force: np.ndarray, change: np.ndarray, *, scale: float | None) -> Law:
