@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import bubble, patch
 
 from vsfsim.sensing.dense_force import BubbleCalibration, EstimatorOptions
-from vsfsim.sensing.dense_force_score import PressRecord, calibrate, noisy, score
+from vsfsim.sensing.dense_force_score import FORCE_SCALES, STIFFNESSES, PressRecord, calibrate, noisy, score
 from vsfsim.sensing.membrane_fe import SensorError
 
 
@@ -51,4 +51,8 @@ def test_calibration_finds_the_better_weights():
 
     assert net(chosen, options) == pytest.approx(error)
     assert error <= net(nominal, EstimatorOptions())
-    assert error <= net(replace(nominal, stiffness=2 * 680.0), replace(options, force_scale=0.2))
+    # no neighbour on either grid is better
+    for share in STIFFNESSES:
+        assert error <= net(replace(nominal, stiffness=share * 680.0), options) + 1e-12
+    for scale in FORCE_SCALES:
+        assert error <= net(chosen, replace(options, force_scale=scale)) + 1e-12

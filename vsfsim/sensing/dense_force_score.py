@@ -65,30 +65,36 @@ def noisy(press: PressRecord, rng: np.random.Generator, *, displacement_std: flo
                    pressure=press.pressure + pressure_std * rng.standard_normal(press.pressure.shape))
 
 
-STIFFNESSES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-FORCE_SCALES = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+STIFFNESSES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
+FORCE_SCALES = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 """What `calibrate` tries: E h over its nominal value [-], and the force scale [N]."""
 
 
 def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str, options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
     """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31] calibrates the same way.
 
+    One after the other, until neither changes.
+
     Args:
-        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: all but the force scale.
+        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: where the force scale starts.
 
     Returns:
         The calibration and options with the smallest RMS error of the net force, and that error [N].
     """
-    best: tuple[float, BubbleCalibration, EstimatorOptions] | None = None
     position, pressure = np.concatenate([p.position for p in presses]), np.concatenate([p.pressure for p in presses])
     true = np.concatenate([p.force for p in presses]).sum(axis=1)
-    for share in STIFFNESSES:
-        given = replace(calibration, stiffness=share * calibration.stiffness)
-        for scale in FORCE_SCALES:
-            tried = replace(options, force_scale=scale)
-            found = DenseForceEstimator(given, method=method, options=tried).estimate(position, pressure).force.sum(axis=1)
-            error = float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1))))
-            if best is None or error < best[0]:
-                best = error, given, tried
-    assert best is not None
-    return best[1], best[2], best[0]
+    known: dict[tuple[float, float], float] = {}
+
+    def error(share: float, scale: float) -> float:
+        if (share, scale) not in known:
+            estimator = DenseForceEstimator(replace(calibration, stiffness=share * calibration.stiffness), method=method, options=replace(options, force_scale=scale))
+            known[share, scale] = float(np.sqrt(np.mean(np.sum((estimator.estimate(position, pressure).force.sum(axis=1) - true) ** 2, axis=1))))
+        return known[share, scale]
+
+    share, scale = 1.0, options.force_scale
+    while True:
+        before = share, scale
+        share = min(STIFFNESSES, key=lambda value: error(value, scale))
+        scale = min(FORCE_SCALES, key=lambda value: error(share, value))
+        if (share, scale) == before:
+            return replace(calibration, stiffness=share * calibration.stiffness), replace(options, force_scale=scale), error(share, scale)
