@@ -7,7 +7,7 @@ import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.noise import NOISE_KINDS, Noise, delayed, noisy_force
-from vsfsim.bench.noise_bubble import noisy_depth, noisy_nodes, noisy_pressure, quantised, relaxed
+from vsfsim.bench.noise_bubble import noisy_depth, noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError
@@ -162,6 +162,25 @@ def test_nodes_move_along_their_rays():
         noisy_nodes(world - 10.0, pose, seconds(50), punyo(), **WHICH)
     with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
         noisy_nodes(world[0], pose, seconds(50), punyo(), **WHICH)
+
+
+def test_node_forces_are_off_by_their_share_where_there_is_contact():
+    rng = np.random.default_rng(6)
+    force = np.zeros((300, 390, 3))
+    force[:, :100] = 0.05 * rng.standard_normal((300, 100, 3))
+    force[7] = np.nan
+    out = noisy_node_force(force, seconds(300), punyo(image_lag=0.0), **WHICH)
+    assert np.isnan(out[7]).all() and (np.delete(out, 7, axis=0)[:, 100:] == 0.0).all()
+    error = np.delete(out - force, 7, axis=0)[:, :100]
+    size = np.delete(force, 7, axis=0)[:, :100]
+    rms = np.sqrt((error**2).sum(axis=2).mean(axis=1)) / np.sqrt((size**2).sum(axis=2).mean(axis=1))
+    # each frame's RMS is that of 300 normals: relative standard error 1 / sqrt(600)
+    assert rms == pytest.approx(np.full(299, 0.2), abs=0.2 * SIGMAS / np.sqrt(600))
+    assert rms.mean() == pytest.approx(0.2, abs=0.2 * SIGMAS / np.sqrt(600 * 299))
+    late = noisy_node_force(np.arange(4.0)[:, None, None] * np.ones((4, 2, 3)), seconds(4), dataclasses.replace(QUIET, image_lag=1 / 60), **WHICH)
+    assert late[:, 0, 0] == pytest.approx([0.0, 0.5, 1.5, 2.5])
+    with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
+        noisy_node_force(force[0], seconds(300), punyo(), **WHICH)
 
 
 def test_streams_are_of_the_touch_and_the_sensor():

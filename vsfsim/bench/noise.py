@@ -25,7 +25,8 @@ class Noise:
     pressure_std: white noise of every frame [Pa]. pressure_drift: mean rate [Pa/s]; pressure_drift_std: its spread over touches [Pa/s].
     relaxation: share of a change of pressure that is seen too much at first and then goes [-]; relaxation_time: with which time constant [s].
     depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much images, and the node positions
-    made from them, are late against the pressure [s].
+    made from them, are late against the pressure [s]. node_force_share: error of an estimated contact force on a node, over the RMS force of the
+    nodes in contact in that frame [-].
     """
 
     force_std: float
@@ -42,6 +43,7 @@ class Noise:
     depth_std: float = 0.0
     depth_quantum: float = 0.0
     image_lag: float = 0.0
+    node_force_share: float = 0.0
 
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
@@ -50,6 +52,7 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
         "relaxation": 0.02, "relaxation_time": 0.15,
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
+        "node_force_share": 0.2,  # of a good estimator at this depth noise, `vsfsim bench dense-force`; not of the sensor
     },
 }
 """``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real one at 30 Hz."""

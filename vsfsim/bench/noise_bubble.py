@@ -16,7 +16,7 @@ import numpy as np
 from vsfsim.bench.noise import Noise, delayed, stream, tared
 from vsfsim.core.errors import TaskError
 
-_PRESSURE, _DEPTH, _NODES = 1, 2, 3  # channels of the random streams
+_PRESSURE, _DEPTH, _NODES, _NODE_FORCE = 1, 2, 3, 4  # channels of the random streams
 
 CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
 """Where the inside camera stands in the mount frame [m], and its tilt towards +x [rad]; see `vsfsim.sensing.bubble_camera`."""
@@ -106,3 +106,23 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
     seen = quantised(depth + white, noise.depth_quantum)
     local = np.asarray(origin) + ray * (seen / depth)[..., None]
     return np.einsum("tni,tji->tnj", local, rotation) + shift[:, None]
+
+
+def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
+    """True contact forces on nodes (T, N, 3) [N] as an estimate of them would be: late like the images it is made from, and off by a share.
+
+    Normal errors, independent in x, y, z and from node to node, of the standard deviation that gives the RMS error over the nodes in contact. Nodes
+    without contact stay at 0, as an estimator that asks for few forces leaves them. NaN rows stay NaN.
+
+    Raises:
+        TaskError: another shape.
+    """
+    force = np.asarray(force, np.float64)
+    if force.ndim != 3 or force.shape[2] != 3 or np.shape(time) != force.shape[:1]:
+        raise TaskError(f"noise: node forces {force.shape} and times {np.shape(time)}; they must be (T, N, 3) and (T,).")
+    late = delayed(force, time, noise.image_lag)
+    size = np.linalg.norm(late, axis=2)
+    touched = size > 0.0
+    rms = np.sqrt((size**2).sum(axis=1) / np.maximum(touched.sum(axis=1), 1))
+    white = stream(noise, object_index, view_index, touch_index, _NODE_FORCE).standard_normal(force.shape)
+    return late + np.where(touched, noise.node_force_share * rms[:, None] / math.sqrt(3.0), 0.0)[..., None] * white
