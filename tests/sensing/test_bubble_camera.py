@@ -96,3 +96,12 @@ def test_what_it_refuses():
         look_inside(points[None], triangles, flat[:4], SMALL)
     with pytest.raises(SensorError, match="behind"):
         look_inside(points[None] - [0.0, 0.0, 0.5], triangles, flat, SMALL)
+
+
+def test_the_noise_of_the_benchmark_knows_the_same_camera():
+    """The benchmark imports no simulator, so the camera's place is written down twice."""
+    from vsfsim.bench.noise_bubble import CAMERA_ORIGIN, CAMERA_TILT
+
+    camera = BubbleCamera()
+    assert camera.pose[:3, 3].tolist() == list(CAMERA_ORIGIN) and camera.tilt == CAMERA_TILT
+    assert camera.pose[:3, 2] == pytest.approx([np.sin(CAMERA_TILT), 0.0, np.cos(CAMERA_TILT)])
