@@ -60,6 +60,7 @@ def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the
 @app.command("pressure-law")
 def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
                  plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
+                 nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
                  area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
                  out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
@@ -70,7 +71,7 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
     stdout = out is not None and str(out) == "-"
     for name, path in (("--plot", plot), ("--json", None if stdout else out)):
         _check_writable(name, path)
-    found = law.rigid_presses(progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
+    found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
     result = law.study(found, area=area)
     if plot is not None:
         law.plot(found, result, plot)

@@ -193,7 +193,7 @@ def plot(found: LawReadings, result: dict[str, Any], out_png: str | Path) -> Non
     panels = figure.subplots(1, len(laws), squeeze=False)[0]
     for axes, x in zip(panels, laws, strict=True):
         force = found.summed if x["name"].startswith("sum") else found.normal
-        shown = axes.scatter(found.change, x["scale"] * force, c=1e3 * found.distance if known else "tab:blue", s=9, cmap="viridis", linewidths=0)
+        shown = axes.scatter(found.change, x["scale"] * force, c=1e3 * found.distance if known else "tab:blue", s=18, cmap="viridis", linewidths=0)
         axes.plot([0, top], [0, top], color="0.4", lw=1)
         axes.set(xlim=(0, top), ylim=(0, max(top, 1.05 * float((x["scale"] * force).max()))), xlabel="pressure change of the gas [Pa]", ylabel="of the law [Pa]")
         axes.set_title(f"{x['name']}: {x['scale']:.0f} Pa/N\nbias {100 * x['bias']:+.1f} %, scatter {100 * x['relative']:.1f} %", fontsize=10)
