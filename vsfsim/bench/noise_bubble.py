@@ -16,7 +16,7 @@ import numpy as np
 from vsfsim.bench.noise import Noise, delayed, stream, tared
 from vsfsim.core.errors import TaskError
 
-_PRESSURE, _DEPTH, _NODES, _NODE_FORCE = 1, 2, 3, 4  # channels of the random streams
+_PRESSURE, _DEPTH, _NODES, _NODE_FORCE = 1, 2, 3, 5  # channels of the random streams; 4 is the torques'
 
 CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
 """Where the inside camera stands in the mount frame [m], and its tilt towards +x [rad]; see `vsfsim.sensing.bubble_camera`."""
