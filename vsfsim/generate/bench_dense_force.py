@@ -19,6 +19,7 @@ import numpy as np
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.bubble import BubbleModel, build_bubble
+from vsfsim.physics.frames import SolverOptions
 from vsfsim.physics.solver import Solver
 from vsfsim.sensing.bubble import gauge_pressure, readout_of
 from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
@@ -35,6 +36,7 @@ Progress = Callable[[str], None]
 
 _FRAMES = (-0.001, 0.0015, 0.003, 0.005, 0.0075, 0.010)  # way past first contact [m]
 _FRICTION = 2.0  # the bubble hardly slips, as the paper says of the real one
+_PATIENCE = 3600.0  # for a frame [s]: which frames there are should not depend on how busy the machine is
 BALL, TIP, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.012)
 
 
@@ -75,7 +77,7 @@ def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu", progress: P
             poses = np.tile(np.eye(4), (len(_FRAMES), 1, 1))
             poses[:, :3, 3] = model.mesh.points[node] + shape.radius * normal + np.array(_FRAMES)[:, None] * way
             columns.append(poses)
-        solver = Solver(model, shape, friction=_FRICTION, device=device)
+        solver = Solver(model, shape, friction=_FRICTION, device=device, options=SolverOptions(seconds=_PATIENCE, cg_frame=4000))
         frames = solver.run(np.stack(columns, axis=1), keep=True)
         for k, spot in enumerate(spots):
             good = frames.converged[:, k]

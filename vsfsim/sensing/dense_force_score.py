@@ -67,16 +67,17 @@ def noisy(press: PressRecord, rng: np.random.Generator, *, displacement_std: flo
 
 STIFFNESSES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FORCE_SCALES = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
-"""What `calibrate` tries: E h over its nominal value [-], and the force scale [N]."""
+STARTS = (0.002, 0.02, 0.2)
+"""What `calibrate` tries: E h over its nominal value [-], the force scale [N], and where the latter starts."""
 
 
 def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str, options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
     """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31] calibrates the same way.
 
-    One after the other, until neither changes.
+    One after the other, until neither changes, from several starts.
 
     Args:
-        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: where the force scale starts.
+        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: all but the force scale.
 
     Returns:
         The calibration and options with the smallest RMS error of the net force, and that error [N].
@@ -91,10 +92,11 @@ def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, met
             known[share, scale] = float(np.sqrt(np.mean(np.sum((estimator.estimate(position, pressure).force.sum(axis=1) - true) ** 2, axis=1))))
         return known[share, scale]
 
-    share, scale = 1.0, options.force_scale
-    while True:
-        before = share, scale
-        share = min(STIFFNESSES, key=lambda value: error(value, scale))
-        scale = min(FORCE_SCALES, key=lambda value: error(share, value))
-        if (share, scale) == before:
-            return replace(calibration, stiffness=share * calibration.stiffness), replace(options, force_scale=scale), error(share, scale)
+    for scale in STARTS:
+        share, before = 1.0, (0.0, 0.0)
+        while (share, scale) != before:
+            before = share, scale
+            share = min(STIFFNESSES, key=lambda value: error(value, before[1]))
+            scale = min(FORCE_SCALES, key=lambda value: error(share, value))
+    share, scale = min(known, key=known.__getitem__)
+    return replace(calibration, stiffness=share * calibration.stiffness), replace(options, force_scale=scale), known[share, scale]
