@@ -28,7 +28,6 @@ from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
-SHEET = 10.0  # times that on linear faces: over a small ball a faceted sheet rests on its edges, i.e. on few of its points
 STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
 FACING = 0.5  # cosine between the object's and the body's outward normal above which a point inside the body counts as astray
 
@@ -340,17 +339,19 @@ class Patch:
     stiffness: np.ndarray
 
 
-def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, *, parts: int = 1) -> Patch:
+def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, *, parts: int = 1,
+               factor: float = 1.0) -> Patch:
     """The patch of some boundary triangles.
 
     Args:
         mesh: the mesh; its faces have six nodes, or three. faces: their indices (f,). area: their areas (f,) [m^2].
         modulus: Young's modulus under them (f,) [Pa]. parts: that each face is cut into, see `shape_table`.
+        factor: on the stiffness.
     """
     corners = mesh.faces.shape[1]
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
     padded = np.zeros((len(faces), 6), np.int64)
     padded[:, :corners] = local.reshape(len(faces), corners)
-    pressure_per_metre = PENALTY * (SHEET if corners == 3 else 1.0) * modulus / np.sqrt(area)
+    pressure_per_metre = factor * PENALTY * modulus / np.sqrt(area)
     stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
     return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0))

@@ -20,6 +20,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
 
 _MOST_CUTS = 4  # of a linear face along its edge
+_FACTOR = (0.1, 20.0)  # on the contact stiffness of a sheet
 
 
 class Touching:
@@ -44,7 +45,7 @@ class Touching:
         self._friction = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
         corners = model.mesh.faces.shape[1]
-        cuts = 1 if corners == 6 else linear_cuts(bodies, model.element_size)
+        cuts, self._factor = (1, 1.0) if corners == 6 else sheet_contact(bodies, model.element_size)
         self._table = contact.shape_table(corners, cuts)
         self._parts = len(self._table)
         self._shape = wp.array(self._table, dtype=wp.float64, device=device)
@@ -78,7 +79,7 @@ class Touching:
         return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
     def _patch(self, faces: np.ndarray) -> contact.Patch:
-        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces], parts=self._parts)
+        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces], parts=self._parts, factor=self._factor)
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
@@ -339,18 +340,20 @@ class Touching:
         return True
 
 
-def linear_cuts(bodies: RigidBodies, edge: float) -> int:
-    """Parts along the edge of a linear face, so that a round body sinks in between its Gauss points by less than one per cent of ``edge`` [m].
+def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
+    """How a sheet of linear faces with this mean ``edge`` [m] meets these bodies: parts along the edge of a face, and the factor on its contact stiffness.
 
-    The six points leave holes of radius 0.25 edge, and a dent stretches them by half; over one a ball of radius R is (0.4 edge)^2/(2 R) deep. Bodies with
-    edges get the most.
+    The six points of a part leave holes of radius 0.25 edge, and a dent stretches them by half; over one a ball of radius R is (0.4 edge)^2/(2 R) deep, under one
+    per cent of an edge with these parts. The pressure under a body is the gas's and the sheet's tension over R, of the order E h/R, carried by few points where a
+    faceted sheet rests on its edges. So the penetration stays well under one per cent of an edge if the stiffness goes with edge / R: 10 times that suffices for a
+    ball of 3 mm, and a plate needs a hundredth of it. Stiffer than needed costs iterations: a sheet itself gives way easily. Bodies with edges get the most.
     """
     def least_radius(k: int) -> float:
         shape = bodies.shapes[k]
         return float("inf") if isinstance(shape, Plane) else shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
 
     ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
-    return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS))
+    return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))
 
 
 def _grid(steps: int) -> np.ndarray:

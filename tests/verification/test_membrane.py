@@ -1,0 +1,376 @@
+"""Closed forms of membranes, plates and gas: cases 1 to 6 of the bubble's reference sheet, with the order of convergence of two."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.errors import SceneError
+from vsfsim.core.shape import Plane
+from vsfsim.physics import inflation, membrane_mesh
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.physics.contact import WEIGHTS
+from vsfsim.physics.elasticity import Elasticity
+from vsfsim.physics.elements import gas, hinge, triangle
+from vsfsim.physics.frames import SolverOptions
+from vsfsim.physics.mesh import assemble
+from vsfsim.physics.model import Model
+from vsfsim.physics.sheet import Sheet
+from vsfsim.physics.solver import Solver
+
+NEO, LINEAR = "neo-hookean", "saint-venant-kirchhoff"
+A, EH = 0.05, 600.0
+
+
+def disc(nodes, *, law=NEO, nu=0.5, a=A, b=None, stretch=1.0, modulus=EH, bending=None, tension_field=True):
+    """A clamped flat sheet and its flat places (n, 2)."""
+    b = a if b is None else b
+    flat, faces, rim = membrane_mesh.ellipse(a, b, nodes)
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    blocks = [triangle.block(faces, points, flat[faces] / stretch, modulus, law=law, poisson_ratio=nu, tension_field=tension_field)]
+    if bending is not None:
+        blocks.append(hinge.block(faces, points, flat / stretch, bending, poisson_ratio=nu))
+    free = np.ones_like(points)
+    free[rim] = 0.0
+    return Sheet(points, tuple(blocks), membrane_mesh.closed(faces, rim), free.ravel()), flat
+
+
+def dome(flat, height, a=A, b=None):
+    u = np.zeros((len(flat), 3))
+    u[:, 2] = height * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / (b or a)) ** 2)
+    return u.ravel()
+
+
+def order(sizes, errors):
+    """Observed order of convergence between the coarsest and the finest."""
+    return math.log(abs(errors[0] / errors[-1])) / math.log(sizes[0] / sizes[-1])
+
+
+# ------------------------------------------------------------------------------------------ 1: Hencky
+
+HENCKY = {0.3: (0.65344, 0.52138), 0.4: (0.62626, 0.51900), 0.5: (0.59488, 0.51644)}
+
+
+def hencky(nodes, nu):
+    """Relative errors of the height under the pressure, and of the volume under the height, at w0/a = 0.02."""
+    sheet, flat = disc(nodes, law=NEO if nu == 0.5 else LINEAR, nu=nu)
+    guess = dome(flat, 0.02 * A)
+    pressure = EH / A * (0.02 / 0.6) ** 3
+    found = sheet.at_volume(guess, pressure, 0.5187 * math.pi * A**2 * 0.02 * A)
+    w0 = found.displacement[2::3].max()
+    c, cv = HENCKY[nu]
+    return w0 / (c * (found.pressure * A**4 / EH) ** (1.0 / 3.0)) - 1.0, found.volume / (cv * math.pi * A**2 * w0) - 1.0
+
+
+@pytest.mark.parametrize("nu", HENCKY)
+def test_hencky(nu):
+    height, volume = hencky(400, nu)
+    # half a per cent is asked for; the polygon of the rim and the linear triangles cost 0.3 % here
+    assert abs(height) < 0.005 and abs(volume) < 0.005
+
+
+@pytest.mark.slow
+def test_hencky_converges_with_the_square_of_the_edge():
+    nodes = (400, 1600, 6400)
+    heights, volumes = zip(*(hencky(n, 0.3) for n in nodes), strict=True)
+    sizes = [n**-0.5 for n in nodes]
+    print("Hencky, nu 0.3:", heights, volumes)
+    # linear triangles: second order, until the closed form's own neglect, (w0/a)^2 = 4e-4 times a number under 1
+    assert order(sizes[:2], heights[:2]) > 1.6 and abs(heights[-1]) < 6e-4
+    assert order(sizes[:2], volumes[:2]) > 1.6 and abs(volumes[-1]) < 6e-4
+
+
+# ------------------------------------------------------------------------------------------ 2: the taut drum
+
+
+def test_taut_elliptical_drum():
+    a, b, stretch = 0.06, 0.04, 1.5
+    sheet, flat = disc(1500, a=a, b=b, stretch=stretch)
+    tension = EH / 3.0 * (1.0 - stretch**-6)  # of the stretched sheet, per present length
+    w0 = 2e-4
+    pressure = 2.0 * tension * w0 * (a**2 + b**2) / (a * b) ** 2
+    found = sheet.at_pressure(dome(flat, w0, a, b), pressure)
+    w = found.displacement[2::3]
+    expected = w0 * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
+    assert w.max() == pytest.approx(w0, rel=2e-3)
+    assert np.abs(w - expected).max() < 2e-3 * w0
+    assert found.volume == pytest.approx(0.5 * math.pi * a * b * w0, rel=4e-3)  # 0.2 % of the height, and the polygon's missing area, 0.12 %
+
+
+# ------------------------------------------------------------------------------------------ 3: Adkins and Rivlin
+
+# pole stretch: p a/(mu h), w0/a, V/a^3; Adkins and Rivlin 1952, integrated by shooting. The dome of the last row leans 12.7 degrees over its rim, so
+# it must be integrated by arc length; in radius alone the slope is cut off at the vertical, which gives 1.89997, 1.08847, 2.42619
+BLOWN = {1.10: (0.52778, 0.38347, 0.65711), 1.20: (0.99925, 0.53098, 0.95315), 1.30: (1.30987, 0.63796, 1.19182), 1.50: (1.64358, 0.79879, 1.59520), 2.0: (1.86955, 1.08307, 2.46651)}
+
+
+def blown(nodes):
+    """Relative errors of pressure, height and pole stretch at the volumes of the table (5, 3)."""
+    sheet, flat = disc(nodes)
+    u, pressure, volume = dome(flat, 0.1 * A), 0.01 * EH / A, sheet.volume(dome(flat, 0.1 * A))
+    pole = int(np.linalg.norm(flat, axis=1).argmin())
+    block = sheet.blocks[0]
+    near = (block.nodes == pole).any(axis=1)
+    out = []
+    for stretch, (p, w, v) in BLOWN.items():
+        while True:
+            step = min(1.6 * volume, v * A**3)
+            found = sheet.at_volume(u * (step / volume) ** 0.7, pressure, step)
+            assert found is not None
+            u, pressure, volume = found.displacement, found.pressure, step
+            if step == v * A**3:
+                break
+        x = (sheet.points + u.reshape(-1, 3))[block.nodes[near]]
+        f = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ block.parameters["inverse"][near]
+        measured = math.sqrt(np.linalg.svd(f, compute_uv=False).prod(axis=1).mean())
+        out.append((pressure * A / (EH / 3.0) / p - 1.0, u[2::3].max() / A / w - 1.0, measured / stretch - 1.0))
+    return np.array(out)
+
+
+def test_neo_hookean_disc_blown_up():
+    error = blown(800)
+    # 1 % is asked for; the polygon and the linear triangles cost half of it at this size
+    assert np.abs(error).max() < 0.01, error
+
+
+@pytest.mark.slow
+def test_the_blown_disc_converges_with_the_square_of_the_edge():
+    nodes = (300, 1200, 4800)
+    errors = [blown(n) for n in nodes]
+    sizes = [n**-0.5 for n in nodes]
+    print("Adkins and Rivlin, pressure, height, pole stretch:", *errors, sep="\n")
+    pressure = [e[:, 0].mean() for e in errors]
+    height = [e[:, 1].mean() for e in errors]
+    # second order, until the five digits of the table
+    assert order(sizes, pressure) > 1.6 and order(sizes, height) > 1.6
+    assert np.abs(errors[-1]).max() < 2e-3
+
+
+# ------------------------------------------------------------------------------------------ 4: the sphere and its gas
+
+R0, MU_H, AMBIENT = 0.05, 250.0, 101325.0
+
+
+def ball(cuts):
+    """A neo-Hookean sphere, held just enough not to move as a whole."""
+    mesh = membrane_mesh.sphere(R0, cuts)
+    block = triangle.block(mesh.faces, mesh.points, triangle.flat(mesh.points[mesh.faces]), 3.0 * MU_H)
+    free = np.ones_like(mesh.points)
+    low, high = int(mesh.points[:, 2].argmin()), int(mesh.points[:, 2].argmax())
+    side = int(np.where(np.abs(mesh.points[:, 1]) < 1e-9, mesh.points[:, 0], -1.0).argmax())
+    free[low], free[high, :2], free[side, 1] = 0.0, 0.0, 0.0
+    return Sheet(mesh.points, (block,), mesh.faces, free.ravel()), mesh
+
+
+def swollen(mesh, free, s):
+    """Every point at s times its distance from the lowest one, which is held."""
+    low = mesh.points[mesh.points[:, 2].argmin()]
+    return ((s - 1.0) * (mesh.points - low)).ravel() * free
+
+
+def exact(s):
+    return 2.0 * MU_H / R0 * (1.0 / s - s**-7)
+
+
+def test_sphere_passes_its_limit_point_under_volume_control():
+    sheet, mesh = ball(3)
+    v0 = float(mesh.volume[0])
+    at = np.array([1.1, 1.2, 1.3, 7.0 ** (1 / 6), 1.5, 1.7])
+    pressure = []
+    for s in at:
+        found = sheet.at_volume(swollen(mesh, sheet.free, s), exact(s), v0 * s**3)
+        pressure.append(found.pressure)
+        assert abs(np.abs(sheet.forces(found.displacement) - found.pressure * gas.gradient(mesh.points + found.displacement.reshape(-1, 3), mesh.faces)).max()) < 1e-9
+    # 642 nodes: the faceted sphere is 0.3 % off in V^(1/3) and area
+    assert np.array(pressure) == pytest.approx(exact(at), rel=4e-3)
+    assert int(np.argmax(pressure)) == 3
+
+
+def test_sphere_under_pressure_control_stops_at_its_limit_point():
+    sheet, mesh = ball(3)
+    top = 1.23946 * MU_H / R0
+    found = inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 0.9 * top, where="test")
+    s = (found.volume / float(mesh.volume[0])) ** (1 / 3)
+    assert found.pressure == pytest.approx(0.9 * top, rel=1e-9) and exact(s) == pytest.approx(0.9 * top, rel=5e-3)  # 642 nodes: 0.4 %
+    assert s < 7.0 ** (1 / 6), "the branch that comes from rest"
+    with pytest.raises(SceneError, match="limit point is at ") as error:
+        inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 1.1 * top, where="test")
+    named = float(str(error.value).split("limit point is at ")[1].split(" Pa")[0])
+    assert named == pytest.approx(top, rel=5e-3)
+
+
+SEALED = {(0.95, 1.0): (1.218946, 5702.8), (0.95, 1.4): (1.213621, 5661.0), (1.05, 1.0): (1.182255, 5360.8), (1.05, 1.4): (1.187163, 5414.4)}
+
+
+@pytest.fixture(scope="module")
+def balls():
+    """The sphere at s = 1.2 on two meshes: model without gas, displacement, volume, gauge pressure."""
+    out = []
+    for cuts in (1, 2):
+        sheet, mesh = ball(cuts)
+        found = sheet.at_volume(swollen(mesh, sheet.free, 1.2), exact(1.2), float(mesh.volume[0]) * 1.2**3)
+        out.append((sheet, mesh, found))
+    return out
+
+
+@pytest.mark.parametrize(("ambient", "gamma"), [(0.95, 1.0), (1.05, 1.4), *(pytest.param(*k, marks=pytest.mark.slow) for k in ((0.95, 1.4), (1.05, 1.0)))])
+def test_sealed_sphere_under_another_ambient_pressure(balls, ambient, gamma, device):
+    """With the gas's own kernels: Newton's method on the whole tangent, in which every node meets every other."""
+    found = [sealed(*b, ambient * AMBIENT, gamma, device) for b in balls]
+    s, p = SEALED[ambient, gamma]
+    # errors fall with the square of the edge: a quarter each time, so a third of the difference is what is left (Richardson)
+    best = [fine + (fine - coarse) / 3.0 for coarse, fine in zip(*found, strict=True)]
+    assert best[0] == pytest.approx(s, rel=2e-4) and best[1] == pytest.approx(p, rel=2e-3)
+
+
+def sealed(sheet, mesh, start, ambient, gamma, device):
+    n = mesh.points.size
+    air = gas.block(mesh.faces, mesh.points, pressure=start.pressure + AMBIENT - ambient, volume=start.volume, gamma=gamma, ambient=ambient)
+    free = sheet.free
+    model = Model(mesh, (*sheet.blocks, air), np.ones(1), free, np.zeros(n), np.ones(1), None, 1.0, None)
+    elements = Elasticity(model, device=device, real=wp.float64)
+    elements.begin(n)
+    moves = np.flatnonzero(free)
+    index = wp.array(np.arange(n), dtype=wp.int32, device=device)
+    u = start.displacement.copy()
+    for _ in range(5):
+        whole = wp.array(np.repeat(u[:, None], n, axis=1), dtype=wp.float64, device=device)
+        elements.forces(index, whole)
+        elements.tangent(index, whole, projected=False)
+        tangent = elements.multiply(index, wp.array(np.eye(n), dtype=wp.float64, device=device)).numpy()
+        u[moves] -= np.linalg.solve(tangent[np.ix_(moves, moves)], elements.internal.numpy()[moves, 0])
+        # p V^gamma, whatever the state
+        p, v = float(elements.pressure.numpy()[0]) + ambient, float(elements.volume.numpy()[0])
+        assert p * v**gamma == pytest.approx((start.pressure + AMBIENT) * start.volume**gamma, rel=1e-12)
+    assert np.abs(elements.internal.numpy()[moves, 0]).max() < 1e-9
+    return (v / float(mesh.volume[0])) ** (1 / 3), p - ambient
+
+
+# ------------------------------------------------------------------------------------------ 5: the plate
+
+
+# load [Pa]: deflection of the middle [m]. Foeppl's and von Karman's equations of the clamped disc, integrated over the radius as a boundary value
+# problem. The handbook's w0 + 0.488 w0^3/h^2 = q a^4/(64 D) gives 0.04364, 0.4045, 1.244 and 2.356 mm: its cubic term is too soft, by 6 % in the last
+PLATE = {0.1: 0.043635e-3, 1.0: 0.40136e-3, 5.0: 1.20154e-3, 20.0: 2.21751e-3}
+
+
+def plate(nodes):
+    """Deflections over those of `PLATE`."""
+    a, e, h, nu = 0.04, 1e6, 1e-3, 0.3
+    sheet, flat = disc(nodes, law=LINEAR, nu=nu, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)), tension_field=False)
+    u, out = dome(flat, 4e-5, a), []
+    for q, w0 in PLATE.items():
+        found = sheet.at_pressure(u, q)
+        assert found is not None
+        u = found.displacement
+        out.append(u[2::3].max() / w0 - 1.0)
+    return np.array(out)
+
+
+@pytest.mark.slow
+def test_clamped_plate():
+    """From bending alone (0.1 Pa) to mostly stretching."""
+    assert np.abs(plate(1400)).max() < 0.02
+
+
+@pytest.mark.slow
+def test_the_plate_converges():
+    nodes = (400, 1600, 6400)
+    errors = [plate(n) for n in nodes]
+    print("clamped plate:", *errors, sep="\n")
+    # constant curvatures, and a rim whose mirror image is a row of flat triangles: between first and second order
+    assert abs(errors[1][0]) < 0.6 * abs(errors[0][0]) and abs(errors[2][0]) < 0.6 * abs(errors[1][0])
+    assert abs(errors[2][0]) < 7e-3 and np.abs(errors[2]).max() < 7e-3
+
+
+@pytest.mark.parametrize("nodes", [200, 450, 1000])
+def test_bending_does_not_depend_on_the_mesh(nodes):
+    """A quadratic deflection has the energy of its curvatures on any mesh, the rim's free edge and all."""
+    rng = np.random.default_rng(0)
+    flat, faces, rim = membrane_mesh.ellipse(0.05, 0.04, nodes)
+    # nodes pushed about: no row of equal triangles left
+    flat = flat + 0.15 * np.sqrt(0.05 * 0.04 * math.pi / nodes) * rng.uniform(-1.0, 1.0, flat.shape)
+    nu, d = 0.3, 2.0
+    k11, k22, k12 = 0.7, -0.4, 0.5
+    w = 0.5 * k11 * flat[:, 0] ** 2 + 0.5 * k22 * flat[:, 1] ** 2 + k12 * flat[:, 0] * flat[:, 1]
+    block = hinge.block(faces, np.column_stack([flat, w]), flat, d, poisson_ratio=nu, clamped=False)
+    inner = ~np.isin(faces, rim).any(axis=1)
+    energy = 0.5 * np.einsum("mac,mab,mbc->m", block.parameters["edges"], block.parameters["out"], block.parameters["edges"])[inner]
+    a, b, c = (flat[faces[inner, k]] for k in range(3))
+    area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    density = 0.5 * d * ((1.0 - nu) * (k11**2 + k22**2 + 2.0 * k12**2) + nu * (k11 + k22) ** 2)
+    good = np.abs(energy / (density * area) - 1.0) < 1e-9
+    # a patch whose six nodes lie near a conic cannot tell one curvature, and takes it as none
+    assert good.mean() > 0.97 and (energy <= density * area * (1.0 + 1e-9))[good].all()
+
+
+# ------------------------------------------------------------------------------------------ 6: the flat plate
+
+
+@pytest.mark.parametrize(("nodes", "depth", "within"), [(1493, 0.003, 0.18), pytest.param(1493, 0.008, 0.03, marks=pytest.mark.slow)])
+def test_flat_plate_carries_the_pressure_times_its_area(tmp_path, line, device, nodes, depth, within):
+    spec = dataclasses.replace(Bubble(), young_modulus=6.8e7, thickness=1e-5, nodes=nodes, friction=0.0)  # E h as ever, no bending
+    model = build_bubble(spec, cache=tmp_path)
+    top = model.mesh.points[:, 2].max()
+    solver = Solver(model, Plane(), friction=0.0, device=device, options=SolverOptions(tolerance=1e-4))
+    frames = solver.run(line([[0, 0, top - depth * k / 3] for k in range(1, 4)], Plane()), keep=True)
+    assert frames.converged.all() and frames.force_balance[-1, 0] < 1e-3
+    area = frames.force[-1, 0, 2] / float(solver.elasticity.pressure.numpy()[0])
+    corners = (model.mesh.points + solver.history[-1][:, 0].reshape(-1, 3))[model.mesh.faces[solver.touching.patches[0].faces]]
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    size = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
+    touch = (solver.touching.gap[0].numpy() < 0.0).reshape(len(size), 6)
+    measured = (size[:, None] * WEIGHTS * touch).sum()
+    # the contact's edge runs through a row of triangles: a third of that row may be off
+    margin = 2.0 * math.sqrt(math.pi * measured) * model.element_size / 3.0
+    print(f"flat plate, {nodes} nodes: F/p {1e6 * area:.1f} mm^2, contact {1e6 * measured:.1f} +- {1e6 * margin:.1f} mm^2")
+    assert abs(area - measured) < margin
+    assert area == pytest.approx(measured, rel=within)  # 2.9 mm triangles under contacts of 10 and 23 mm radius
+
+
+# ------------------------------------------------------------------------------------------ wrinkles
+
+
+@pytest.mark.parametrize("law", [NEO, LINEAR])
+def test_wrinkles_bear_no_compression(law, device):
+    """A sheet pulled to 1.4 and narrowed to half its natural width pulls as a strip in simple tension does, and pushes nowhere."""
+    nu = 0.5 if law == NEO else 0.3
+    flat, faces, _ = membrane_mesh.ellipse(0.05, 0.04, 200)
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    block = triangle.block(faces, points, flat[faces], EH, law=law, poisson_ratio=nu)
+    model = Model(None, (block,), np.ones(1), np.ones(points.size), np.zeros(points.size), np.ones(1), None, 1.0, None)
+    model = dataclasses.replace(model, mesh=membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int), np.zeros(1)))
+    elements = Elasticity(model, device=device, real=wp.float64)
+    elements.begin(2)
+    stretch = 1.4
+    stress = EH / 3.0 * (stretch - stretch**-2) if law == NEO else EH * 0.5 * (stretch**2 - 1.0) * stretch  # N/m of rest width
+    u = np.stack([(points * [stretch - 1.0, narrow - 1.0, 0.0]).ravel() for narrow in (0.4, 0.2)], axis=1)
+    elements.forces(wp.array([0, 1], dtype=wp.int32, device=device), wp.array(u, dtype=wp.float64, device=device))
+    force = elements.internal.numpy().reshape(-1, 3, 2)
+    assert np.abs(force[:, 1:]).max() < 1e-12 * np.abs(force[:, 0]).max(), "no hoop stress"
+    # virtual work of a uniform stretch: stress times area
+    corners = flat[faces]
+    edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * (edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0]).sum()
+    assert (force[:, 0] * points[:, :1]).sum(axis=0) == pytest.approx(stress * area, rel=1e-12)
+
+
+def test_the_rest_factor_of_a_bubble_inverts_the_whole_tangent(tmp_path):
+    """The gas's coupling of all nodes is in the solves, though no matrix of it was ever made."""
+    model = build_bubble(dataclasses.replace(Bubble(), nodes=200), cache=tmp_path)
+    gradient, rate = model.factor.coupling
+    moves = np.flatnonzero(model.free)
+    whole = (assemble(len(model.mesh.points), model.blocks).toarray() + rate * np.outer(gradient, gradient))[np.ix_(moves, moves)]
+    right = np.random.default_rng(0).standard_normal((len(model.free), 3)) * model.free[:, None]
+    answer = model.factor.solve(right)
+    assert answer[moves] == pytest.approx(np.linalg.solve(whole, right[moves]), rel=1e-8, abs=1e-10 * np.abs(answer).max())
+    assert (answer[model.free == 0.0] == 0.0).all()
+    nodes = np.arange(40, 50)
+    compliance = model.factor.compliance(nodes)
+    place = np.searchsorted(moves, (3 * nodes[:, None] + np.arange(3)).ravel())
+    held = np.isin((3 * nodes[:, None] + np.arange(3)).ravel(), moves)
+    inverse = np.linalg.inv(whole)
+    assert compliance[np.ix_(held, held)] == pytest.approx(inverse[np.ix_(place[held], place[held])], rel=1e-7, abs=1e-9 * np.abs(inverse).max())
