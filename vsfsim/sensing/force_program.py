@@ -151,43 +151,46 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
     fixed = sparse.csc_matrix(sparse.diags(weight) + pulled @ k)
     # weight u + rho K^T K u: the displacements that are neither stiff nor soft decide; 100 is what takes the fewest steps on bubbles
     rho = 100.0 * float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
-    shape = (len(d) // 3, 3, d.shape[1])
     f = k @ d + c
     raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # below a nanonewton there is nothing to solve
     scaled = np.zeros_like(f)  # dual over rho
     if start is not None:
         f, scaled, rho = start[0].copy(), start[1].copy(), start[2]
-    factor = None
-    done = np.full(d.shape[1], np.inf)
-    best = None
-    for iteration in range(1, program.iterations + 1):
+    out_u, out_f, out_dual, done = np.empty_like(f), np.empty_like(f), np.empty_like(f), np.full(d.shape[1], np.inf)
+    open_ = np.arange(d.shape[1])  # columns not solved yet
+    factor, iteration = None, 0
+    aim = weight[:, None] * d - pulled @ c
+    while len(open_):
+        iteration += 1
         if factor is None:
             factor = splu(sparse.csc_matrix(fixed + rho * gram))
-        u = factor.solve(weight[:, None] * d - pulled @ c + rho * (transposed @ (f - scaled - c)))
+        u = factor.solve(aim + rho * (transposed @ (f - scaled - c)))
         forward = k @ u + c
         mixed = _RELAXATION * forward + (1.0 - _RELAXATION) * f
         before = f
-        split = np.moveaxis((mixed + scaled).reshape(shape), 1, 2)
+        split = np.moveaxis((mixed + scaled).reshape(len(d) // 3, 3, -1), 1, 2)
         f = np.moveaxis(prox(split, 1.0 / rho, program, inward), 2, 1).reshape(d.shape)
         scaled = scaled + mixed - f
-        if iteration % _CHECK == 0 or iteration == program.iterations:
-            primal = np.linalg.norm(forward - f, axis=0) / raw
-            pull = rho * (transposed @ scaled)
-            terms = np.maximum(np.linalg.norm(pull, axis=0), np.linalg.norm(weight[:, None] * (u - d), axis=0))
-            terms = np.maximum(terms, 1e-9 * weight.mean())  # a nanometre
-            dual = np.linalg.norm(weight[:, None] * (u - d) + pulled @ forward + pull, axis=0) / terms
-            change = rho * np.linalg.norm(transposed @ (f - before), axis=0) / terms
-            dual = np.maximum(dual, change)
-            done = np.maximum(primal, dual)
-            best = (u, f)
-            if (done < program.tolerance).all():
-                break
-            open_ = done >= program.tolerance
-            ratio = float(np.median(primal[open_]) / max(np.median(dual[open_]), 1e-300))
-            if (ratio > _BALANCE or ratio < 1.0 / _BALANCE) and iteration % (5 * _CHECK) == 0:
-                factor_of = float(np.clip(np.sqrt(ratio), 0.2, 5.0))
-                rho *= factor_of
-                scaled = scaled / factor_of
-                factor = None
-    u, f = best
-    return Solution(u, f, done, iteration, (f, scaled, rho))
+        if iteration % _CHECK and iteration < program.iterations:
+            continue
+        primal = np.linalg.norm(forward - f, axis=0) / raw
+        pull = rho * (transposed @ scaled)
+        terms = np.maximum(np.linalg.norm(pull, axis=0), np.linalg.norm(weight[:, None] * (u - d), axis=0))
+        terms = np.maximum(terms, 1e-9 * weight.mean())  # a nanometre
+        dual = np.linalg.norm(weight[:, None] * (u - d) + pulled @ forward + pull, axis=0) / terms
+        dual = np.maximum(dual, rho * np.linalg.norm(transposed @ (f - before), axis=0) / terms)
+        done[open_] = np.maximum(primal, dual)
+        out_u[:, open_], out_f[:, open_], out_dual[:, open_] = u, f, rho * scaled
+        left = done[open_] >= program.tolerance
+        if iteration >= program.iterations or not left.any():
+            break
+        ratio = float(np.median(primal[left]) / max(np.median(dual[left]), 1e-300))
+        if not left.all():
+            open_, c, d, aim, f, scaled, raw = open_[left], c[:, left], d[:, left], aim[:, left], f[:, left], scaled[:, left], raw[left]
+            inward = None if inward is None else inward[:, left]
+        if (ratio > _BALANCE or ratio < 1.0 / _BALANCE) and iteration % (5 * _CHECK) == 0:
+            factor_of = float(np.clip(np.sqrt(ratio), 0.2, 5.0))
+            rho *= factor_of
+            scaled = scaled / factor_of
+            factor = None
+    return Solution(out_u, out_f, done, iteration, (out_f, out_dual / rho, rho))
