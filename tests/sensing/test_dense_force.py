@@ -270,6 +270,33 @@ def test_noise_alone_is_hardly_a_force_and_a_push_is_found_through_it(toy, calib
     assert (errors["paper"] < errors["residual"]).all()
 
 
+def test_a_touch_of_a_dataset_in_the_world(toy, calibration, presses):
+    from vsfsim.bench.mock import mock_view
+    from vsfsim.sensing.bubble_touch import estimate_forces, rim_of
+
+    position, pressure, _ = presses
+    assert (rim_of(toy.triangles, len(toy.rest)) == calibration.rim).all()
+    mock = mock_view(0, split="test", touches=1).touches[0]
+    turn, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))
+    turn = turn * np.sign(np.linalg.det(turn))
+    frames = len(position)
+    pose = np.tile(np.eye(4), (frames, 1, 1))
+    pose[:, :3, :3], pose[:, :3, 3] = turn, np.arange(3 * frames).reshape(-1, 3) / 10
+    converged = np.array([True, False, True, True])
+    world = position @ turn.T + pose[:, None, :3, 3]
+    world[1] = np.nan
+    touch = replace(mock, mount_pose=pose, converged=converged, pressure=pressure, rest_pressure=toy.pressure, node_position=world, node_rest=toy.rest,
+                    node_reference=toy.flat, node_triangles=toy.triangles)
+    found = estimate_forces(touch, stiffness=680.0)
+    local = DenseForceEstimator(calibration, method="membrane").estimate(position[converged], pressure[converged])
+    assert found.force[converged] == pytest.approx(local.force @ turn.T, abs=1e-6)
+    assert np.isnan(found.force[1]).all() and found.converged.tolist() == [True, False, True, True]
+    with pytest.raises(SensorError, match="no node positions"):
+        estimate_forces(mock, stiffness=680.0)
+    with pytest.raises(SensorError, match="the touch has"):
+        estimate_forces(touch, stiffness=680.0, pressure=pressure[:2])
+
+
 def test_what_it_refuses(calibration, toy):
     with pytest.raises(SensorError, match="membrane"):
         DenseForceEstimator(calibration, method="membran")
