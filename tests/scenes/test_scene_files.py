@@ -8,11 +8,12 @@ import pytest
 from vsfsim.core import shelf
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Sphere
+from vsfsim.physics.bubble import build_bubble
 from vsfsim.physics.discretise import build_solid
 
 
 def test_the_shelf_is_complete() -> None:
-    assert {"shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball"} <= set(shelf.scenes())
+    assert {"shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball", "punyo"} <= set(shelf.scenes())
     assert "shoe" in shelf.families()
 
 
@@ -20,6 +21,12 @@ def test_the_shelf_is_complete() -> None:
 def test_scene_builds(name: str) -> None:
     scene = load_scene(shelf.scenes()[name]).sample(0)
     assert scene.name == name
+    if scene.object is None:
+        # a sensor that just touches its obstacle, then goes on along its +z
+        assert scene.sensor is not None and scene.press is not None and isinstance(scene.obstacles[0].shape, Sphere)
+        apex = build_bubble(scene.sensor).mesh.points[:, 2].max()
+        assert scene.press.start[2] - apex - scene.obstacles[0].shape.radius == pytest.approx(0.0, abs=1e-6)
+        return
     solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
     spec = scene.object
     material = spec.young_modulus.by_region(solid.region_names, solid.young_modulus, name)

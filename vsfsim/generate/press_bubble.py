@@ -25,7 +25,7 @@ from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
 
-OPTIONS = SolverOptions(tolerance=1e-4)
+OPTIONS = SolverOptions(tolerance=5e-4)  # as the fem tier: with friction, tighter balances are not always reached where a point hovers between touching and leaving
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,97 @@
+"""A bubble pressed on rigid bodies, from the scene to the file."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate import press_bubble, press_bubble_file
+from vsfsim.generate.press_command import press as command
+
+
+def text(path):
+    return f'''name = "small"
+{path}
+[sensor]
+kind = "bubble"
+nodes = 390
+[[obstacles]]
+shape = {{ sphere = 0.01 }}
+pose = [0.1, 0.2, 0.3]
+'''
+
+
+DOWN = '[press]\nfrom = [0.1, 0.2, 0.345]\nto = [0.1, 0.2, 0.336]\nframes = 3\n'
+# the same press along x: the obstacle is met from its +x side
+SIDEWAYS = '[press]\nfrom = [0.145, 0.2, 0.3]\nto = [0.136, 0.2, 0.3]\nframes = 3\n'
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    cache = tmp_path_factory.mktemp("bubbles")
+
+    def make(path):
+        return press_bubble.press(parse_scene(text(path), "small.toml").sample(0), cache=cache, keep=True)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def down(run):
+    return run(DOWN)
+
+
+def test_force_depth_and_pressure(down):
+    assert down.converged.all()
+    apex = 0.3 + 0.010 + down.apex  # of the mount's origin when it first touches
+    # first contact on triangles: their chord under the dome is 0.1 mm off at most
+    assert down.depth == pytest.approx([max(apex - z, 0.0) for z in (0.342, 0.339, 0.336)], abs=1e-4)
+    assert (np.diff(down.force[:, 2]) > 0.0).all(), "pushed back up"
+    assert np.abs(down.force[:, :2]).max() < 1e-3 * down.force[-1, 2]
+    assert down.reaction == pytest.approx(-down.force, rel=1e-3, abs=1e-3), "the mount holds it"
+    assert down.body_force[:, 0] == pytest.approx(-down.force, rel=1e-9, abs=1e-9)
+    # the mount frame is turned over: +z leads downwards
+    assert down.wrench[:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
+    ambient, gamma, gas = 101325.0, 1.4, 150e-6
+    assert (down.pressure + ambient) * down.volume**gamma == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
+    assert down.pressure_change == pytest.approx(down.pressure - 7820.0, abs=1e-9)
+
+
+def test_the_same_press_from_another_side(run, down):
+    other = run(SIDEWAYS)
+    assert other.force[:, 0] == pytest.approx(down.force[:, 2], rel=0.02)  # the dome may be turned about its axis
+    assert np.abs(other.force[:, 1:]).max() < 1e-2 * other.force[-1, 0]
+
+
+def test_what_is_saved(down, tmp_path):
+    press_bubble_file.save(down, tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as data:
+        assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
+        assert data["node_position"].shape == data["node_force"].shape == (3, 390, 3)
+        assert data["fine_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-12, abs=1e-15)
+        assert data["node_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-9, abs=1e-12)
+        assert np.abs(data["node_position"][:, data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
+
+
+def test_what_a_sensor_has_not_is_said(tmp_path):
+    scene = load_scene(find_scene("punyo"))
+    for option, value in (("tier", "fem"), ("refine", 3), ("picture", tmp_path / "a.png")):
+        given = {"tier": None, "refine": None, "picture": None, "plot": None, "save": None, option: value}
+        with pytest.raises(SceneError, match=f"--{option}"):
+            command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, **given)
+    with pytest.raises(SceneError, match=r"needs a \[press\]"):
+        press_bubble.press(dataclasses.replace(scene.sample(0), press=None))
+
+
+@pytest.mark.slow
+def test_the_punyo_pressed_10_mm_onto_a_tip():
+    result = press_bubble.press(load_scene(find_scene("punyo")).sample(0), keep=True)
+    print(press_bubble.text(result))
+    assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
+    # over a ball of 3 mm, 10 mm deep: 6000 nodes give 952 Pa and 4.97 N, triangles of 2.9 mm 6 % more
+    assert result.pressure_change[-1] == pytest.approx(952.0, rel=0.08) and result.force[-1, 2] == pytest.approx(4.97, rel=0.08)
+    assert (result.audit["penetration"] < 0.01 * result.edge).all()

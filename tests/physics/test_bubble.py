@@ -1,0 +1,231 @@
+"""The bubble sensor as a body: meshes, inflation, limits, and touches by rigid bodies at the edges of what is asked."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.errors import SceneError
+from vsfsim.core.rotation import rotation_matrix
+from vsfsim.core.shape import Plane, Sphere
+from vsfsim.physics import bubble, membrane_mesh
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.physics.bubble_shape import punyo_rms, stretches
+from vsfsim.physics.elements import gas
+from vsfsim.physics.frames import SolverOptions
+from vsfsim.physics.solver import Solver
+
+REAL = Bubble()
+COARSE = dataclasses.replace(REAL, nodes=390)
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("bubbles")
+
+
+def towards(model, radius, depth, frames, *, tilt=0.0, at=0.0):
+    """A ball that goes straight into the dome (T, 1, 4, 4), from above the point of the surface at x = ``at``, ``tilt`` from the axis of the dome [rad]."""
+    points = model.mesh.points
+    start = np.array([at, 0.0, points[np.linalg.norm(points[:, :2] - [at, 0.0], axis=1).argmin(), 2]])
+    turn = rotation_matrix((0.0, tilt, 0.0))
+    axis = turn @ [0.0, 0.0, -1.0]
+    # where it first touches on this line
+    gone = np.linspace(0.06, 0.0, 6001)
+    gap = np.array([np.linalg.norm(points - (start - g * axis), axis=1).min() - radius for g in gone[::20]])
+    free = gone[::20][np.flatnonzero(gap > 0.0)[-1]]
+    poses = np.tile(np.eye(4), (frames, 1, 1, 1))
+    poses[:, 0, :3, 3] = start - (free - depth * np.arange(1, frames + 1) / frames)[:, None] * axis
+    return poses
+
+
+def pressed(model, shape, poses, *, device="cpu", friction=2.0, **limits):
+    solver = Solver(model, shape, friction=friction, device=device, options=SolverOptions(tolerance=5e-4, **limits))
+    pressure, volume = [], []
+
+    def note(_):
+        pressure.append(solver.elasticity.pressure.numpy().copy())
+        volume.append(solver.elasticity.volume.numpy().copy())
+
+    frames = solver.run(poses, keep=True, progress=note)
+    return frames, solver, np.array(pressure), np.array(volume)
+
+
+def sound(frames, model):
+    assert frames.converged.all(), frames.reason
+    assert (frames.force_balance < 1e-3).all() and (frames.penetration < 0.01 * model.element_size).all()
+
+
+# ------------------------------------------------------------------------------------------ meshes
+
+
+@pytest.mark.parametrize("nodes", [100, 390, 391, 392, 393, 1000, 5000])
+@pytest.mark.parametrize("b", [0.04, 0.05725])
+def test_meshes_have_the_nodes_asked_for_and_are_their_own_mirror_images(nodes, b):
+    a = 0.05725
+    flat, faces, rim = membrane_mesh.ellipse(a, b, nodes)
+    assert len(flat) == nodes and len(faces) == 2 * nodes - 2 - len(rim)
+    assert np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0] - 1.0).max() < 1e-12
+    p, q, r = (flat[faces[:, k]] for k in range(3))
+    area = 0.5 * ((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
+    assert (area > 0.005 * area.mean()).all()
+    quality = 4.0 * np.sqrt(3.0) * area / sum(((u - v) ** 2).sum(axis=1) for u, v in ((p, q), (q, r), (r, p)))
+    assert np.median(quality) > 0.9 and quality.min() > 0.2
+    whole = {frozenset(map(tuple, np.round(flat[f], 9) + 0.0)) for f in faces}
+    for mirror in ([-1.0, 1.0], [1.0, -1.0]):
+        assert {frozenset(map(tuple, np.round(flat[f] * mirror, 9) + 0.0)) for f in faces} == whole
+
+
+def test_the_read_out_mesh_is_the_published_one_and_part_of_the_default(cache):
+    model = build_bubble(REAL, cache=cache)
+    seen = model.read_out
+    assert (len(seen.flat), len(seen.faces), len(seen.rim)) == (390, 714, 64)
+    assert len(model.mesh.points) == 1493 and np.abs(seen.positions(model.mesh.points) - model.mesh.points[:390]).max() < 1e-15
+
+
+def test_the_defaults_are_the_real_dome(cache):
+    model = build_bubble(REAL, cache=cache)
+    assert model.mesh.points[:, 2].max() == pytest.approx(30.5e-3, abs=0.5e-3)
+    assert 125e-6 < model.mesh.volume[0] < 131e-6
+    assert punyo_rms(model) < 1e-3
+    apex = (model.mesh.faces == model.mesh.points[:, 2].argmax()).any(axis=1)
+    assert stretches(model)[apex].mean(axis=0) / REAL.pre_stretch == pytest.approx([1.38, 1.25], abs=0.05)
+    assert 0.7 < 1e-9 * gas.at_rest(model.blocks[2])[2] < 1.3, "kPa per mL, 0.98 in the fit"
+
+
+# ------------------------------------------------------------------------------------------ building
+
+
+def test_a_bubble_is_inflated_once(cache, monkeypatch):
+    first = build_bubble(COARSE, cache=cache)
+    assert build_bubble(COARSE, cache=cache) is first
+    monkeypatch.setattr(bubble, "_models", type(bubble._models)())  # another process
+    monkeypatch.setattr(bubble, "inflate", lambda *a: pytest.fail("inflated again"))
+    again = build_bubble(COARSE, cache=cache)
+    assert again is not first and np.array_equal(again.mesh.points, first.mesh.points)
+    other = build_bubble(dataclasses.replace(COARSE, gas_volume=2e-4, sealed=False), cache=cache)
+    assert np.array_equal(other.mesh.points, first.mesh.points), "the gas plays no part in the inflation"
+
+
+def test_at_rest_nothing_pulls_but_the_rim(cache):
+    model = build_bubble(COARSE, cache=cache)
+    far = towards(model, 0.003, -0.005, 1)
+    frames, solver, pressure, volume = pressed(model, Sphere(0.003), far)
+    assert frames.converged.all() and (frames.force == 0.0).all()
+    assert pressure[0, 0] == pytest.approx(REAL.gauge_pressure, rel=1e-9) and volume[0, 0] == pytest.approx(model.mesh.volume[0], rel=1e-12)
+    assert np.abs(solver.history[0]).max() < 1e-9
+
+
+def test_beyond_the_limit_point_the_error_names_it(cache):
+    with pytest.raises(SceneError, match=r"\[sensor\]: gauge_pressure is 20000 Pa, but the membrane's limit point is at (\d+(\.\d+)?) Pa") as error:
+        build_bubble(dataclasses.replace(COARSE, gauge_pressure=2e4), cache=cache)
+    limit = float(str(error.value).split("limit point is at ")[1].split(" Pa")[0])
+    model = build_bubble(dataclasses.replace(COARSE, gauge_pressure=0.99 * limit, gas_volume=5e-3), cache=cache)
+    assert model.mesh.volume[0] > 1.5e-4
+    with pytest.raises(SceneError, match="limit point"):
+        build_bubble(dataclasses.replace(COARSE, gauge_pressure=1.01 * limit, gas_volume=5e-3), cache=cache)
+
+
+def test_less_gas_than_the_dome_holds_is_refused(cache):
+    with pytest.raises(SceneError, match="gas_volume is 100 mL, but the inflated dome alone holds 127"):
+        build_bubble(dataclasses.replace(COARSE, gas_volume=1e-4), cache=cache)
+
+
+# ------------------------------------------------------------------------------------------ touches
+
+
+def test_a_sealed_poke_keeps_p_v_gamma_and_balances(cache, device):
+    model = build_bubble(COARSE, cache=cache)
+    frames, solver, pressure, volume = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), device=device)
+    sound(frames, model)
+    kept = (pressure[:, 0] + REAL.ambient_pressure) * (volume[:, 0] + model.dead_volume) ** REAL.gamma
+    assert kept == pytest.approx((REAL.gauge_pressure + REAL.ambient_pressure) * REAL.gas_volume**REAL.gamma, rel=1e-6)
+    assert (np.diff(pressure[:, 0]) > 0.0).all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+    # the nodes' contact forces are the force; a press along the axis of a dome that is its own mirror image has no moment
+    push = solver.surface_force[-1][..., 0]
+    assert push.sum(axis=0) == pytest.approx(-frames.force[-1, 0], rel=1e-9, abs=1e-9)
+    where = model.mesh.points + solver.history[-1][:, 0].reshape(-1, 3)
+    assert np.abs(np.cross(where, push).sum(axis=0)).max() < 1e-4 * np.abs(push[:, 2]).sum() * 0.01
+
+
+def test_an_open_chamber_keeps_its_pressure_and_is_softer(cache):
+    poses = towards(build_bubble(COARSE, cache=cache), 0.01, 0.008, 3)
+    forces = {}
+    for sealed in (True, False):
+        model = build_bubble(dataclasses.replace(COARSE, sealed=sealed), cache=cache)
+        frames, _, pressure, _ = pressed(model, Sphere(0.01), poses)
+        sound(frames, model)
+        forces[sealed] = frames.force[-1, 0, 2]
+        if not sealed:
+            assert pressure == pytest.approx(REAL.gauge_pressure, rel=1e-12)
+    assert 1.02 * forces[False] < forces[True] < 2.0 * forces[False]
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_press_at_45_degrees_sticks_and_both_sides_are_alike(cache, side):
+    model = build_bubble(COARSE, cache=cache)
+    frames, _, pressure, _ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.006, 3, tilt=side * 0.25 * np.pi, at=-side * 0.03))
+    sound(frames, model)
+    assert frames.slipping.max() < 0.5 and side * frames.force[-1, 0, 0] > 0.1
+    assert abs(frames.force[-1, 0, 1]) < 1e-3 * abs(frames.force[-1, 0, 2])
+
+
+def test_touches_together_are_as_alone(cache, device):
+    model = build_bubble(COARSE, cache=cache)
+    ways = [towards(model, 0.008, d, 2, at=x) for d, x in ((0.004, 0.0), (0.006, 0.02))]
+    together, *_ , pressure, _ = pressed(model, Sphere(0.008), np.concatenate(ways, axis=1), device=device)
+    for b, way in enumerate(ways):
+        alone, *_, own, _ = pressed(model, Sphere(0.008), way, device=device)
+        # both within the tolerance of the balance, 5e-4 of the force
+        assert together.force[:, b] == pytest.approx(alone.force[:, 0], rel=2e-3, abs=2e-4)
+        assert pressure[:, b] == pytest.approx(own[:, 0], abs=1.0)
+
+
+@pytest.mark.parametrize(("change", "depth"), [
+    ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.004),  # deflated, no tension but its own
+    ({"gauge_pressure": 200.0}, 0.002),
+    ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.010),
+    ({"thickness": 0.004, "young_modulus": 1.7e5}, 0.010),
+])
+def test_extremes_converge(cache, change, depth):
+    model = build_bubble(dataclasses.replace(COARSE, **change), cache=cache)
+    frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, depth, 4))
+    assert np.isfinite(frames.force).all()
+    sound(frames, model)
+
+
+@pytest.mark.slow
+def test_indentation_to_80_per_cent_of_the_dome(cache):
+    model = build_bubble(REAL, cache=cache)
+    frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.8 * model.mesh.points[:, 2].max(), 12))
+    sound(frames, model)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nodes", [100, 1000, 6000, 20_000])
+def test_meshes_from_100_to_20000_nodes(cache, nodes):
+    model = build_bubble(dataclasses.replace(REAL, nodes=nodes), cache=cache)
+    frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), seconds=600.0)
+    print(f"{nodes} nodes: {frames.force[-1, 0, 2]:.4f} N, {frames.seconds.sum():.1f} s, {frames.cg_iterations[:, 0]} CG")
+    sound(frames, model)
+    # a ball of 10 mm, 10 mm deep; the finest mesh gives 5.1 N
+    assert np.isfinite(frames.force).all()
+
+
+@pytest.mark.slow
+def test_a_frame_that_fails_is_marked_and_never_nan(cache):
+    """A ball smaller than a triangle, pushed right through the sheet."""
+    model = build_bubble(dataclasses.replace(REAL, nodes=100), cache=cache)
+    frames, *_ = pressed(model, Sphere(0.001), towards(model, 0.001, 0.028, 6), seconds=20.0)
+    assert np.isfinite(frames.force).all() and np.isfinite(frames.residual).all()
+    assert (frames.converged | (frames.reason != 0)).all()
+
+
+def test_a_plane_on_top_of_a_bubble(cache):
+    model = build_bubble(COARSE, cache=cache)
+    poses = np.tile(np.eye(4), (2, 1, 1, 1))
+    poses[:, 0, :3, :3] = np.diag([1.0, -1.0, -1.0])
+    poses[:, 0, 2, 3] = model.mesh.points[:, 2].max() - [0.001, 0.002]
+    frames, *_ = pressed(model, Plane(), poses)
+    sound(frames, model)
