@@ -55,3 +55,51 @@ def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the
     from vsfsim.vsf.side_by_side import compare, table
 
     print(table(compare(particles, touches, frames, literal=literal, progress=lambda done, total, what: print(f"  {what} ...", file=sys.stderr, flush=True))))
+
+
+@app.command("pressure-law")
+def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
+                 plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
+                 nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
+                 area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
+                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
+    from vsfsim.cli import _check_writable
+    from vsfsim.data.dataset import Dataset
+    from vsfsim.generate import bench_pressure_law as law
+
+    stdout = out is not None and str(out) == "-"
+    for name, path in (("--plot", plot), ("--json", None if stdout else out)):
+        _check_writable(name, path)
+    found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
+    result = law.study(found, area=area)
+    if plot is not None:
+        law.plot(found, result, plot)
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(law.table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command("dense-force")
+def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
+                device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+                out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate import bench_dense_force as bench
+
+    _check_device(device)
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    rows, field, presses = bench.bench(nodes=nodes, device=device, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench.tables(rows, field)
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(bench.table(rows, field, presses))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

@@ -70,8 +70,15 @@ class Touch:
     q: joint angles of the arm (T, 7) [rad], or None without an arm.
     torque: joint torques due to the contact (T, 7) [N m], or None without an arm.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
+    rest_pressure: that of its free dome, a number [Pa], or None for a rigid probe.
+    moment: of the contact force on the sensor about the mount's origin, world (T, 3) [N m], or None for a rigid probe.
     node_position: sensor read-out vertices, world (T, N, 3) [m], or None if not kept.
     node_force: contact force on each read-out vertex, world (T, N, 3) [N], or None if not kept.
+    node_rest: read-out vertices of the free dome, mount frame (N, 3) [m], or None if not kept.
+    node_reference: their coordinates on the stress-free skin (N, 2) [m], or None if not kept.
+    node_triangles: of the read-out mesh, wound outwards (F, 3) int, or None if not kept.
+    inside_depth: what the camera in the bubble sees, distance along its axis, 0 where there is no skin (T, h, w) [m], or None if not kept.
+    inside_rgb: colour of the same (T, h, w, 3) uint8 sRGB, or None if not kept.
     """
 
     time: np.ndarray
@@ -91,8 +98,15 @@ class Touch:
     q: np.ndarray | None = None
     torque: np.ndarray | None = None
     pressure: np.ndarray | None = None
+    rest_pressure: float | None = None
+    moment: np.ndarray | None = None
     node_position: np.ndarray | None = None
     node_force: np.ndarray | None = None
+    node_rest: np.ndarray | None = None
+    node_reference: np.ndarray | None = None
+    node_triangles: np.ndarray | None = None
+    inside_depth: np.ndarray | None = None
+    inside_rgb: np.ndarray | None = None
 
     def normal_force(self) -> np.ndarray:
         """Force of the object on the probe against the press direction (T,) [N]; positive when it pushes back."""

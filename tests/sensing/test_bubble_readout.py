@@ -1,0 +1,187 @@
+"""Read-outs of the bubble: interpolation by material coordinates, and forces that keep their net force and moment."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+from toy_bubble import disc
+
+from vsfsim.sensing.bubble import BubbleReadout, FlatMesh, locate, wrench
+from vsfsim.sensing.membrane_fe import SensorError
+
+
+def flat(rings):
+    points, triangles, rim = disc(rings)
+    held = np.zeros(len(points), bool)
+    held[rim] = True
+    return FlatMesh(points, triangles, held)
+
+
+def dome(points):
+    rho = np.hypot(points[:, 0] / 0.05725, points[:, 1] / 0.040)
+    return np.column_stack([points, 0.030 * np.maximum(1.0 - rho**2, 0.0)])
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return flat(17)
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return flat(6)
+
+
+def test_weights_interpolate_what_is_linear(fine, coarse):
+    nodes, weight = locate(coarse.points, fine)
+    assert weight.sum(axis=1) == pytest.approx(1.0) and weight.min() >= 0.0
+    found = np.einsum("ka,kai->ki", weight, fine.points[nodes])
+    assert found[~coarse.rim] == pytest.approx(coarse.points[~coarse.rim], abs=1e-12)
+    # rims are polygons: the other mesh's rim nodes bulge out by at most the sagitta of a chord, here of 1/102 and 1/36 of the way round
+    assert np.linalg.norm(found - coarse.points, axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 102))
+    nodes, weight = locate(fine.points, coarse)
+    assert np.linalg.norm(np.einsum("ka,kai->ki", weight, coarse.points[nodes]) - fine.points, axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 36))
+    own, weight = locate(fine.points, fine)
+    assert own[np.arange(len(own)), weight.argmax(axis=1)].tolist() == list(range(len(fine.points))) and weight.max(axis=1) == pytest.approx(1.0)
+
+
+def test_positions_follow_the_skin(fine, coarse):
+    readout = BubbleReadout(fine, coarse)
+    shape = dome(fine.points)
+    shift = shape + [0.001, 0.002, -0.003]
+    out = readout.positions(np.stack([shape, shift]))
+    assert out[1] - out[0] == pytest.approx(np.tile([0.001, 0.002, -0.003], (len(coarse.points), 1)))
+    # chords of 1/17 of the radius are under 30 mm (1/17)^2 below the dome
+    assert np.abs(out[0] - dome(coarse.points)).max() < 0.030 / 17**2 + 1e-9
+    same = BubbleReadout(coarse, coarse)
+    assert (same.positions(shape[None, :len(coarse.points)]) == shape[None, :len(coarse.points)]).all()
+
+
+@pytest.mark.parametrize("where", ["everywhere", "one node", "rim"])
+def test_net_force_and_moment_are_kept(fine, coarse, where):
+    rng = np.random.default_rng(1)
+    points = np.stack([dome(fine.points), dome(fine.points) + 0.002 * rng.standard_normal((len(fine.points), 3))])
+    force = rng.standard_normal(points.shape)
+    if where == "one node":
+        force[:, np.arange(len(fine.points)) != 400] = 0.0
+    if where == "rim":
+        force[:, ~fine.rim] = 0.0
+    readout = BubbleReadout(fine, coarse)
+    moved = readout.forces(points, force)
+    nodes = readout.positions(points)
+    origin = np.array([[0.0, 0.0, 0.0], [0.1, -0.2, 0.3]])
+    for before, after in zip(wrench(points, force, origin=origin), wrench(nodes, moved, origin=origin)):
+        assert after == pytest.approx(before, abs=1e-12 * np.abs(force).sum())
+    # and it stays local: what acts on one node is spread over one triangle and is about as large
+    if where == "one node":
+        assert (np.linalg.norm(moved[0], axis=1) > 0).sum() <= 3
+        assert np.linalg.norm(moved[0], axis=1).max() < 3 * np.linalg.norm(force[0, 400])
+
+
+def test_frames_hold_everything(fine, coarse):
+    points = np.stack([dome(fine.points)] * 3)
+    force = np.zeros_like(points)
+    force[2, 0] = [0.0, 0.0, -2.0]  # at the apex, the first point of the disc
+    out = BubbleReadout(fine, coarse).frames(points, force, np.array([7000.0, 7010.0, 7300.0]), rest_pressure=7000.0, origin=np.array([0.1, 0.0, 0.0]))
+    assert out.pressure_change.tolist() == [0.0, 10.0, 300.0]
+    assert out.force[2].tolist() == [0.0, 0.0, -2.0] and (out.force[:2] == 0).all()
+    assert out.moment[2] == pytest.approx([0.0, -0.2, 0.0])  # (-0.1, 0, h) x (0, 0, -2)
+    assert out.node_force[2, 0] == pytest.approx([0.0, 0.0, -2.0])
+    assert out.node_position.shape == (3, len(coarse.points), 3)
+
+
+def test_what_it_refuses(fine, coarse):
+    readout = BubbleReadout(fine, coarse)
+    points = dome(fine.points)[None]
+    with pytest.raises(SensorError, match="all nodes of the solver's mesh"):
+        readout.positions(points[:, :5])
+    with pytest.raises(SensorError, match="frames of positions"):
+        readout.forces(points, np.concatenate([points, points]))
+    with pytest.raises(SensorError, match="pressure has shape"):
+        readout.frames(points, points, np.zeros(2), rest_pressure=0.0)
+    with pytest.raises(SensorError, match="rim"):
+        FlatMesh(coarse.points, coarse.triangles, np.zeros(3, bool))
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    from vsfsim.core.bubble import Bubble
+    from vsfsim.physics.bubble import build_bubble
+    return build_bubble(Bubble(nodes=200), cache=tmp_path_factory.mktemp("bubble"))
+
+
+def test_the_real_sensor_is_read_on_its_390_nodes(model):
+    from vsfsim.sensing.bubble import readout_of
+
+    readout = readout_of(model)
+    assert len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714 and readout.readout.rim.sum() == 64
+    nodes = readout.positions(model.mesh.points[None])[0]
+    inner = ~readout.readout.rim
+    # the sensor's own interpolation, which differs outside the finer rim alone
+    assert nodes[inner] == pytest.approx(model.read_out.positions(model.mesh.points)[inner], abs=1e-12)
+    assert np.abs(nodes[~inner, 2]).max() < 1e-12  # the rim is planar
+    # and a force on any node keeps its moment
+    force = np.zeros((1, len(model.mesh.points), 3))
+    force[0, ::7] = np.random.default_rng(0).standard_normal((len(force[0, ::7]), 3))
+    before, after = wrench(model.mesh.points[None], force), wrench(nodes[None], readout.forces(model.mesh.points[None], force))
+    assert after[0] == pytest.approx(before[0], abs=1e-12) and after[1] == pytest.approx(before[1], abs=1e-13)
+
+
+def test_the_pressure_is_that_of_the_solvers_gas(model):
+    import warp as wp
+
+    from vsfsim.physics.elasticity import Elasticity
+    from vsfsim.sensing.bubble import gauge_pressure
+
+    u = np.zeros_like(model.mesh.points)
+    u[:, 2] = -0.2 * model.mesh.points[:, 2]
+    elastic = Elasticity(model, device="cpu", real=wp.float64)
+    elastic.begin(1)
+    elastic.forces(wp.zeros(1, dtype=wp.int32, device="cpu"), wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))
+    found = gauge_pressure(model, np.stack([model.mesh.points, model.mesh.points + u]))
+    assert found[0] == pytest.approx(model.pressure, rel=1e-9)
+    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]), rel=1e-9) and found[1] > model.pressure + 1000.0
+
+
+def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
+    import dataclasses
+
+    from vsfsim.bench.mock import mock_view
+    from vsfsim.data.hdf5 import read_view, write_view
+    from vsfsim.sensing.bubble_camera import BubbleCamera
+    from vsfsim.sensing.bubble_touch import touch_fields
+
+    view = mock_view(0, split="test", touches=1)
+    touch = view.touches[0]
+    frames = len(touch.time)
+    rng = np.random.default_rng(0)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    pose = touch.mount_pose.copy()
+    pose[:, :3, :3] = turn * np.sign(np.linalg.det(turn))
+    local = np.broadcast_to(model.mesh.points, (frames, *model.mesh.points.shape)).copy()
+    world = np.einsum("tij,tnj->tni", pose[:, :3, :3], local) + pose[:, None, :3, 3]
+    force = np.zeros_like(world)
+    force[3, 150] = [0.3, -0.2, 1.0]
+    pressure = np.full(frames, model.pressure)
+    converged = touch.converged.copy()
+    converged[5] = False
+    world[5] = np.nan
+    more = touch_fields(model, world, force, pressure, pose, converged=converged, camera=BubbleCamera(width=64, height=48, focal=43.0))
+    write_view(tmp_path / "x.h5", dataclasses.replace(view, touches=(dataclasses.replace(touch, mount_pose=pose, converged=converged, **more),)))
+    back = read_view(tmp_path / "x.h5").touches[0]
+    assert back.rest_pressure == model.pressure and np.isnan(back.pressure[5]) and np.isfinite(np.delete(back.pressure, 5)).all()
+    # float32 of half a metre
+    assert back.node_force[3].sum(axis=0) == pytest.approx(force[3, 150], abs=1e-6)
+    arm = back.node_position[3] - pose[3, :3, 3]
+    assert back.moment[3] == pytest.approx(np.cross(world[3, 150] - pose[3, :3, 3], force[3, 150]), abs=1e-15)
+    assert np.cross(arm, back.node_force[3]).sum(axis=0) == pytest.approx(back.moment[3], abs=2e-7)
+    assert ((back.node_position[0] - pose[0, :3, 3]) @ pose[0, :3, :3]) == pytest.approx(back.node_rest, abs=1e-7)
+    assert back.node_reference * model.spec.pre_stretch == pytest.approx(model.read_out.flat) and back.node_triangles.shape == (714, 3)
+    assert np.isnan(back.inside_depth[5]).all() and (back.inside_depth[4] > 0).mean() > 0.7 and back.inside_rgb.shape == (frames, 48, 64, 3)
+    with pytest.raises(SensorError, match="not finite"):
+        touch_fields(model, world, force, pressure, pose)
+    with pytest.raises(SensorError, match="mount poses"):
+        touch_fields(model, world, force, pressure, pose[:2])
