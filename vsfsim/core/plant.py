@@ -26,7 +26,8 @@ class Plant:
     nodes: (n, 3) [m]. parent: (n,) int, smaller than the node's own number; -1 for node 0.
     radius: of the round segment, or half the thickness of a leaf blade (n,) [m]. half_width: of a blade, 0 for a round segment (n,) [m].
     blade_normal: unit normal of a blade at rest (n, 3). young_modulus: (n,) [Pa]. poisson_ratio: [-]. density: (n,) [kg/m^3].
-    region: of each segment, an index into ``region_names`` (n,). appearance: the look of each region. pot: None for none. notes: a sentence each.
+    region: of each segment, an index into ``region_names`` (n,). look: of each segment, an index into ``appearance`` (n,), None for the region. appearance: None for a plain grey.
+    pot: None for none. notes: a sentence each.
     """
 
     nodes: np.ndarray
@@ -39,6 +40,7 @@ class Plant:
     region: np.ndarray
     region_names: tuple[str, ...]
     poisson_ratio: float = 0.35
+    look: np.ndarray | None = None
     appearance: Appearance | None = None
     pot: Pot | None = None
     notes: tuple[str, ...] = field(default=())

@@ -69,6 +69,8 @@ class Touch:
         penetration = deepest quadrature point of the surface inside the probe [m].
     q: joint angles of the arm (T, 7) [rad], or None without an arm.
     torque: joint torques due to the contact (T, 7) [N m], or None without an arm.
+    link_force, link_moment: of the contact on each of the arm's L links, world, moments about the origin of its frame (T, L, 3) [N, N m], or None.
+    draws: how many targets were drawn until the arm could reach one, or None.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
     node_position: sensor read-out vertices, world (T, N, 3) [m], or None if not kept.
     node_force: contact force on each read-out vertex, world (T, N, 3) [N], or None if not kept.
@@ -90,6 +92,9 @@ class Touch:
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
     q: np.ndarray | None = None
     torque: np.ndarray | None = None
+    link_force: np.ndarray | None = None
+    link_moment: np.ndarray | None = None
+    draws: np.ndarray | None = None
     pressure: np.ndarray | None = None
     node_position: np.ndarray | None = None
     node_force: np.ndarray | None = None
@@ -113,6 +118,7 @@ class Truth:
     vsf_points: particles of the oracle VSF, world (n, 3) [m]; empty if not fitted.
     vsf_stiffness: spring constant of each particle, fitted to exhaustive noise-free touches (n,) [N/m].
     vsf_touched: the particle was displaced by at least one of those touches (n,) bool.
+    radius: of a plant's segments, half the thickness of a blade (M,) [m]; half_width: of a blade's (M,) [m]; segment_ends: on their middle line, world (M, 2, 3) [m]. None for a solid.
     """
 
     points: np.ndarray
@@ -125,6 +131,9 @@ class Truth:
     vsf_points: np.ndarray
     vsf_stiffness: np.ndarray
     vsf_touched: np.ndarray
+    radius: np.ndarray | None = None
+    half_width: np.ndarray | None = None
+    segment_ends: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

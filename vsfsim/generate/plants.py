@@ -1,0 +1,176 @@
+"""Object views of plants touched by an arm: grown, seen, touched, and the truth said."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.plant import Plant
+from vsfsim.core.scene import CameraSpec, Scene, TouchSpec
+from vsfsim.core.shape import Family
+from vsfsim.core.shelf import families
+from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, View
+from vsfsim.generate.plant_aim import ArmAim, aim_arm, load
+from vsfsim.generate.plant_surface import plant_view
+from vsfsim.generate.plant_truth import plant_truth
+from vsfsim.physics.frames import Reason
+from vsfsim.physics.rods.model import RodModel, build
+from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
+from vsfsim.robot.arm import Arm
+from vsfsim.robot.chain import chain_of
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
+from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.press import times
+from vsfsim.sensing.camera import look_at
+from vsfsim.sensing.kinect import kinect_depth
+
+REASONS = tuple(reason.text for reason in Reason if reason != Reason.NONE)
+BATCH = 512  # touches that advance together on a GPU; on a CPU one thread does them one after the other, and the bits are the same
+
+
+@dataclass
+class Seconds:
+    """Where the time goes, stage by stage [s]."""
+
+    spent: Counter = field(default_factory=Counter)
+
+    def charge(self, stage: str, since: float) -> float:
+        now = time.perf_counter()
+        self.spent[stage] += now - since
+        return now
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A view that is ready to be touched. name, split: of the view. numbers: (object, view). plant: turned as this view shows it."""
+
+    name: str
+    split: str
+    numbers: tuple[int, int]
+    scene: Scene
+    plant: Plant
+    model: RodModel
+    view: View
+    arm: Arm
+    aims: list[ArmAim]
+
+
+def grow(scene: Scene, seed: np.random.SeedSequence | int) -> Plant:
+    """The plant of a scene.
+
+    Raises:
+        SceneError: its object is no family of plants, or a parameter is wrong.
+    """
+    shape = scene.object.shape
+    if not isinstance(shape, Family):
+        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not {type(shape).__name__.lower()}.")
+    if shape.name not in families():
+        raise SceneError(f"{scene.source} [object.shape]: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
+    module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
+    if not hasattr(module, "grow"):
+        raise SceneError(f"{scene.source} [arm]: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use family = \"plant\", or take [arm] out and give a [probe].")
+    plant = module.grow(shape.parameters, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'")
+    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
+
+
+def prepare(scene: Scene, touches: TouchSpec, seeds: Callable[[str], Any], *, name: str, split: str, numbers: tuple[int, int], views: int, device: str, renderer: str,
+            seconds: Seconds | None = None) -> Subject:
+    """Grow a plant, turn it, take its picture and choose its touches.
+
+    Args:
+        seeds: streams by name: "body", "depth", and "aim" with the number of a touch. views: of the object; it is turned by a full circle over as many.
+    """
+    assert scene.arm is not None
+    seconds, since = seconds or Seconds(), time.perf_counter()
+    plant = grow(scene, seeds("body")).turned(2.0 * np.pi * numbers[1] / views)
+    model = build(plant, gravity=scene.gravity)
+    since = seconds.charge("grow", since)
+    view = see(plant, scene.camera, device=device, renderer=renderer)
+    if scene.camera.noise == "kinect":
+        view = kinect_depth(view, seeds("depth"))
+    since = seconds.charge("look", since)
+    arm = load(scene.arm)
+    aims = aim_arm(arm, scene.arm, touches, plant, view, lambda k: np.random.default_rng(seeds(f"aim {k}")), where=str(scene.source))
+    seconds.charge("aim", since)
+    return Subject(name, split, numbers, scene, plant, model, view, arm, aims)
+
+
+def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:
+    """The picture of a table camera that stands still while plants are turned."""
+    low, high = plant.nodes.min(axis=0), plant.nodes.max(axis=0)
+    intrinsics, pose = look_at(camera, np.array([0.0, 0.0, 0.5 * (low[2] + high[2])]))
+    return plant_view(plant, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)
+
+
+def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+    """Carry out the touches of some views together."""
+    seconds, since = seconds or Seconds(), time.perf_counter()
+    arm, scene = subjects[0].arm, subjects[0].scene
+    assert scene.touches is not None
+    every = [(s, a) for s, subject in enumerate(subjects) for a in subject.aims]
+    longest = max(len(a.q) for _, a in every)
+    at = [arm.postures(a.q) for _, a in every]
+    poses = np.zeros((longest, len(every), len(arm.shapes), 4, 4))
+    for b, posture in enumerate(at):
+        own = arm.capsule_poses(posture)
+        poses[:len(own), b] = own
+        poses[len(own):, b] = own[-1]
+    since = seconds.charge("kinematics", since)
+    solver = RodSolver([s.model for s in subjects], arm.shapes, device=device, options=RodOptions(force_limit=scene.touches.force_limit))
+    parts = []
+    for begin in range(0, len(every), BATCH):
+        some = slice(begin, begin + BATCH)
+        parts.append(solver.run(np.array([s for s, _ in every[some]]), poses[:, some], friction=np.array([subjects[s].scene.object.friction for s, _ in every[some]]),
+                                frames=np.array([len(a.q) for _, a in every[some]]), progress=progress))
+    since = seconds.charge("solve", since)
+    made: list[list[Touch]] = [[] for _ in subjects]
+    for b, (s, a) in enumerate(every):
+        made[s].append(_touch(subjects[s], a, at[b], parts[b // BATCH], b % BATCH))
+    since = seconds.charge("torque", since)
+    chain = chain_of(arm)
+    out = []
+    for subject, touches in zip(subjects, made, strict=True):
+        truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
+        out.append(ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth))
+    seconds.charge("truth", since)
+    return out
+
+
+def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> Touch:
+    spec, arm = subject.scene.arm, subject.arm
+    assert spec is not None
+    n = int(frames.frames[b])
+    force, moment = frames.force[:n, b], frames.moment[:n, b]
+    postures = type(at)(at.links[:n], at.tool[:n], at.anchors[:n], at.axes[:n])
+    time_, q = times(n), a.q[:n]
+    if spec.mode == "dynamic" and n > 1:
+        motion = simulate(arm, q, time_, series(time_, force, moment), drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
+        q, torque = motion.q, motion.torque
+    else:
+        torque = body_torque(arm, postures, force, moment=moment)
+    link_force, link_moment = _by_link(arm, postures, force, moment)
+    converged = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
+    audit = {name: getattr(frames, name)[:n, b] for name in AUDIT_COLUMNS if name != "min_det_f"}
+    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
+                 residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
+                 reason=np.where(converged, 0, frames.reason[:n, b]).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
+                 draws=np.array(a.draws))
+
+
+def _by_link(arm: Arm, at: Any, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wrenches on the links, moments about their origins, two arrays (T, L, 3)."""
+    place = arm.capsule_poses(at)[..., :3, 3] - at.links[:, arm.capsule_links][..., :3, 3]
+    about = moment + np.cross(place, force)
+    out = np.zeros((2, len(force), len(arm.links), 3))
+    for k, link in enumerate(arm.capsule_links):
+        out[0, :, link] += force[:, k]
+        out[1, :, link] += about[:, k]
+    return out[0], out[1]
