@@ -7,7 +7,7 @@ from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
 from vsfsim.physics.rods.newton import balance, vec6
 from vsfsim.physics.rods.search import surface_point
 from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, quat, real, six, strain, vec3
-from vsfsim.physics.rods.touching import friction_force, gap_of, point_at, slip
+from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -87,7 +87,7 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
         y = point_at(tree.along[j], tree.offset[j], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
         gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
-            fn = (tree.penalty[j] * gap.value) * gap.normal
+            fn = -normal_force(-gap.value, tree.penalty[j]) * gap.normal
             force = fn
             moment = wp.cross(y - cx, fn)
             tau = w.tau[side, b, c]
@@ -188,4 +188,4 @@ def advance(
             out.iterations[t, b] = used
             out.reason[t, b] = reason
             if total > touch.force_limit:
-                w.ended[b] = t + 1
+                w.ended[b] = t + 1  # this frame is not kept

@@ -38,7 +38,7 @@ class Trees:
 class Touches:
     """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses (T, B, K).
 
-    force_limit: a touch ends with the first frame past it [N]. tolerance: unbalanced over contact force [-].
+    force_limit: a touch ends before the first frame past it [N]. tolerance: unbalanced over contact force [-].
     """
 
     plant: wp.array(dtype=wp.int32)
@@ -55,7 +55,7 @@ class Touches:
 @wp.struct
 class Work:
     """State and scratch. x, q: nodes now; *_start: at the step's start; *_try: in the line search (B, N). active, order, strained, rider: of the active part of the
-    tree (B, N). g: gradient, step: Newton's, diagonal, coupling: 6 x 6 blocks and then their factors (B, N). mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment` (B, N). cap_*: capsules now and at the start (B, K).
+    tree (B, N). g: gradient, step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment` (B, N). cap_*: capsules now and at the start (B, K).
     Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
     gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
     of friction [N]; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). ended: 1 past the force limit (B,).
@@ -75,6 +75,9 @@ class Work:
     step: wp.array2d(dtype=wp.spatial_vectord)
     diagonal: wp.array2d(dtype=wp.spatial_matrixd)
     coupling: wp.array2d(dtype=wp.spatial_matrixd)
+    across: wp.array2d(dtype=wp.spatial_matrixd)
+    x_keep: wp.array2d(dtype=wp.vec3d)
+    q_keep: wp.array2d(dtype=wp.quatd)
     mid: wp.array2d(dtype=wp.quatd)
     stretch: wp.array2d(dtype=wp.vec3d)
     half_turn: wp.array2d(dtype=wp.vec3d)

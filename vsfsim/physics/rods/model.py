@@ -13,7 +13,7 @@ SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a roun
 SAMPLE_SPACING = 0.004  # m along a branch: the sagitta of half of it under a forearm is 0.06 mm
 BLADE_SPACING = 0.008  # m across a leaf blade
 STIFFER = 1000.0  # contact penalty over the stiffness of the plant at that point: a touch goes in by a thousandth of what it bends
-PENALTY = (1e3, 1e8)  # N/m, limits of the penalty
+PENALTY = (1e2, 1e8)  # N/m, limits of the penalty
 _ROUNDING = 2.2e-16
 
 

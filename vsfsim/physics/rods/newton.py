@@ -7,12 +7,16 @@ from vsfsim.physics.rods.arrays import Touches, Trees, Work
 from vsfsim.physics.rods.search import activate, gather, ride, surface_point
 from vsfsim.physics.rods.segment import HALF, ONE, TINY, ZERO, energy, gradient, mat66, quat, real, second, six, strain, vec3
 from vsfsim.physics.rods.touching import (
+    add_mixed,
     add_point,
     friction_energy,
     friction_force,
     friction_hessian,
     gap_of,
+    normal_energy,
+    normal_force,
     normal_hessian,
+    normal_stiffness,
     point_at,
     slip,
     turn_hessian,
@@ -25,8 +29,11 @@ vec6 = wp.spatial_vectord
 MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be listed [m]
 MOVE = wp.constant(wp.float64(0.005))  # longest way of any node in one iteration [m]: under half of the thinnest capsule, so nothing is jumped
 TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
+FAINT = wp.constant(wp.float64(0.02))  # contact forces under this count as this in the residual: a thousandth of what a joint's torque sensor can tell [N]
 NEWTON = wp.constant(60)
 HALVINGS = wp.constant(12)
+SHRINK = wp.constant(wp.float64(0.7))  # of the unbalanced force, by a step that no potential vouches for
+CAREFUL = wp.constant(2)  # steps down the potential after one that was taken back
 OK, ITERATIONS, STALLED, NOT_FINITE, PATCH = (wp.constant(k) for k in (0, 1, 3, 4, 5))  # frames.Reason
 
 
@@ -44,17 +51,19 @@ def renew(tree: Trees, touch: Touches, w: Work, b: int, o: int, side: int):
         cq = w.cap_q[b, k]
         y = point_at(tree.along[j], tree.offset[j], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
         gap = gap_of(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
-        force = tree.penalty[j] * wp.max(-gap.value, ZERO)
+        force = normal_force(wp.max(-gap.value, ZERO), tree.penalty[j])
         total = total + force
         w.tau[side, b, c] = mu * force
         w.normal[side, b, c] = gap.normal
+        if gap.value < ZERO and w.stuck[side, b, c] == 0:
+            free = w.gap0[side, b, c] / wp.max(w.gap0[side, b, c] - gap.value, TINY)
+            ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
+            met = w.local0[side, b, c]
+            w.anchor[side, b, c] = met + free * (wp.quat_rotate_inv(cq, ys - cx) - met)
+            w.stuck[side, b, c] = 2
+        if gap.value >= ZERO and w.stuck[side, b, c] == 2:
+            w.stuck[side, b, c] = 0  # it left again before the step was over
         place = w.anchor[side, b, c]
-        if w.stuck[side, b, c] == 0:
-            place = w.local0[side, b, c]
-            if gap.value < ZERO:
-                free = w.gap0[side, b, c] / wp.max(w.gap0[side, b, c] - gap.value, TINY)
-                ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
-                place = place + free * (wp.quat_rotate_inv(cq, ys - cx) - place)
         w.hold[side, b, c] = cx + wp.quat_rotate(cq, place)
     return total
 
@@ -71,7 +80,7 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, b: int, o: int, side: i
         y = point_at(tree.along[j], tree.offset[j], x[b, p], q[b, p], x[b, i], q[b, i])
         gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
-            out = out + HALF * tree.penalty[j] * gap.value * gap.value
+            out = out + normal_energy(-gap.value, tree.penalty[j])
         if w.tau[side, b, c] > ZERO:
             ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], x[b, p], q[b, p], x[b, i], q[b, i])
             u = slip(w.normal[side, b, c], ys, w.hold[side, b, c])
@@ -92,6 +101,7 @@ def stiffen(w: Work, b: int, p: int, i: int, s: real, h: wp.mat33d, lp: vec3, lc
     w.diagonal[b, p] = w.diagonal[b, p] + add_point(h, lp, lc, s, 0, 0)
     w.diagonal[b, i] = w.diagonal[b, i] + add_point(h, lp, lc, s, 1, 1)
     w.coupling[b, i] = w.coupling[b, i] + add_point(h, lp, lc, s, 1, 0)
+    w.across[b, i] = w.across[b, i] + add_point(h, lp, lc, s, 0, 1)
 
 
 @wp.func
@@ -105,8 +115,18 @@ def curve(w: Work, b: int, i: int, h: wp.mat33d):
 
 
 @wp.func
-def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, geometric: real):
-    """Gradient and blocks of the second derivative at the present state."""
+def couple(w: Work, b: int, p: int, i: int, s: real, h: wp.mat33d, lps: vec3, lcs: vec3, lp: vec3, lc: vec3):
+    """Adds J_s^T h J: the derivative of a force at the surface (levers ``lps``, ``lcs``) by the place of the sample (``lp``, ``lc``). It is not symmetric."""
+    w.diagonal[b, p] = w.diagonal[b, p] + add_mixed(h, lps, lp, (ONE - s) * (ONE - s))
+    w.diagonal[b, i] = w.diagonal[b, i] + add_mixed(h, lcs, lc, s * s)
+    w.coupling[b, i] = w.coupling[b, i] + add_mixed(h, lcs, lp, s * (ONE - s))
+    w.across[b, i] = w.across[b, i] + add_mixed(h, lps, lc, s * (ONE - s))
+
+
+@wp.func
+def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, geometric: real, coulomb: int):
+    """Gradient and blocks of the second derivative at the present state; with ``coulomb`` the limit of friction follows the normal force. How many samples slip."""
+    slipping = int(0)
     for a in range(count):
         i = w.order[b, a]
         w.g[b, i] = vec6()
@@ -125,6 +145,7 @@ def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, s
         w.diagonal[b, i] = w.diagonal[b, i] + h.child
         w.diagonal[b, p] = w.diagonal[b, p] + h.parent
         w.coupling[b, i] = h.mixed
+        w.across[b, i] = wp.transpose(h.mixed)
     for c in range(w.count[side, b]):
         i = w.node[side, b, c]
         k = w.body[side, b, c]
@@ -137,7 +158,7 @@ def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, s
         gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
             kn = tree.penalty[j]
-            fn = (kn * gap.value) * gap.normal
+            fn = -normal_force(-gap.value, kn) * gap.normal
             push(w, b, p, i, al, fn, lp, lc)
             stiffen(w, b, p, i, al, normal_hessian(gap, kn, geometric), lp, lc)
             if geometric > ZERO:
@@ -155,6 +176,12 @@ def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, s
                 if geometric > ZERO:
                     curve(w, b, p, (ONE - al) * turn_hessian(ft, lps))
                     curve(w, b, i, al * turn_hessian(ft, lcs))
+                size = wp.length(u)
+                if kn * size > w.tau[side, b, c]:
+                    slipping = slipping + 1
+                    if coulomb == 1:
+                        couple(w, b, p, i, al, (-touch.friction[b] * normal_stiffness(-gap.value, kn) / size) * wp.outer(u, gap.normal), lps, lcs, lp, lc)
+    return slipping
 
 
 @wp.func
@@ -239,6 +266,69 @@ def solve(tree: Trees, w: Work, b: int, o: int, count: int):
 
 
 @wp.func
+def solve_coulomb(tree: Trees, w: Work, b: int, o: int, count: int):
+    """As `solve`, for a tangent that is not symmetric: Gauss's elimination with pivots within the blocks. 1, or 0 where a pivot is lost."""
+    for a in range(count):
+        i = w.order[b, a]
+        w.step[b, i] = -w.g[b, i]
+    for back in range(1, count):
+        i = w.order[b, count - back]
+        p = tree.parent[o + i]
+        d = w.diagonal[b, i]
+        y = w.coupling[b, i]
+        r = w.step[b, i]
+        up = w.across[b, i]
+        for k in range(6):
+            best = k
+            for m in range(k + 1, 6):
+                if wp.abs(d[m, k]) > wp.abs(d[best, k]):
+                    best = m
+            if not wp.abs(d[best, k]) > ZERO:
+                return 0
+            if best != k:
+                for c in range(6):
+                    t = d[k, c]
+                    d[k, c] = d[best, c]
+                    d[best, c] = t
+                    t = y[k, c]
+                    y[k, c] = y[best, c]
+                    y[best, c] = t
+                t = r[k]
+                r[k] = r[best]
+                r[best] = t
+            inverse = ONE / d[k, k]
+            for m in range(k + 1, 6):
+                f = d[m, k] * inverse
+                if f != ZERO:
+                    for c in range(k + 1, 6):
+                        d[m, c] = d[m, c] - f * d[k, c]
+                    for c in range(6):
+                        y[m, c] = y[m, c] - f * y[k, c]
+                    r[m] = r[m] - f * r[k]
+        for low in range(6):
+            k = 5 - low
+            inverse = ONE / d[k, k]
+            for m in range(k + 1, 6):
+                f = d[k, m]
+                for c in range(6):
+                    y[k, c] = y[k, c] - f * y[m, c]
+                r[k] = r[k] - f * r[m]
+            for c in range(6):
+                y[k, c] = y[k, c] * inverse
+            r[k] = r[k] * inverse
+        w.coupling[b, i] = y
+        w.step[b, i] = r
+        if p > 0:
+            w.diagonal[b, p] = w.diagonal[b, p] - up * y
+            w.step[b, p] = w.step[b, p] - up * r
+    w.step[b, 0] = vec6()
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.step[b, i] = w.step[b, i] - w.coupling[b, i] * w.step[b, tree.parent[o + i]]
+    return 1
+
+
+@wp.func
 def turned(q: quat, spin: vec3):
     """exp(spin) q."""
     angle = wp.length(spin)
@@ -305,6 +395,24 @@ def accept(w: Work, b: int, count: int):
 
 
 @wp.func
+def keep(w: Work, b: int, count: int):
+    """Remembers the state, to come back to it."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.x_keep[b, i] = w.x[b, i]
+        w.q_keep[b, i] = w.q[b, i]
+
+
+@wp.func
+def restore(w: Work, b: int, count: int):
+    """Back to the state that `keep` remembers."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.x[b, i] = w.x_keep[b, i]
+        w.q[b, i] = w.q_keep[b, i]
+
+
+@wp.func
 def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: int, new: int, weighs: int, load: real):
     """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations, residual, active nodes."""
     count = int(0)
@@ -316,8 +424,11 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
     used = int(0)
     residual = ZERO
     small = int(0)
+    plain = int(0)
+    tried = int(0)
+    before = ZERO
     for it in range(NEWTON):
-        if moved > clear:
+        if moved > clear and tried == 0:
             ride(tree, w, b, o, n)
             listed, clear = gather(tree, touch, w, b, o, n, MARGIN, old, new)
             if listed < 0:
@@ -332,9 +443,16 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
                 reason = OK
                 break
         force = renew(tree, touch, w, b, o, new) + load
-        assemble(tree, touch, w, b, o, count, new, ONE)
+        slips = assemble(tree, touch, w, b, o, count, new, ONE, wp.where(plain > 0, 0, 1))
         rest = unbalanced(tree, w, b, o, count)
-        residual = rest / wp.max(force, tree.floor[touch.plant[b]] / touch.tolerance)
+        if tried == 1 and not rest < SHRINK * before:
+            # Newton's step with friction following the normal force did no good: back, and down the potential instead
+            restore(w, b, count)
+            tried = 0
+            plain = CAREFUL
+            continue
+        tried = 0
+        residual = rest / wp.max(wp.max(force, FAINT), tree.floor[touch.plant[b]] / touch.tolerance)
         if not wp.isfinite(rest):
             reason = NOT_FINITE
             break
@@ -342,8 +460,22 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
             reason = OK
             break
         used = used + 1
+        if slips > 0 and plain == 0:
+            if solve_coulomb(tree, w, b, o, count) == 1:
+                slope, way, turn = extent(tree, w, b, o, count)
+                if wp.isfinite(slope) and way < cap and turn < TURN:
+                    before = rest
+                    tried = 1
+                    keep(w, b, count)
+                    attempt(tree, w, b, o, count, ONE)
+                    accept(w, b, count)
+                    moved = moved + way
+                    continue
+            plain = 1
+            assemble(tree, touch, w, b, o, count, new, ONE, 0)
+        plain = wp.max(plain - 1, 0)
         if solve(tree, w, b, o, count) == 0:
-            assemble(tree, touch, w, b, o, count, new, ZERO)
+            assemble(tree, touch, w, b, o, count, new, ZERO, 0)
             if solve(tree, w, b, o, count) == 0:
                 reason = NOT_FINITE
                 break

@@ -80,7 +80,7 @@ def gather(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, margin:
                             w.body[new, b, m] = k
                             stuck = int(0)
                             if at < last and w.key[old, b, at] == key:
-                                stuck = w.stuck[old, b, at]
+                                stuck = wp.min(w.stuck[old, b, at], 1)
                                 w.anchor[new, b, m] = w.anchor[old, b, at]
                             w.stuck[new, b, m] = stuck
                             x0p = w.x_start[b, p]

@@ -22,10 +22,10 @@ ROOM = 512  # places for contacts (sample, capsule) of a touch
 
 @dataclass(frozen=True)
 class RodOptions:
-    """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. force_limit: a touch ends with the first frame past it [N].
+    """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. force_limit: a touch ends before the first frame past it [N].
     room: places for contacts of a touch. chunk: frames of one launch, for the progress and for memory."""
 
-    tolerance: float = 1e-5
+    tolerance: float = 1e-4
     force_limit: float = np.inf
     room: int = ROOM
     chunk: int = 32
@@ -154,15 +154,16 @@ class RodSolver:
             rest[i, :len(nodes)] = nodes
         turn = np.zeros((b, n, 4))
         turn[..., 3] = 1.0
-        for name in ("x", "x_start", "x_try"):
+        for name in ("x", "x_start", "x_try", "x_keep"):
             setattr(w, name, wp.array(rest, dtype=wp.vec3d))
-        for name in ("q", "q_start", "q_try"):
+        for name in ("q", "q_start", "q_try", "q_keep"):
             setattr(w, name, wp.array(turn, dtype=wp.quatd))
         for name in ("active", "order", "strained"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.int32))
         w.rider = wp.zeros((b, n), dtype=wp.float64)
         w.g, w.step = wp.zeros((b, n), dtype=wp.spatial_vectord), wp.zeros((b, n), dtype=wp.spatial_vectord)
         w.diagonal, w.coupling = wp.zeros((b, n), dtype=wp.spatial_matrixd), wp.zeros((b, n), dtype=wp.spatial_matrixd)
+        w.across = wp.zeros((b, n), dtype=wp.spatial_matrixd)
         w.mid = wp.zeros((b, n), dtype=wp.quatd)
         for name in ("stretch", "half_turn", "rate"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.vec3d))
@@ -179,7 +180,7 @@ class RodSolver:
         return w
 
     def _frames(self, out: Results, count: np.ndarray, ended: np.ndarray, plant: np.ndarray, keep_nodes: bool) -> RodFrames:
-        done = np.where(ended > 0, np.minimum(ended, count), count)
+        done = np.where(ended > 0, np.minimum(ended - 1, count), count)
         t = out.residual.shape[0]
         solved = np.arange(t)[:, None] < done[None, :]
         reaction = out.reaction.numpy()

@@ -1,12 +1,13 @@
 """Contact of samples on a plant with rigid capsules: gap, penalty, and Coulomb's friction with memory.
 
-    Pi_n = k/2 <-gap>^2,   gap = |y - nearest point of the capsule's axis| - R - r
+    Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
     Pi_t = Huber(k |u_t|; tau): k u^2/2 while k u <= tau, else tau u - tau^2 / (2 k)
 
-y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch around it. Friction acts
-on the surface, y_s = y - r n with the n of the step's start carried along by the nodes, so a branch may roll. tau = mu k <-gap> is renewed in every Newton iteration and
+y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch around it. The penalty k hardens at h = 1 mm, so that soft
+leaves may have a soft one, which Newton's method wants, and are still not gone through. Friction acts
+on the surface, y_s = y - r n with the n of the step's start carried along by the nodes, so a branch may roll. tau = mu dPi_n/dp is renewed in every Newton iteration and
 is a constant for its line search (a sequence of Tresca problems). u_t is the way of y_s over the capsule from where it stuck; a point that
-came into contact within the step stuck where its way met the surface.
+comes into contact within the step sticks where its straight way met the surface, as the first iterate inside has it.
 """
 
 import warp as wp
@@ -17,6 +18,7 @@ from vsfsim.physics.rods.segment import HALF, ONE, ZERO, mat33, quat, real, vec3
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 NEAR = wp.constant(wp.float64(1e-12))
+HARD = wp.constant(wp.float64(1e-3))
 
 
 @wp.struct
@@ -55,12 +57,28 @@ def gap_of(y: vec3, r: real, cx: vec3, cq: quat, half: real, radius: real):
 
 
 @wp.func
+def normal_energy(p: real, k: real):
+    return k * p * p * (HALF + p / (real(3.0) * HARD))
+
+
+@wp.func
+def normal_force(p: real, k: real):
+    """Of a penetration p >= 0 [N]."""
+    return k * p * (ONE + p / HARD)
+
+
+@wp.func
+def normal_stiffness(p: real, k: real):
+    return k * (ONE + real(2.0) * p / HARD)
+
+
+@wp.func
 def normal_hessian(g: Gap, k: real, geometric: real):
     """Second derivative of Pi_n by y; the curvature of the capsule lowers it."""
     eye = wp.identity(n=3, dtype=real)
     nn = wp.outer(g.normal, g.normal)
     bend = eye - nn - wp.outer(g.axis, g.axis)
-    return k * nn + (geometric * k * g.value / wp.max(g.away, NEAR)) * bend
+    return normal_stiffness(-g.value, k) * nn - (geometric * normal_force(-g.value, k) / wp.max(g.away, NEAR)) * bend
 
 
 @wp.func
@@ -115,13 +133,18 @@ def add_point(h: mat33, lp: vec3, lc: vec3, s: real, row: int, column: int):
     if column == 1:
         wc = s
         lcol = lc
-    f = wr * wc
-    jr = wp.skew(lr)  # J^T of a spin: (-[l])^T = [l]
-    jc = -wp.skew(lcol)
-    tl = f * h
-    tr = f * (h * jc)
-    bl = f * (jr * h)
-    br = f * (jr * (h * jc))
+    return add_mixed(h, lr, lcol, wr * wc)
+
+
+@wp.func
+def add_mixed(h: mat33, row_lever: vec3, column_lever: vec3, weight: real):
+    """J_r^T h J_c for points that move with nodes by the levers given: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
+    jr = wp.skew(row_lever)  # J^T of a spin: (-[l])^T = [l]
+    jc = -wp.skew(column_lever)
+    tl = weight * h
+    tr = tl * jc
+    bl = jr * tl
+    br = jr * tr
     out = wp.spatial_matrixd()
     for i in range(3):
         for j in range(3):
