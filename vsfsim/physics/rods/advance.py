@@ -4,7 +4,8 @@ import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
-from vsfsim.physics.rods.newton import balance, vec6
+from vsfsim.physics.rods.assembly import vec6
+from vsfsim.physics.rods.newton import balance
 from vsfsim.physics.rods.search import surface_point
 from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, quat, real, six, strain, vec3
 from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip

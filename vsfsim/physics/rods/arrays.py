@@ -55,10 +55,10 @@ class Touches:
 @wp.struct
 class Work:
     """State and scratch. x, q: nodes now; *_start: at the step's start; *_try: in the line search (B, N). active, order, strained, rider: of the active part of the
-    tree (B, N). g: gradient, step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment` (B, N). cap_*: capsules now and at the start (B, K).
+    tree; clear: of segments from capsules, room: of nodes to move in (B, N) [m]. g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment`; relative: spin over it (B, N). cap_*: capsules now and at the start (B, K).
     Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
     gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
-    of friction [N]; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). ended: 1 past the force limit (B,).
+    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). ended: 1 past the force limit (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
@@ -71,8 +71,13 @@ class Work:
     order: wp.array2d(dtype=wp.int32)
     strained: wp.array2d(dtype=wp.int32)
     rider: wp.array2d(dtype=wp.float64)
+    clear: wp.array2d(dtype=wp.float64)
+    room: wp.array2d(dtype=wp.float64)
     g: wp.array2d(dtype=wp.spatial_vectord)
+    elastic: wp.array2d(dtype=wp.spatial_vectord)
     step: wp.array2d(dtype=wp.spatial_vectord)
+    own: wp.array2d(dtype=wp.spatial_matrixd)
+    mixed: wp.array2d(dtype=wp.spatial_matrixd)
     diagonal: wp.array2d(dtype=wp.spatial_matrixd)
     coupling: wp.array2d(dtype=wp.spatial_matrixd)
     across: wp.array2d(dtype=wp.spatial_matrixd)
@@ -82,6 +87,7 @@ class Work:
     stretch: wp.array2d(dtype=wp.vec3d)
     half_turn: wp.array2d(dtype=wp.vec3d)
     rate: wp.array2d(dtype=wp.vec3d)
+    relative: wp.array2d(dtype=wp.vec3d)
     cap_x: wp.array2d(dtype=wp.vec3d)
     cap_q: wp.array2d(dtype=wp.quatd)
     cap_x_start: wp.array2d(dtype=wp.vec3d)
@@ -96,6 +102,8 @@ class Work:
     local0: wp.array3d(dtype=wp.vec3d)
     lever: wp.array3d(dtype=wp.vec3d)
     tau: wp.array3d(dtype=wp.float64)
+    depth: wp.array3d(dtype=wp.float64)
+    on: wp.array3d(dtype=wp.int32)
     normal: wp.array3d(dtype=wp.vec3d)
     hold: wp.array3d(dtype=wp.vec3d)
     count: wp.array2d(dtype=wp.int32)

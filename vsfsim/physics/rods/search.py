@@ -37,9 +37,8 @@ def surface_point(tree: Trees, w: Work, b: int, p: int, i: int, j: int, lever: v
 
 @wp.func
 def gather(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, margin: real, old: int, new: int):
-    """Lists all pairs of sample and capsule nearer than ``margin``; those of the list ``old`` keep their anchors. The number, or -1 if there is no
-    room; and how far the other pairs are apart at least [m]."""
-    clear = real(1.0)
+    """Lists all pairs of sample and capsule nearer than ``margin``; those of the list ``old`` keep their anchors. ``w.clear``: how far each segment is from all capsules, a lower bound. The
+    number of pairs, or -1 if there is no room."""
     m = int(0)
     at = int(0)
     last = w.count[old, b]
@@ -52,25 +51,23 @@ def gather(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, margin:
         qp = w.q[b, p]
         qc = w.q[b, i]
         mid = HALF * (xp + xc)
-        around = HALF * wp.length(xc - xp) + tree.bound[o + i] + margin
+        around = HALF * wp.length(xc - xp) + tree.bound[o + i]
+        clear = real(1.0)
         for k in range(bodies):
             cx = w.cap_x[b, k]
             far = around + touch.radius[k]
-            apart = wp.length(mid - cx) - far - touch.half[k]
-            if apart > ZERO:
-                clear = wp.min(clear, apart + margin)
-            else:
-                clear = wp.min(clear, margin)
+            if wp.length(mid - cx) - far - touch.half[k] < clear:
                 local = wp.quat_rotate_inv(w.cap_q[b, k], mid - cx)
-                z = local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k])
-                if local[0] * local[0] + local[1] * local[1] + z * z < far * far:
+                apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k]))) - far
+                clear = wp.min(clear, apart)
+                if apart < margin:
                     begin = tree.sample[o + i]
                     for j in range(begin, tree.sample[o + i + 1]):
                         y = point_at(tree.along[j], tree.offset[j], xp, qp, xc, qc)
                         gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
                         if gap.value < margin:
                             if m >= room:
-                                return -1, clear
+                                return -1
                             key = (i * bodies + k) * SAMPLES + (j - begin)
                             while at < last and w.key[old, b, at] < key:
                                 at = at + 1
@@ -95,8 +92,9 @@ def gather(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, margin:
                             w.local0[new, b, m] = wp.quat_rotate_inv(w.cap_q_start[b, k], y0 + lever - w.cap_x_start[b, k])
                             w.tau[new, b, m] = ZERO
                             m = m + 1
+        w.clear[b, i] = clear
     w.count[new, b] = m
-    return m, clear
+    return m
 
 
 @wp.func
@@ -108,13 +106,20 @@ def activate(tree: Trees, w: Work, b: int, o: int, n: int, side: int, weighs: in
     for c in range(w.count[side, b]):
         w.active[b, w.node[side, b, c]] = 1
     w.active[b, 0] = 1
+    w.clear[b, 0] = real(1.0)
     for back in range(1, n):
         i = n - back
         p = tree.parent[o + i]
         if w.active[b, i] == 1:
             w.active[b, p] = 1
+        else:
+            w.clear[b, p] = wp.min(w.clear[b, p], w.clear[b, i])  # what rides on a node goes with it
+    # a node moves its own segment and those above it
     for i in range(1, n):
         p = tree.parent[o + i]
+        w.room[b, i] = w.clear[b, i]
+        if w.active[b, i] == 1:
+            w.room[b, p] = wp.min(w.room[b, p], w.clear[b, i])
         if w.active[b, i] == 0 and w.active[b, p] == 1:
             w.rider[b, p] = wp.max(w.rider[b, p], tree.length[o + i] + tree.reach[o + i])
     count = int(0)

@@ -160,20 +160,22 @@ class RodSolver:
             setattr(w, name, wp.array(turn, dtype=wp.quatd))
         for name in ("active", "order", "strained"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.int32))
-        w.rider = wp.zeros((b, n), dtype=wp.float64)
-        w.g, w.step = wp.zeros((b, n), dtype=wp.spatial_vectord), wp.zeros((b, n), dtype=wp.spatial_vectord)
-        w.diagonal, w.coupling = wp.zeros((b, n), dtype=wp.spatial_matrixd), wp.zeros((b, n), dtype=wp.spatial_matrixd)
-        w.across = wp.zeros((b, n), dtype=wp.spatial_matrixd)
+        for name in ("rider", "clear", "room"):
+            setattr(w, name, wp.zeros((b, n), dtype=wp.float64))
+        for name in ("g", "elastic", "step"):
+            setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_vectord))
+        for name in ("own", "mixed", "diagonal", "coupling", "across"):
+            setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_matrixd))
         w.mid = wp.zeros((b, n), dtype=wp.quatd)
-        for name in ("stretch", "half_turn", "rate"):
+        for name in ("stretch", "half_turn", "rate", "relative"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.vec3d))
         for name, dtype in (("cap_x", wp.vec3d), ("cap_q", wp.quatd), ("cap_x_start", wp.vec3d), ("cap_q_start", wp.quatd)):
             setattr(w, name, wp.zeros((b, k), dtype=dtype))
-        for name in ("key", "sample", "node", "body", "stuck"):
+        for name in ("key", "sample", "node", "body", "stuck", "on"):
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.int32))
         for name in ("anchor", "local0", "lever", "normal", "hold"):
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.vec3d))
-        for name in ("gap0", "tau"):
+        for name in ("gap0", "tau", "depth"):
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.float64))
         w.count = wp.zeros((2, b), dtype=wp.int32)
         w.side, w.ended = wp.zeros(b, dtype=wp.int32), wp.zeros(b, dtype=wp.int32)
