@@ -83,7 +83,7 @@ FIELDS: tuple[Field, ...] = (
     _touch("touched", "bool", "", "1", "The probe met the object in at least one frame."),
     _touch("reason", "int64", "T", "1", "0 for a good frame, else 1 + an index into reason_names."),
     _touch("reason_names", TEXT, "Q", "1", "What the codes of reason mean."),
-    _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance.", masked=True),
+    _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: over 0.1 N at least.", masked=True),
     _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, required=False),
     _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object.", masked=True),
     _touch("audit/penetration", "float64", "T", "m", "Deepest quadrature point of the surface inside the probe.", masked=True),

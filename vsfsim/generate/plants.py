@@ -14,7 +14,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.plant import Plant
-from vsfsim.core.scene import CameraSpec, Scene, TouchSpec
+from vsfsim.core.scene import CameraSpec, Scene, TouchSpec, parse_scene
 from vsfsim.core.shape import Family
 from vsfsim.core.shelf import families
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, View
@@ -33,6 +33,7 @@ from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import kinect_depth
 
 REASONS = tuple(reason.text for reason in Reason if reason != Reason.NONE)
+_DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 BATCH = 512  # touches that advance together on a GPU; on a CPU one thread does them one after the other, and the bits are the same
 
 
@@ -46,6 +47,34 @@ class Seconds:
         now = time.perf_counter()
         self.spent[stage] += now - since
         return now
+
+
+def make_views(jobs: Sequence[Any], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+    """The object views of some jobs (`generate.run.Job`), touched together.
+
+    Args:
+        device: Warp device. progress: called with the number of frames newly done. seconds: where the time is charged.
+    """
+    return touch([prepare_job(job, device=device, seconds=seconds) for job in jobs], device=device, progress=progress, seconds=seconds)
+
+
+def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Subject:
+    """The view of a job, ready to be touched."""
+    from vsfsim.generate.run import _AIM, _BODY, _SCENE, stream
+
+    r = job.recipe
+    scene = parse_scene(r.scene_text, job.path).sample(stream(r.seed, _SCENE, job.object_index))
+    assert scene.arm is not None and scene.touches is not None
+    if "arm" in r.options:
+        scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, model=r.options["arm"]))
+    o, v = job.object_index, job.view_index
+
+    def seeds(name: str) -> np.random.SeedSequence:
+        if name == "body":
+            return stream(r.seed, _BODY, o)
+        return stream(r.seed, _DEPTH, o, v) if name == "depth" else stream(r.seed, _AIM, o, v, int(name.split()[1]))
+
+    return prepare(scene, dataclasses.replace(scene.touches, count=r.touches), seeds, name=job.name, split=job.split, numbers=(o, v), views=r.views, device=device, renderer=r.renderer, seconds=seconds)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from vsfsim.physics.rods.advance import advance
 from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
 from vsfsim.physics.rods.model import RodError, RodModel
 
+SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
 
 
@@ -38,7 +39,8 @@ class RodFrames:
     frames: of each touch that were solved (B,). force: on each capsule (T, B, K, 3) [N]; moment: about its origin, world (T, B, K, 3) [N m].
     reaction: force of the pot on the plant (T, B, 3) [N]; reaction_moment: about the clamped node (T, B, 3) [N m]. converged: (T, B). reason: `frames.Reason`
     (T, B). residual: (T, B) [-]. iterations: Newton's (T, B). energy: elastic (T, B) [J]. penetration: deepest sample inside a capsule (T, B) [m].
-    contacts: samples in contact (T, B). slipping: their share that slips (T, B) [-]. force_balance: |force on capsules - reaction - weight| over the larger (T, B) [-].
+    contacts: samples in contact (T, B). slipping: their share that slips (T, B) [-]. force_balance: |force on capsules - reaction - weight| over the larger, or over 0.1 N
+    (T, B) [-].
     nodes: positions (T, B, N, 3) [m], turns: quaternions x y z w (T, B, N, 4), or None.
     """
 
@@ -194,7 +196,7 @@ class RodSolver:
         weight -= np.stack([self.models[p].weight[0] for p in plant])  # what rests on the clamp itself bends nothing
         whole = force.sum(axis=2)
         gap = np.linalg.norm(whole - root - weight, axis=-1)
-        size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), 1e-6)
+        size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
         floats = [np.where(solved, a.numpy(), np.nan) for a in (out.residual, out.energy, out.penetration, out.slipping)]
         for array in (force, moment, root, root_moment):
             array[~solved] = np.nan
