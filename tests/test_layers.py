@@ -41,7 +41,7 @@ HEAVY = {
     "data": {"numpy", "h5py"},
     "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild", "cholespy"},
     "robot": {"numpy", "mujoco"},
-    "sensing": {"numpy", "warp", "pyrender", "matplotlib"},
+    "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch"},
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "bench": {"numpy", "h5py"},

@@ -55,3 +55,28 @@ def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the
     from vsfsim.vsf.side_by_side import compare, table
 
     print(table(compare(particles, touches, frames, literal=literal, progress=lambda done, total, what: print(f"  {what} ...", file=sys.stderr, flush=True))))
+
+
+@app.command("pressure-law")
+def pressure_law(dataset: Annotated[Path, typer.Argument(help="Folder of a dataset made with a bubble.")],
+                 plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
+                 area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
+                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
+    from vsfsim.cli import _check_writable
+    from vsfsim.data.dataset import Dataset
+    from vsfsim.generate import bench_pressure_law as law
+
+    stdout = out is not None and str(out) == "-"
+    for name, path in (("--plot", plot), ("--json", None if stdout else out)):
+        _check_writable(name, path)
+    found = law.readings(Dataset.open(dataset, blind=True))
+    result = law.study(found, area=area)
+    if plot is not None:
+        law.plot(found, result, plot)
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(law.table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

@@ -1,12 +1,13 @@
-"""A force sensor's noise, put on clean touches when a task loads them.
+"""A sensor's noise, put on clean touches when a task loads them.
 
-The reading of frame t of a touch is f(t) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once a touch, and
+Force: the reading of frame t of a touch is f(t - lag) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once a touch, and
 white noise w, each normal and independent in x, y, z. Then the touch is tared: the mean of its first contact-free
-frames is taken off, as one does with a real sensor.
+frames is taken off, as one does with a real sensor. The air-filled bubble's readings are in `vsfsim.bench.noise_bubble`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,13 @@ class Noise:
     drift_std: change from the first to the last frame of a touch, per component [N].
     tare_frames: at most so many leading contact-free frames are averaged and taken off; 0 for no tare.
     seed: root of the streams, >= 0; each touch of each view of each object has its own.
+    force_lag: by how much the force is late against the pressure [s].
+    pressure_std: white noise of every frame [Pa]. pressure_drift: mean rate [Pa/s]; pressure_drift_std: its spread over touches [Pa/s].
+    relaxation: share of a change of pressure that is seen too much at first and then goes [-]; relaxation_time: with which time constant [s].
+    depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much images, and the node positions
+    made from them, are late against the pressure [s].
+    torque_std: white noise of a torque sensor of joints 1 to 4 [N m]; torque_offset_std: constant through a touch [N m]; torque_drift_std: random walk, after one second
+    [N m]. Those of the smaller joints 5 to 7 are half as large.
     """
 
     force_std: float
@@ -27,31 +35,88 @@ class Noise:
     drift_std: float
     tare_frames: int
     seed: int
+    force_lag: float = 0.0
+    pressure_std: float = 0.0
+    pressure_drift: float = 0.0
+    pressure_drift_std: float = 0.0
+    relaxation: float = 0.0
+    relaxation_time: float = 0.15
+    depth_std: float = 0.0
+    depth_quantum: float = 0.0
+    image_lag: float = 0.0
+    torque_std: float = 0.0
+    torque_offset_std: float = 0.0
+    torque_drift_std: float = 0.0
 
+
+NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
+    "punyo": {
+        "force_std": 0.14, "force_lag": 0.019,  # images lag pressure by 77 ms and wrench by 58 ms: the wrench is 19 ms late
+        "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
+        "relaxation": 0.02, "relaxation_time": 0.15,
+        "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
+    },
+    "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},  # those of `vsfsim.robot.torque_sensor`, with their sources
+}
+"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real one at 30 Hz.
+"gen3": the joint torques of a Kinova Gen3."""
+
+SIGNED = ("pressure_drift",)
+"""Keys that may be negative."""
 
 FREE_FORCE = 1e-6
 """A frame is contact-free if the clean force is under this [N]: round-off of the solver, far under any sensor."""
 
 
-def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
+def stream(noise: Noise, object_index: int, view_index: int, touch_index: int, *channel: int) -> np.random.Generator:
+    """The random stream of one touch; ``channel`` separates the sensors from the force, which has none."""
+    return np.random.default_rng(np.random.SeedSequence(noise.seed, spawn_key=(object_index, view_index, touch_index, *channel)))
+
+
+def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int, time: np.ndarray | None = None) -> np.ndarray:
     """The clean force of a touch as a real sensor would have shown it.
 
     Args:
         force: clean contact force on the probe (T, 3) [N]; NaN rows (unconverged frames) stay NaN.
         noise: how much of it.
         object_index, view_index, touch_index: which touch; they choose the random stream.
+        time: of the frames (T,) [s]; needed with a ``force_lag``.
 
     Returns:
         (T, 3) [N].
     """
-    stream = np.random.SeedSequence(noise.seed, spawn_key=(object_index, view_index, touch_index))
-    rng = np.random.default_rng(stream)
+    rng = stream(noise, object_index, view_index, touch_index)
     frames = len(force)
     offset = noise.offset_std * rng.standard_normal(3)
     drift = noise.drift_std * rng.standard_normal(3)
     white = noise.force_std * rng.standard_normal((frames, 3))
-    out = force + offset + drift * np.linspace(0.0, 1.0, frames)[:, None] + white
+    late = delayed(force, time, noise.force_lag) if noise.force_lag else force
+    return tared(late + offset + drift * np.linspace(0.0, 1.0, frames)[:, None] + white, force, noise)
+
+
+def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
+    """``reading`` (T, ...) less the mean of its first contact-free frames; ``force`` (T, 3) [N] is the clean one, which says where those are."""
     free = np.linalg.norm(np.nan_to_num(force, nan=np.inf), axis=1) < FREE_FORCE
-    leading = frames if free.all() else int(np.argmin(free))
+    leading = len(force) if free.all() else int(np.argmin(free))
     tare = min(leading, noise.tare_frames)
-    return out - out[:tare].mean(axis=0) if tare else out
+    return reading - reading[:tare].mean(axis=0) if tare else reading
+
+
+def delayed(signal: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
+    """What a sensor that is ``lag`` [s] late shows of a signal (T, ...) at the times (T,) [s].
+
+    Linear between the frames, and before the first one what that shows. Frames that hold a NaN are bridged and stay NaN themselves.
+    """
+    flat = signal.reshape(len(signal), -1)
+    good = np.isfinite(flat).all(axis=1)
+    if lag == 0.0 or not good.any():
+        return signal.copy()
+    known, at = np.asarray(time, float)[good], np.asarray(time, float) - lag
+    after = np.clip(np.searchsorted(known, at), 1, max(len(known) - 1, 1))
+    values = flat[good]
+    if len(known) == 1:
+        out = np.repeat(values, len(flat), axis=0)
+    else:
+        share = np.clip((at - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)[:, None]
+        out = (1.0 - share) * values[after - 1] + share * values[after]
+    return np.where(good[:, None], out, np.nan).reshape(signal.shape)

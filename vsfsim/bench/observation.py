@@ -15,7 +15,8 @@ class Observation:
     """How a force becomes a reading.
 
     name: e.g. "normal-force". unit: of a reading. size: numbers in a reading, d.
-    of: (force on the probe (T, 3) [N], press direction (3,)) -> readings (T, d). doc: one sentence.
+    of: (force on the probe (T, 3) [N], the pressure change (T,) [Pa], or the joint torques (T, 7) [N m]; press direction (3,)) -> readings (T, d). doc: one sentence.
+    source: which of them, "force", "pressure" or "torque".
     """
 
     name: str
@@ -23,6 +24,7 @@ class Observation:
     size: int
     of: Callable[[np.ndarray, np.ndarray], np.ndarray]
     doc: str
+    source: str = "force"
 
 
 OBSERVATIONS: Mapping[str, Observation] = {
@@ -31,6 +33,10 @@ OBSERVATIONS: Mapping[str, Observation] = {
                     "Component of the contact force on the probe against the press direction; positive when the object pushes back."),
         Observation("force-magnitude", "N", 1, lambda force, axis: np.linalg.norm(force, axis=1)[:, None],
                     "Norm of the contact force on the probe; noise makes it positive without contact."),
+        Observation("pressure", "Pa", 1, lambda pressure, axis: pressure[:, None],
+                    "Change of the bubble's gauge pressure against the free dome; positive when pressed.", "pressure"),
+        Observation("joint-torque", "N m", 7, lambda torque, axis: torque,
+                    "Torques of the contact on the seven joints of the arm, weight taken off (SBML eq. 7).", "torque"),
     )
 }
 

@@ -6,12 +6,12 @@ import os
 import re
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.metrics import READING_METRICS
-from vsfsim.bench.noise import Noise
+from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
 from vsfsim.bench.observation import Observation, observation
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean, unknown_key
 from vsfsim.core.shelf import find_task
@@ -137,8 +137,7 @@ def parse_task(text: str, path: str | Path) -> Task:
                            d.count("views", 1), d.count("touches", 1), d.text("tier", "auto"), d.text("sha256", ""))
     protocol = _protocol(top.table("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
     o = top.table("observation", ("kind",))
-    n = top.table("noise", ("force_std", "offset_std", "drift_std", "tare_frames", "seed"))
-    noise = Noise(n.number("force_std"), n.number("offset_std", 0.0), n.number("drift_std", 0.0), n.count("tare_frames", 0), n.count("seed", 0))
+    noise = _noise(top.table("noise", ("kind", *(f.name for f in fields(Noise)))))
     m = top.table("metrics", ("primary", "ranking_shot"))
     primary, ranking = m.text("primary"), str(m.need("ranking_shot"))
     if primary not in READING_METRICS:
@@ -194,6 +193,24 @@ def _protocol(t: _Table) -> Protocol:
     return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", 1), t.count("query", 1), t.count("seed", 0))
 
 
+def _noise(t: _Table) -> Noise:
+    kind = t.text("kind", "")
+    if kind and kind not in NOISE_KINDS:
+        raise TaskError(f"{t.where}: kind is '{kind}'. {did_you_mean(kind, NOISE_KINDS)}")
+    preset = NOISE_KINDS.get(kind, {})
+    values: dict[str, Any] = {}
+    for f in fields(Noise):
+        if f.name in ("tare_frames", "seed"):
+            values[f.name] = t.count(f.name, 0)
+            continue
+        # without a kind the force's noise must be said, as ever
+        default = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std" else f.default)
+        values[f.name] = t.signed(f.name, default) if f.name in SIGNED else t.number(f.name, default)
+    if not values["relaxation_time"] > 0.0:
+        raise TaskError(f"{t.where}: relaxation_time is 0; it must be greater than 0, in seconds.")
+    return Noise(**values)
+
+
 def _paper(t: _Table, protocol: Protocol) -> PaperRow:
     values = t.need("values")
     out: dict[str, tuple[float, float | None]] = {}
@@ -240,6 +257,12 @@ class _Table:
         if isinstance(value, bool) or not isinstance(value, int) or value < low:
             raise TaskError(f"{self.where}: {key} is {value!r}; it must be a whole number of at least {low}.")
         return value
+
+    def signed(self, key: str, default: float) -> float:
+        value = self._table.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
+            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a finite number.")
+        return float(value)
 
     def number(self, key: str, default: float | None = None) -> float:
         value = self.need(key) if default is None else self._table.get(key, default)

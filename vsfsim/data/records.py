@@ -72,8 +72,15 @@ class Touch:
     link_force, link_moment: of the contact on each of the arm's L links, world, moments about the origin of its frame (T, L, 3) [N, N m], or None.
     draws: how many targets were drawn until the arm could reach one, or None.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
+    rest_pressure: that of its free dome, a number [Pa], or None for a rigid probe.
+    moment: of the contact force on the sensor about the mount's origin, world (T, 3) [N m], or None for a rigid probe.
     node_position: sensor read-out vertices, world (T, N, 3) [m], or None if not kept.
     node_force: contact force on each read-out vertex, world (T, N, 3) [N], or None if not kept.
+    node_rest: read-out vertices of the free dome, mount frame (N, 3) [m], or None if not kept.
+    node_reference: their coordinates on the stress-free skin (N, 2) [m], or None if not kept.
+    node_triangles: of the read-out mesh, wound outwards (F, 3) int, or None if not kept.
+    inside_depth: what the camera in the bubble sees, distance along its axis, 0 where there is no skin (T, h, w) [m], or None if not kept.
+    inside_rgb: colour of the same (T, h, w, 3) uint8 sRGB, or None if not kept.
     """
 
     time: np.ndarray
@@ -96,8 +103,15 @@ class Touch:
     link_moment: np.ndarray | None = None
     draws: np.ndarray | None = None
     pressure: np.ndarray | None = None
+    rest_pressure: float | None = None
+    moment: np.ndarray | None = None
     node_position: np.ndarray | None = None
     node_force: np.ndarray | None = None
+    node_rest: np.ndarray | None = None
+    node_reference: np.ndarray | None = None
+    node_triangles: np.ndarray | None = None
+    inside_depth: np.ndarray | None = None
+    inside_rgb: np.ndarray | None = None
 
     def normal_force(self) -> np.ndarray:
         """Force of the object on the probe against the press direction (T,) [N]; positive when it pushes back."""

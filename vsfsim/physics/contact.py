@@ -4,7 +4,7 @@
     Pi_t = sum_q { v_q/2 |d|^2                       |d| <= tau/v_q   (sticks)
                  { tau |d| - tau^2/(2 v_q)           else             (slips),     tau = mu f_n, found before
 
-integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), never at vertices alone. g is the distance
+integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), or of every part of a linear one, never at vertices alone. g is the distance
 to the nearest rigid body, d the tangential way of the point from its anchor, the spot of the body where it last stuck. The limit tau and
 the normal of the tangent plane are held while Newton's method brings the forces into balance, which then has a potential, and renewed
 until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
@@ -28,6 +28,7 @@ from vsfsim.physics import sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
+SHEET = 10.0  # times that on linear faces: over a small ball a faceted sheet rests on its edges, i.e. on few of its points
 STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
 FACING = 0.5  # cosine between the object's and the body's outward normal above which a point inside the body counts as astray
 
@@ -44,7 +45,21 @@ def shape_values(bary: np.ndarray) -> np.ndarray:
                      *(4 * bary[:, i] * bary[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)
 
 
-SHAPE = shape_values(_BARY)  # (6 points, 6 nodes)
+def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
+    """Shape values of the six Gauss points of every part of a surface triangle (parts, 6 points, 6 nodes).
+
+    Args:
+        corners: nodes of the triangle: 6 quadratic, or 3 linear, whose last three columns are 0. cuts: parts along each edge; ``cuts`` ** 2 in all.
+    """
+    parts = []
+    for i in range(cuts):
+        for j in range(cuts - i):
+            ways = [((i, j), (i + 1, j), (i, j + 1))] + ([((i + 1, j), (i + 1, j + 1), (i, j + 1))] if i + j < cuts - 1 else [])
+            parts += [[[1.0 - (a + b) / cuts, a / cuts, b / cuts] for a, b in way] for way in ways]
+    bary = np.einsum("qk,pkc->pqc", _BARY, np.array(parts))
+    if corners == 3:
+        return np.concatenate([bary, np.zeros_like(bary)], axis=2)
+    return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(_BARY), 6)
 
 
 @functools.cache
@@ -56,17 +71,17 @@ def kernels() -> Any:
     real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    mat66 = wp.types.matrix(shape=(6, 6), dtype=real)
     module = "vsfsim_contact"
     probe = sdf.functions(real, module)
     facing = wp.constant(real(FACING))
 
     @wp.func(module=module)
-    def place(shape: mat66, q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        # Gauss point q of face f of touch b
+    def place(shape: wp.array3d(dtype=real), q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # Gauss point q of part f of touch b; the parts of one face follow one another
+        part = f % shape.shape[0]
         out = vec3()
         for a in range(6):
-            out += shape[q, a] * x[b, local[b, f, a]]
+            out += shape[part, q, a] * x[b, local[b, f, a]]
         return out
 
     @wp.func(module=module)
@@ -80,7 +95,7 @@ def kernels() -> Any:
     @wp.kernel(module=module, enable_backward=False)
     def evaluate(
         # model
-        shape: mat66,
+        shape: wp.array3d(dtype=real),
         bodies: probe.Bodies,
         count: int,
         columns: wp.array(dtype=wp.int32),
@@ -186,7 +201,7 @@ def kernels() -> Any:
     @wp.kernel(module=module, enable_backward=False)
     def lag(
         # model
-        shape: mat66,
+        shape: wp.array3d(dtype=real),
         bodies: probe.Bodies,
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
@@ -237,7 +252,7 @@ def kernels() -> Any:
     @wp.kernel(module=module, enable_backward=False)
     def settle(
         # model
-        shape: mat66,
+        shape: wp.array3d(dtype=real),
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
@@ -306,7 +321,7 @@ def kernels() -> Any:
 
     out = Kernels()
     out.evaluate, out.lag, out.settle, out.nearest = evaluate, lag, settle, nearest
-    out.vec3, out.mat33, out.mat66, out.sdf = vec3, mat33, mat66, probe
+    out.vec3, out.mat33, out.sdf = vec3, mat33, probe
     return out
 
 
@@ -314,8 +329,9 @@ def kernels() -> Any:
 class Patch:
     """The part of the surface that one touch can reach.
 
-    faces: boundary triangles (f,), increasing. nodes: their nodes (s,). local: position of each face's nodes in ``nodes`` (f, 6).
-    stiffness: w_q of each Gauss point (f, 6) [N/m].
+    faces: boundary triangles (f,), increasing. nodes: their nodes (s,). local: position of the nodes of each part of a face in ``nodes``,
+    parts of one face together (f parts, 6); a linear face has three, and any number in the other columns.
+    stiffness: w_q of each Gauss point (f parts, 6) [N/m].
     """
 
     faces: np.ndarray
@@ -324,13 +340,17 @@ class Patch:
     stiffness: np.ndarray
 
 
-def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray) -> Patch:
+def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, *, parts: int = 1) -> Patch:
     """The patch of some boundary triangles.
 
     Args:
-        mesh: the mesh. faces: their indices (f,). area: their areas (f,) [m^2]. modulus: Young's modulus under them (f,) [Pa].
+        mesh: the mesh; its faces have six nodes, or three. faces: their indices (f,). area: their areas (f,) [m^2].
+        modulus: Young's modulus under them (f,) [Pa]. parts: that each face is cut into, see `shape_table`.
     """
+    corners = mesh.faces.shape[1]
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
-    pressure_per_metre = PENALTY * modulus / np.sqrt(area)
-    stiffness = (area * pressure_per_metre)[:, None] * WEIGHTS[None, :]
-    return Patch(faces, nodes, local.reshape(len(faces), 6), stiffness)
+    padded = np.zeros((len(faces), 6), np.int64)
+    padded[:, :corners] = local.reshape(len(faces), corners)
+    pressure_per_metre = PENALTY * (SHEET if corners == 3 else 1.0) * modulus / np.sqrt(area)
+    stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
+    return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0))

@@ -101,12 +101,12 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
 @functools.lru_cache(maxsize=16)
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: int | None) -> DistanceGrid:
     # scan pulls in trimesh; a sphere does not need it. ``stamp`` is the file's time: an edited file is read again
-    from vsfsim.physics import scan
+    from vsfsim.physics import disk_cache, scan
 
     path = Path(shape.path)
     content = scan._content(path)
     key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, spacing, LONGEST, SHORTEST, MAX_NODES, _RECIPE)).encode()).hexdigest()
-    stored = (scan._cache_folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
+    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
     grid = _read(stored)
     if grid is None:
         began = time.perf_counter()

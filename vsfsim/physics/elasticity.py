@@ -11,6 +11,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements.block import Block
 from vsfsim.physics.model import Model
 
 _CHUNKS = 64  # partial sums of energy for each touch: enough threads for a GPU, and the same sum on every device
@@ -93,19 +94,116 @@ def kernels(real: type) -> Any:
         energy_out[b] = total
         det_out[b] = least
 
+    @wp.kernel(module=module, enable_backward=False)
+    def add_part(
+        # model
+        index: wp.array(dtype=wp.int32),
+        compact: int,  # as in `gather`
+        chunk: int,
+        # state in
+        share_in: wp.array2d(dtype=wp.float64),
+        # state out
+        part_out: wp.array2d(dtype=wp.float64),
+    ):
+        p, k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = wp.float64(0.0)
+        for t in range(p * chunk, wp.min((p + 1) * chunk, share_in.shape[0])):
+            total += share_in[t, b]
+        part_out[p, b] = total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def add_parts(
+        # model
+        index: wp.array(dtype=wp.int32),
+        compact: int,
+        # state in
+        part_in: wp.array2d(dtype=wp.float64),
+        # state out
+        number_out: wp.array(dtype=wp.float64),
+    ):
+        k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = wp.float64(0.0)
+        for p in range(part_in.shape[0]):
+            total += part_in[p, b]
+        number_out[b] = total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def mark(index: wp.array(dtype=wp.int32), value: wp.float64, out: wp.array(dtype=wp.float64)):
+        out[index[wp.tid()]] = value
+
     class Kernels:
         pass
 
     out = Kernels()
     out.gather, out.remember, out.partial, out.whole = gather, remember, partial, whole
+    out.add_part, out.add_parts, out.mark = add_part, add_parts, mark
     return out
+
+
+class Collective:
+    """A block whose elements act through one number a touch, e.g. a gas through its volume; see `elements/block.py`.
+
+    number: the number at the last `evaluate` (B,). answer: what it brings about (ANSWERS, B); both float64 on the device.
+
+    Args:
+        block: of the model. model: its nodes and parameters on the device. own, shared: kernels of the element and of `Elasticity`.
+    """
+
+    def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
+        self._rows, self._model, self._own, self._shared, self._device = len(block), model, own, shared, device
+        self._answers, self._law = block.element.ANSWERS, own.law(block, device)
+        self._chunk = -(-self._rows // _CHUNKS)
+
+    def begin(self, batch: int) -> None:
+        """Room for ``batch`` touches."""
+        new = {"dtype": wp.float64, "device": self._device}
+        self._shares, self._parts = wp.zeros((self._rows, batch), **new), wp.zeros((_CHUNKS, batch), **new)
+        self.number, self.answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
+        self._tangent_number, self._tangent_answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
+        self._true, self._change = wp.zeros(batch, **new), wp.zeros(batch, **new)
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
+
+    def _add(self, index: wp.array, compact: int, number: wp.array) -> None:
+        k = self._shared
+        self._launch(k.add_part, (_CHUNKS, len(index)), [index, compact, self._chunk, self._shares, self._parts])
+        self._launch(k.add_parts, (len(index),), [index, compact, self._parts, number])
+
+    def _respond(self, index: wp.array, u: wp.array, number: wp.array, answer: wp.array) -> None:
+        self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
+        self._add(index, 0, number)
+        self._launch(self._own.respond, (len(index),), [self._law, index, number, answer])
+
+    def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
+        """The number at u, the answer, and its forces; see `Elasticity.forces`."""
+        self._respond(index, u, self.number, self.answer)
+        self._launch(self._own.forces, (self._rows, len(index)), [*self._model, index, u, self.answer, *part])
+
+    def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
+        """Remember the answer at u, and whether the tangent is the true one."""
+        self._respond(index, u, self._tangent_number, self._tangent_answer)
+        self._launch(self._shared.mark, (len(index),), [index, wp.float64(0.0 if projected else 1.0), self._true])
+
+    def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
+        """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
+        self._launch(self._own.share_change, (self._rows, len(index)), [*self._model, index, at, x, self._shares])
+        self._add(index, 1, self._change)
+        self._launch(self._own.multiply, (self._rows, len(index)), [*self._model, index, at, self._tangent_answer, self._true, self._change, x, force])
 
 
 class Elasticity:
     """Device arrays of one model and one batch of touches. Everything stays on the device; nothing is read back here.
 
     internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns of the last
-    `forces` are renewed, the others stay as they were.
+    `forces` are renewed, the others stay as they were. pressure: gauge pressure (B,) [Pa] and volume: inside the surface (B,) [m^3] of
+    the (first) gas at the last `forces`, float64; None if there is none.
 
     Args:
         model: the body. device: Warp device. real: `wp.float32` or `wp.float64`.
@@ -119,6 +217,7 @@ class Elasticity:
         self._of = [block.element.kernels(real) for block in self.blocks]
         self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
                        for block, k in zip(self.blocks, self._of, strict=True)]
+        self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i, block in enumerate(self.blocks) if block.collective}
         # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
         flat = np.concatenate([block.nodes.ravel() for block in self.blocks])
         count = np.bincount(flat, minlength=self._points)
@@ -146,6 +245,21 @@ class Elasticity:
         self.internal = wp.zeros((3 * self._points, batch), **new)
         self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
         self.least_det = wp.zeros(batch, **new)
+        for collective in self._together.values():
+            collective.begin(batch)
+
+    def _gas(self) -> Collective | None:
+        return next((self._together[i] for i, block in enumerate(self.blocks) if block.kind == "gas"), None)
+
+    @property
+    def pressure(self) -> wp.array | None:
+        gas = self._gas()
+        return None if gas is None else gas.answer[0]
+
+    @property
+    def volume(self) -> wp.array | None:
+        gas = self._gas()
+        return None if gas is None else gas.number
 
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
@@ -153,8 +267,11 @@ class Elasticity:
     def forces(self, index: wp.array, u: wp.array) -> None:
         """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B) [m]."""
         k, count = self.kernels, len(index)
-        for block, own, model, part in zip(self.blocks, self._of, self._model, self._part, strict=True):
-            self._launch(own.forces, (len(block), count), [*model, index, u, *part])
+        for i, (block, own, model, part) in enumerate(zip(self.blocks, self._of, self._model, self._part, strict=True)):
+            if i in self._together:
+                self._together[i].forces(index, u, part)
+            else:
+                self._launch(own.forces, (len(block), count), [*model, index, u, *part])
         self._launch(k.gather, (self._points, count), [self._start, self._slot, self._every, index, 0, self._force, self.internal])
         chunk = -(-self._energies.shape[0] // _CHUNKS)
         self._launch(k.partial, (_CHUNKS, count), [index, chunk, self._energies, self._dets, self._partial_energy, self._partial_det])
@@ -163,15 +280,24 @@ class Elasticity:
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
         """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it is."""
         self._launch(self.kernels.remember, (3 * self._points, len(index)), [index, u, self._at])
-        for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
-            if own.tangent is not None:
+        for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state, strict=True)):
+            if i in self._together:
+                self._together[i].tangent(index, u, projected)
+            elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
+
+    def remembered(self, block: int) -> np.ndarray:
+        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble a matrix on the host."""
+        return self._state[block].numpy()
 
     def multiply(self, index: wp.array, x: wp.array) -> wp.array:
         """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are 0."""
         out = wp.empty_like(x)
-        for block, own, model, state, part in zip(self.blocks, self._of, self._model, self._state, self._part, strict=True):
-            self._launch(own.multiply, (len(block), len(index)), [*model, index, self._at, state, x, part[0]])
+        for i, (block, own, model, state, part) in enumerate(zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)):
+            if i in self._together:
+                self._together[i].multiply(index, self._at, x, part[0])
+            else:
+                self._launch(own.multiply, (len(block), len(index)), [*model, index, self._at, state, x, part[0]])
         self._launch(self.kernels.gather, (self._points, len(index)),
                      [self._start, self._slot, self._free, index, 1, self._force, out])
         return out

@@ -41,6 +41,10 @@ class Model:
     element_size: float
     factor: RestFactor = field(repr=False)
 
+    def least_force(self) -> float:
+        """Forces under this are zero [N]: a billionth of the softest modulus on one element face, or a millionth of the weight."""
+        return max(1e-9 * float(self.young_modulus.min()) * self.element_size**2, 1e-6 * float(np.abs(self.load).sum()))
+
     def grounding(self) -> np.ndarray:
         """Stiffness with which anchors tie each degree of freedom to the ground (3 n,) [N/m]; their pull is a support reaction."""
         out = np.zeros(len(self.free))

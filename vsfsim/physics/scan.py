@@ -7,17 +7,13 @@ result is kept under a hash of the input and every later build reads that one. A
 
 from __future__ import annotations
 
-import contextlib
-import fcntl
 import functools
 import hashlib
 import importlib.metadata
 import math
-import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +22,7 @@ import trimesh
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics import disk_cache
 from vsfsim.physics.manifold import body_of_each_tet, drop_pinches
 
 FORMATS = (".obj", ".ply", ".stl")
@@ -62,9 +59,9 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
     content = _content(path)
     key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, resolution, _RECIPE,
                                          importlib.metadata.version("pytetwild"))).encode()).hexdigest()
-    folder = _cache_folder() if cache is None else Path(cache)
+    folder = disk_cache.folder() if cache is None else Path(cache)
     stored = folder / f"tets-{key[:32]}.npz"
-    with _locked(stored):
+    with disk_cache.locked(stored):
         found = _read(stored)
         if found is None:
             surface, notes = read_surface(shape)
@@ -305,44 +302,12 @@ def _is_cavity(mesh: trimesh.Trimesh, faces: np.ndarray) -> bool:
 # ---------------------------------------------------------------------------------------------- the cache
 
 
-def _cache_folder() -> Path:
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "vsfsim"
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold the lock that belongs to a cache file. The system drops it with the process, so a killed worker leaves none behind."""
-    with contextlib.ExitStack() as stack:
-        # a folder that cannot be written, or a file system without locks, only costs double work
-        with contextlib.suppress(OSError):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            fcntl.flock(stack.enter_context(path.with_suffix(".lock").open("a")), fcntl.LOCK_EX)
-        yield
-
-
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray, list[str]] | None:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return data["vertices"], data["tets"], [str(note) for note in data["notes"]]
-    except FileNotFoundError:
+    found = disk_cache.read(path)
+    if found is None or not {"vertices", "tets", "notes"} <= set(found):
         return None
-    except Exception:  # a damaged cache file is as good as none
-        path.unlink(missing_ok=True)
-        return None
+    return found["vertices"], found["tets"], [str(note) for note in found["notes"]]
 
 
 def _write(path: Path, vertices: np.ndarray, tets: np.ndarray, notes: list[str]) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    except OSError:
-        return  # a cache that cannot be written only costs time
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, vertices=vertices, tets=tets, notes=np.array(notes, dtype=np.str_))
-        os.link(name, path)  # unlike a rename, it leaves the file of whoever came first
-    except OSError:
-        pass
-    finally:
-        os.unlink(name)
+    disk_cache.write(path, vertices=vertices, tets=tets, notes=np.array(notes, dtype=np.str_))

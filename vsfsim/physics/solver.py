@@ -63,9 +63,7 @@ class Solver:
         self.device, self.precision, self.linear = device, precision, linear
         self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
-        weight = np.abs(model.load).sum()
-        # forces under this are zero: a billionth of the softest modulus on one element face
-        self._floor = max(1e-9 * float(model.young_modulus.min()) * model.element_size**2, 1e-6 * weight)
+        self._floor = model.least_force()
 
     def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the bodies through all frames.

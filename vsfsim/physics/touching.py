@@ -13,10 +13,13 @@ import numpy as np
 import torch
 import warp as wp
 
+from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.physics import contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
+
+_MOST_CUTS = 4  # of a linear face along its edge
 
 
 class Touching:
@@ -24,7 +27,7 @@ class Touching:
 
     patches: one a touch. dof: degrees of freedom of the patches (B, 3 s), -1 pads. softening: factor on the contact stiffness of each
     touch (B,), 1 but on the way to a hard frame. stick: tangential stiffness of stuck points over the normal one. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N],
-    energy (B,) [J] and slips (B, 6 f).
+    energy (B,) [J] and slips (B, 6 f), with f the faces of the patch, or the parts they are cut into.
 
     Args:
         model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,) [-].
@@ -40,7 +43,13 @@ class Touching:
         self.stick = contact.STICK
         self._friction = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
-        self._shape = self.kernels.mat66(contact.SHAPE)
+        corners = model.mesh.faces.shape[1]
+        cuts = 1 if corners == 6 else linear_cuts(bodies, model.element_size)
+        self._table = contact.shape_table(corners, cuts)
+        self._parts = len(self._table)
+        self._shape = wp.array(self._table, dtype=wp.float64, device=device)
+        # where penetration is looked for besides: corners, edges and inside of every linear face; a quadratic one has its Gauss points
+        self._fine = torch.as_tensor(_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
         self._surface = model.mesh.surface_nodes()
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
         rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
@@ -69,18 +78,18 @@ class Touching:
         return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
     def _patch(self, faces: np.ndarray) -> contact.Patch:
-        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces])
+        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces], parts=self._parts)
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        faces = max(1, max(len(p.faces) for p in self.patches))
+        faces = self._parts * max(1, max(len(p.faces) for p in self.patches))
         nodes = max(1, max(len(p.nodes) for p in self.patches))
         listed = np.full((batch, nodes), -1, np.int64)
         local = np.zeros((batch, faces, 6), np.int32)
         stiffness = np.zeros((batch, faces, 6))
         member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
-            f = len(p.faces)
+            f = len(p.local)
             listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b, p.faces] = p.nodes, p.local, p.stiffness, True
 
         def tensor(values: np.ndarray) -> torch.Tensor:
@@ -97,8 +106,9 @@ class Touching:
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
         # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
         at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-        values = tensor(contact.SHAPE).repeat(faces, 1).expand(batch, -1, -1)
-        self._points = zeros(batch, 6 * faces, nodes).scatter_(2, at, values)
+        values = tensor(self._table.reshape(-1, 6)).repeat(faces // self._parts, 1).expand(batch, -1, -1)
+        # added: the columns that a linear face does not use are 0, and may name any node
+        self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
         self._member = tensor(member)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
@@ -218,8 +228,22 @@ class Touching:
         return (self.gap[columns] < 0.0).any(dim=1)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """Deepest Gauss point (k,) [m]."""
-        return (-self.gap[columns].amin(dim=1)).clamp(min=0.0)
+        """Deepest Gauss point (k,) [m]; of linear faces, deepest of a grid that is finer than the Gauss points."""
+        deepest = (-self.gap[columns].amin(dim=1)).clamp(min=0.0)
+        if len(self._fine):
+            local = wp.to_torch(self._local)[columns, ::self._parts].long()  # (k, f, 6)
+            k, f = local.shape[:2]
+            corner = self._x[columns].gather(1, local.reshape(k, 6 * f, 1).expand(-1, -1, 3)).view(k, f, 6, 3)
+            spots = torch.einsum("sa,kfac->fskc", self._fine, corner).reshape(-1, k, 3)
+            origin, turn = (wp.to_torch(a)[columns][None].contiguous() for a in self._pose)
+            gap = torch.empty(spots.shape[:2], dtype=torch.float64, device=self.device)
+            wp.launch(self.kernels.nearest, dim=gap.shape, device=self.device, inputs=[
+                self._set, len(self.bodies), wp.from_torch(origin, dtype=self.kernels.vec3), wp.from_torch(turn, dtype=self.kernels.mat33),
+                wp.from_torch(spots.contiguous(), dtype=self.kernels.vec3), wp.from_torch(gap)])
+            real = torch.as_tensor(wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0)  # a padded face is none
+            gap = torch.where(real.T.repeat_interleave(len(self._fine), dim=0), gap, torch.inf)
+            deepest = torch.maximum(deepest, -gap.amin(dim=0))
+        return deepest
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """Share of the Gauss points in contact that slip (k,) [-]; 0 without contact."""
@@ -269,6 +293,12 @@ class Touching:
         dof = (3 * nodes[:, :, None] + torch.arange(3, device=self.device)).flatten(1)
         rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
         own = self.compliance[columns[:, None, None], dof[:, :, None], dof[:, None, :]]
+        if rows.shape[1] > rows.shape[2]:
+            # more rows than degrees of freedom, as on the many Gauss points of linear faces: their product R^T R says the same
+            stiff = rows.mT @ rows
+            inner = own @ stiff
+            inner.diagonal(dim1=1, dim2=2).add_(1.0)
+            return ContactBlock(dof, stiff, torch.linalg.inv(inner), self.free.shape[1], joined=True)
         inner = rows @ own @ rows.mT
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         return ContactBlock(dof, rows, torch.linalg.cholesky(inner), self.free.shape[1])
@@ -301,11 +331,32 @@ class Touching:
         self._upload()
         if self.rubs:
             for b, faces in enumerate(old):
-                at = torch.as_tensor(6 * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(6), device=self.device).flatten()
+                each = 6 * self._parts
+                at = torch.as_tensor(each * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(each), device=self.device).flatten()
                 for mine, theirs in zip((self._anchor, self._owner, self._limit, self._across), kept, strict=True):
                     mine[b, at] = theirs[b, :len(at)]
             self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
         return True
+
+
+def linear_cuts(bodies: RigidBodies, edge: float) -> int:
+    """Parts along the edge of a linear face, so that a round body sinks in between its Gauss points by less than one per cent of ``edge`` [m].
+
+    The six points leave holes of radius 0.25 edge, and a dent stretches them by half; over one a ball of radius R is (0.4 edge)^2/(2 R) deep. Bodies with
+    edges get the most.
+    """
+    def least_radius(k: int) -> float:
+        shape = bodies.shapes[k]
+        return float("inf") if isinstance(shape, Plane) else shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
+
+    ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
+    return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS))
+
+
+def _grid(steps: int) -> np.ndarray:
+    """Shape values (s, 6) of a linear triangle on a grid of ``steps`` along each edge."""
+    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+    return np.hstack([bary, np.zeros_like(bary)])
 
 
 def _assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
@@ -321,20 +372,24 @@ class ContactBlock:
     """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
 
     ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches: the contact
-    forces that answer v when the body gives way as at rest.
+    forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A C)^-1: T = C (1 + A C)^-1.
     """
 
     dof: torch.Tensor
     rows: torch.Tensor
     inner: torch.Tensor
     width: int
+    joined: bool = False
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
-        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width)
+        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width, self.joined)
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
-        own = self.rows @ v.gather(1, self.dof)[:, :, None]
-        force = self.rows.mT @ torch.cholesky_solve(own, self.inner)
+        own = v.gather(1, self.dof)[:, :, None]
+        if self.joined:
+            force = self.rows @ (self.inner @ own)
+        else:
+            force = self.rows.mT @ torch.cholesky_solve(self.rows @ own, self.inner)
         return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])

@@ -1,0 +1,194 @@
+"""The noise of a Punyo by its statistics. Bounds are multiples of the standard error of the sample, so a right sensor fails about once in 10^5 seeds."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.noise import NOISE_KINDS, Noise, delayed, noisy_force
+from vsfsim.bench.noise_bubble import noisy_depth, noisy_nodes, noisy_pressure, quantised, relaxed
+from vsfsim.bench.protocol import record
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import TaskError
+
+QUIET = Noise(0.0, 0.0, 0.0, 0, 0)
+WHICH = {"object_index": 0, "view_index": 0, "touch_index": 0}
+SIGMAS = 4.5  # of a normal: 7e-6 on both sides
+
+
+def punyo(**changes) -> Noise:
+    """The real sensor's noise, as a task file with ``kind = "punyo"`` has it."""
+    return dataclasses.replace(Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 0, "seed": 0, **NOISE_KINDS["punyo"]}), **changes)
+
+
+def seconds(frames):
+    return np.arange(frames) / 30.0
+
+
+def free(frames):
+    return np.zeros((frames, 3))
+
+
+def test_a_task_file_names_the_sensor_and_may_change_a_part(task_text):
+    given = 'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }'
+    assert given in task_text
+    noise = parse_task(task_text.replace(given, 'noise = { kind = "punyo", pressure_std = 2.0, tare_frames = 3, seed = 0 }'), "toy-v1.toml").noise
+    assert noise == punyo(pressure_std=2.0, tare_frames=3)
+    assert parse_task(task_text, "toy-v1.toml").noise == Noise(0.15, 0.5, 0.0, 2, 0)
+    # the measured figures (bubble.md)
+    assert (punyo().pressure_std, punyo().pressure_drift * 5.0, punyo().depth_std, punyo().depth_quantum) == (5.4, -8.0, 5e-5, 1e-4)
+    assert 0.14 <= punyo().force_std <= 0.15
+    assert punyo().image_lag == 0.077 and punyo().image_lag - punyo().force_lag == pytest.approx(0.058)
+
+
+def test_pressure_noise_is_white_with_the_measured_size():
+    frames = 20_000
+    noise = punyo(pressure_drift=0.0)
+    out = noisy_pressure(np.zeros(frames), seconds(frames), free(frames), noise, **WHICH)
+    # the standard error of a standard deviation is s / sqrt(2 n), of a mean s / sqrt(n)
+    assert out.std() == pytest.approx(5.4, abs=SIGMAS * 5.4 / np.sqrt(2 * frames))
+    assert out.mean() == pytest.approx(0.0, abs=SIGMAS * 5.4 / np.sqrt(frames))
+    # white: no correlation at any lag (standard error 1 / sqrt(n)), and equal power in eight bands (each a mean of n/16 exponentials)
+    unit = (out - out.mean()) / out.std()
+    for lag in (1, 2, 3, 5, 30):
+        assert abs(np.mean(unit[:-lag] * unit[lag:])) < SIGMAS / np.sqrt(frames)
+    power = np.abs(np.fft.rfft(unit)[1:frames // 2 + 1]) ** 2 / frames
+    bands = power.reshape(8, -1).mean(axis=1)
+    assert bands == pytest.approx(np.ones(8), abs=SIGMAS / np.sqrt(frames / 16))
+
+
+def test_drift_has_its_mean_and_spread():
+    touches, frames = 800, 151  # five seconds
+    noise = punyo(pressure_drift_std=0.5)
+    runs = np.stack([noisy_pressure(np.zeros(frames), seconds(frames), free(frames), noise, object_index=0, view_index=0, touch_index=k) for k in range(touches)])
+    rates = np.polyfit(seconds(frames), runs.T, 1)[0]
+    # variance of a fitted slope: sigma^2 / sum (t - mean)^2, besides the spread itself
+    fit = 5.4**2 / np.sum((seconds(frames) - seconds(frames).mean()) ** 2)
+    spread = np.sqrt(0.5**2 + fit)
+    assert 5.0 * rates.mean() == pytest.approx(-8.0, abs=5.0 * SIGMAS * spread / np.sqrt(touches))
+    assert rates.std() == pytest.approx(spread, abs=SIGMAS * spread / np.sqrt(2 * touches))
+
+
+def test_a_step_relaxes_by_two_per_cent():
+    time = seconds(60)
+    clean = np.where(np.arange(60) < 10, 0.0, 1000.0)
+    out = noisy_pressure(clean, time, free(60), dataclasses.replace(QUIET, relaxation=0.02, relaxation_time=0.15), **WHICH)
+    over = (out - clean)[10:]
+    assert (out[:10] == 0.0).all()
+    # the step takes one frame, in which a part already relaxes: r x tau/dt (1 - e^(-dt/tau)), then e^(-t/tau)
+    assert over[0] == pytest.approx(20.0 * 0.15 * 30 * (1 - np.exp(-1 / 4.5)), rel=1e-12)
+    assert over[1:] / over[:-1] == pytest.approx(np.full(49, np.exp(-1 / 4.5)), rel=1e-6)
+    # any grid of times gives the same, so it is the sensor's and not the frames'
+    fine = np.linspace(0.0, 2.0, 2001)
+    slow = relaxed(np.minimum(fine, 1.0), fine, 0.02, 0.15)
+    assert slow[::100] == pytest.approx(relaxed(np.minimum(fine, 1.0)[::100], fine[::100], 0.02, 0.15), abs=1e-12)
+
+
+def test_lags_show_in_the_cross_correlation():
+    rng = np.random.default_rng(2)
+    frames = 3000
+    time = seconds(frames)
+    smooth = np.convolve(rng.standard_normal(frames), np.hanning(31), mode="same")  # a second wide
+    pressure = noisy_pressure(100 * smooth, time, free(frames), punyo(pressure_drift=0.0, relaxation=0.0), **WHICH)
+    force = noisy_force(np.stack([smooth] * 3, axis=1), punyo(), time=time, **WHICH)[:, 2]
+    nodes = np.zeros((frames, 1, 3))
+    nodes[:, 0, 2] = 0.02 + 1e-3 * smooth
+    seen = noisy_nodes(nodes, np.tile(np.eye(4), (frames, 1, 1)), time, punyo(), **WHICH)[:, 0, 2]
+
+    def late(signal):  # delay against the pressure [s], by the top of a parabola through the cross-correlation
+        a, b = signal - signal.mean(), pressure - pressure.mean()
+        shifts = np.arange(-6, 7)
+        value = [np.dot(a[10 + k:frames - 10 + k], b[10:frames - 10]) for k in shifts]
+        top = int(np.argmax(value))
+        before, at, after = value[top - 1:top + 2]
+        return (shifts[top] + 0.5 * (before - after) / (before - 2 * at + after)) / 30.0
+
+    # the noise moves the top by a fraction of a millisecond over 100 s of signal; linear blending between frames by less than 1 ms
+    assert late(force) == pytest.approx(0.019, abs=0.002)
+    assert late(seen) == pytest.approx(0.077, abs=0.002)
+    assert late(seen) - late(force) == pytest.approx(0.058, abs=0.002)
+
+
+def test_delay_bridges_what_is_not_known():
+    time = np.arange(6.0)
+    signal = np.array([0.0, 1.0, np.nan, 3.0, 4.0, 5.0])
+    assert delayed(signal, time, 0.5) == pytest.approx([0.0, 0.5, np.nan, 2.5, 3.5, 4.5], nan_ok=True)
+    assert delayed(signal, time, 0.0) == pytest.approx(signal, nan_ok=True)
+    assert delayed(np.array([np.nan, 2.0]), time[:2], 0.3) == pytest.approx([np.nan, 2.0], nan_ok=True)
+    # an unconverged frame leaves its neighbours finite
+    out = noisy_pressure(signal, time, free(6), punyo(), **WHICH)
+    assert np.isfinite(out).tolist() == [True, True, False, True, True, True]
+
+
+def test_depth_is_rounded_noisy_and_late():
+    depth = np.full((40, 60, 60), 0.06543, np.float32)
+    depth[:, :10] = 0.0
+    out = noisy_depth(depth, seconds(40), punyo(image_lag=0.0), **WHICH)
+    assert out.dtype == np.float32 and (out[:, :10] == 0.0).all()
+    skin = out[:, 10:].astype(float)
+    steps = skin / 1e-4
+    assert np.abs(steps - np.rint(steps)).max() < 1e-4  # float32 of 0.07 m is good to 4e-9 m
+    count = skin.size
+    # white noise and rounding add up: 0.05^2 + 0.1^2 / 12 (Sheppard); the residue of the two being correlated is under 1e-2 of that here
+    expected = np.hypot(5e-5, 1e-4 / np.sqrt(12))
+    assert skin.std() == pytest.approx(expected, rel=SIGMAS / np.sqrt(2 * count) + 0.02)
+    assert skin.mean() == pytest.approx(0.06543, abs=SIGMAS * expected / np.sqrt(count) + 2e-6)
+    # a ramp of 30 mm/s is seen 77 ms late; before the first frame there is only the first frame
+    ramp = 0.06 + 0.001 * np.arange(40.0)[:, None, None] * np.ones((1, 4, 4))
+    late = noisy_depth(ramp, seconds(40), dataclasses.replace(QUIET, image_lag=0.077), **WHICH)
+    assert ramp[5:, 0, 0] - late[5:, 0, 0] == pytest.approx(np.full(35, 0.03 * 0.077), abs=1e-7)
+    # skin that comes into view is not blended with nothing
+    comes = np.where(np.arange(10) < 5, 0.0, 0.06)[:, None, None]
+    assert set(np.round(noisy_depth(comes, seconds(10), dataclasses.replace(QUIET, image_lag=0.01), **WHICH).ravel(), 6)) == {0.0, np.float32(0.06)}
+
+
+def test_nodes_move_along_their_rays():
+    rng = np.random.default_rng(4)
+    position = rng.uniform([-0.03, -0.03, 0.0], [0.03, 0.03, 0.03], (50, 200, 3))
+    pose = np.tile(np.eye(4), (50, 1, 1))
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    pose[:, :3, :3], pose[:, :3, 3] = turn * np.sign(np.linalg.det(turn)), [1.0, 2.0, 3.0]
+    world = position @ pose[0, :3, :3].T + pose[0, :3, 3]
+    out = noisy_nodes(world, pose, seconds(50), punyo(image_lag=0.0), **WHICH)
+    local = (out - pose[0, :3, 3]) @ pose[0, :3, :3]
+    before, after = position - [-0.040, 0.0, -0.054], local - [-0.040, 0.0, -0.054]
+    assert np.abs(np.cross(before, after)).max() < 1e-15  # m^2: the same ray
+    depth = after @ [np.sin(np.radians(25)), 0.0, np.cos(np.radians(25))]
+    assert depth / 1e-4 == pytest.approx(np.rint(depth / 1e-4), abs=1e-8)
+    error = depth - before @ [np.sin(np.radians(25)), 0.0, np.cos(np.radians(25))]
+    assert error.std() == pytest.approx(np.hypot(5e-5, 1e-4 / np.sqrt(12)), rel=SIGMAS / np.sqrt(2 * error.size) + 0.02)
+    with pytest.raises(TaskError, match="behind"):
+        noisy_nodes(world - 10.0, pose, seconds(50), punyo(), **WHICH)
+    with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
+        noisy_nodes(world[0], pose, seconds(50), punyo(), **WHICH)
+
+
+def test_streams_are_of_the_touch_and_the_sensor():
+    time = seconds(50)
+    a, b, c = (noisy_pressure(np.zeros(50), time, free(50), punyo(), object_index=0, view_index=0, touch_index=k) for k in (0, 0, 1))
+    assert np.array_equal(a, b) and not np.array_equal(a, c)
+    force = noisy_force(np.zeros((50, 3)), punyo(force_lag=0.0), **WHICH)
+    other = noisy_pressure(np.zeros(50), time, free(50), punyo(pressure_drift=0.0), **WHICH)
+    assert abs(np.corrcoef(force[:, 0], other)[0, 1]) < SIGMAS / np.sqrt(50)
+    # zero stays a quantum: no step, no change
+    assert quantised(np.array([0.1234]), 0.0) == pytest.approx([0.1234])
+
+
+def test_a_task_may_read_the_pressure(task_text):
+    task = parse_task(task_text.replace('kind = "normal-force"', 'kind = "pressure"').replace(
+        'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }', 'noise = { kind = "punyo", tare_frames = 2, seed = 0 }'), "toy-v1.toml")
+    view = mock_view(1, split="test", touches=4)
+    with pytest.raises(TaskError, match="no pressure"):
+        record(view, task)
+    touches = [dataclasses.replace(t, rest_pressure=7400.0, pressure=7400.0 + 139.0 * t.normal_force()) for t in view.touches]
+    touches[0].converged[7], touches[0].pressure[7] = False, np.nan
+    recording = record(dataclasses.replace(view, touches=tuple(touches)), task)
+    for touch, reading, clean in zip(touches, recording.readings, recording.clean):
+        assert reading.value.shape == (len(touch.time), 1) and reading.action.observation == "pressure"
+        assert np.isfinite(reading.value[reading.valid]).all() and np.isnan(reading.value[~reading.valid]).all()
+        assert clean[touch.converged, 0] == pytest.approx(139.0 * touch.normal_force()[touch.converged], abs=1e-9)
+        error = (reading.value - clean)[touch.converged, 0]
+        # white noise and that of a tare of two frames, a relaxation of 2 % of the reading and a drift of 1.6 Pa/s
+        bound = SIGMAS * 5.4 * np.sqrt(1.5) + 0.02 * np.ptp(clean[touch.converged]) + 1.6 * np.ptp(touch.time)
+        assert 0.0 < np.abs(error).max() < bound

@@ -1,0 +1,95 @@
+"""The ``[sensor]`` table: an air-filled membrane on an elliptical rim, the soft-bubble sensor (Punyo)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.rigid import MAX_FRICTION
+from vsfsim.core.table import Table
+
+KINDS = ("bubble",)
+NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
+ATMOSPHERE = 101325.0  # [Pa]
+
+
+@dataclass(frozen=True)
+class Bubble:
+    """``[sensor] kind = "bubble"``; the defaults are a real Punyo's, see docs/physics.md for where each comes from.
+
+    The mount frame has its origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
+
+    semi_axes: of the clamped, planar rim, long and short (2,) [m]. young_modulus: of the rubber [Pa]. thickness: before it is stretched [m].
+    Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own length [-].
+    gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with the dome free [m^3].
+    gamma: of p V^gamma, 1 isothermal to 1.4 adiabatic [-]. ambient_pressure: absolute, outside [Pa].
+    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh. friction: Coulomb coefficient with rigid bodies and obstacles [-].
+    """
+
+    semi_axes: tuple[float, float] = (0.05725, 0.040)
+    young_modulus: float = 1.36e6
+    thickness: float = 0.0005
+    pre_stretch: float = 1.10
+    gauge_pressure: float = 7843.0
+    gas_volume: float = 150e-6
+    gamma: float = 1.4
+    ambient_pressure: float = ATMOSPHERE
+    sealed: bool = True
+    nodes: int = NODES
+    friction: float = 2.0
+
+    @property
+    def modulus(self) -> float:
+        """E h [N/m]."""
+        return self.young_modulus * self.thickness
+
+    @property
+    def bending(self) -> float:
+        """D = E h^3 / (12 (1 - nu^2)) of incompressible rubber [J]."""
+        return self.young_modulus * self.thickness**3 / 9.0
+
+
+def parse_sensor(node: Any, path: Path) -> Bubble:
+    """The bubble that ``[sensor]`` describes.
+
+    Raises:
+        SceneError: another kind, an unknown key, or a value that is not allowed.
+    """
+    where = f"{path} [sensor]"
+    known = ("kind", *Bubble.__dataclass_fields__)
+    if not isinstance(node, Mapping):
+        raise SceneError(f"{where} is {node!r}; it must be a table, e.g. kind = \"bubble\".")
+    t = Table(node, where, known)
+    if "kind" not in t.table:
+        raise SceneError(f"{where}: kind is missing; write kind = \"bubble\".")
+    if t.table["kind"] not in KINDS:
+        raise SceneError(f"{where}: kind is {t.table['kind']!r}. {did_you_mean(str(t.table['kind']), KINDS)}")
+    real = Bubble()
+    long, short = t.vector("semi_axes", real.semi_axes, 2)
+    if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
+        raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the first not the smaller, and at most ten times the second.")
+    sealed = t.table.get("sealed", real.sealed)
+    if not isinstance(sealed, bool):
+        raise SceneError(f"{where}: sealed is {sealed!r}; it must be true (the air is shut in) or false (a supply keeps the pressure).")
+    return Bubble(
+        semi_axes=(long, short),
+        young_modulus=t.number("young_modulus", real.young_modulus, 1e3, 1e10, "Pa"),
+        thickness=t.number("thickness", real.thickness, 1e-5, 0.1 * short, "m"),
+        pre_stretch=t.number("pre_stretch", real.pre_stretch, 1.0, 3.0),
+        gauge_pressure=t.number("gauge_pressure", real.gauge_pressure, 1.0, 1e8, "Pa"),
+        gas_volume=t.number("gas_volume", real.gas_volume, 1e-12, 10.0, "m^3"),
+        gamma=t.number("gamma", real.gamma, 1.0, 1.67),
+        ambient_pressure=t.number("ambient_pressure", real.ambient_pressure, 0.0, 1e8, "Pa"),
+        sealed=sealed,
+        nodes=t.count("nodes", real.nodes, 100, 20_000),
+        friction=t.number("friction", real.friction, 0.0, MAX_FRICTION),
+    )
+
+
+def flat_area(bubble: Bubble) -> float:
+    """Area inside the rim [m^2]."""
+    return math.pi * bubble.semi_axes[0] * bubble.semi_axes[1]

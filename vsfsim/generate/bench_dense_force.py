@@ -1,0 +1,140 @@
+"""How far estimated contact forces of the bubble are from the true ones: `vsfsim bench dense-force`.
+
+The bubble is pressed on rigid shapes at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh with white noise, and the pressure
+with the real sensor's 5.4 Pa. Truth are the simulator's contact forces, moved to the read-out mesh with net force and moment kept. E h and the force scale
+of `paper` and `taut` are calibrated by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor; `released` is
+taken as published; `membrane` knows the skin that the simulator was given, but on its own coarser mesh, and is also shown with an E h that is 10 % too large.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
+from vsfsim.sensing.dense_force_score import PressRecord, calibrate, noisy, score
+
+NOISE = (0.0, 5e-5, 1e-4, 2e-4)
+"""White noise of each coordinate of a node [m]; a real camera's depth has 5e-5 a pixel."""
+PRESSURE_STD = 5.4
+DEPTHS = (0.0, 3e-3, 6e-3, 1.1e-2)
+"""Edges of the bins of depth [m]."""
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """One estimator with its calibration. label: for the table. method, calibration, options: of the estimator. calibrated: its error there [N], or None."""
+
+    label: str
+    method: str
+    calibration: BubbleCalibration
+    options: EstimatorOptions
+    calibrated: float | None = None
+
+
+@dataclass(frozen=True)
+class Row:
+    """Errors of one contender at one noise level and depth bin, over the frames of all presses.
+
+    label: the contender. noise: of a node's coordinate [m]. low, high: of the depths [m]. frames: how many. node_rms, node_size: of the error and
+    the true forces, RMS over nodes and frames [N]. net, net_size: of the net force, RMS [N]. iou: of the contact regions, mean [-].
+    converged: share of the frames whose program was solved, a fraction. seconds: CPU time of a frame [s].
+    """
+
+    label: str
+    noise: float
+    low: float
+    high: float
+    frames: int
+    node_rms: float
+    node_size: float
+    net: float
+    net_size: float
+    iou: float
+    converged: float
+    seconds: float
+
+
+def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *, progress: Progress = lambda _: None) -> list[Contender]:
+    """All estimators, calibrated on ``presses`` (without noise yet); ``calibration`` holds the true skin."""
+    options = EstimatorOptions()
+    rng = np.random.default_rng(1)
+    seen = [noisy(p, rng, displacement_std=options.displacement_std, pressure_std=PRESSURE_STD) for p in presses]
+    fitted = {}
+    for method in ("paper", "taut"):
+        progress(f"calibrating {method}")
+        fitted[method] = calibrate(calibration, seen, method=method, options=replace(options, tolerance=1e-3))
+    out = [Contender("residual", "residual", fitted["paper"][0], options), Contender("released", "released", calibration, options)]
+    out += [Contender(m, m, given, replace(how, tolerance=options.tolerance), error) for m, (given, how, error) in fitted.items()]
+    if calibration.reference is not None:
+        out.append(Contender("membrane", "membrane", calibration, options))
+        out.append(Contender("membrane, E h +10 %", "membrane", replace(calibration, stiffness=1.1 * calibration.stiffness), options))
+    return out
+
+
+def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise: Sequence[float] = NOISE, progress: Progress = lambda _: None) -> list[Row]:
+    """Every contender on every press at every noise level.
+
+    Args:
+        field: estimators. presses: noise-free. noise: standard deviations of a node's coordinate [m].
+    """
+    rows = []
+    for level in noise:
+        rng = np.random.default_rng(7)  # the same draws for every level and contender
+        seen = [noisy(p, rng, displacement_std=level, pressure_std=PRESSURE_STD if level else 0.0) for p in presses]
+        for one in field:
+            progress(f"{one.label} at {1e3 * level:g} mm")
+            options = replace(one.options, displacement_std=max(level, 1e-5))
+            estimator = DenseForceEstimator(one.calibration, method=one.method, options=options)
+            began = time.process_time()
+            found = [estimator.estimate(p.position, p.pressure) for p in seen]
+            spent = (time.process_time() - began) / sum(len(p.depth) for p in seen)
+            scores = [score(f.force, p.force) for f, p in zip(found, presses, strict=True)]
+            rows += _bins(one.label, level, spent, presses, scores, [f.converged for f in found])
+    return rows
+
+
+def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord], scores: list[Any], converged: list[np.ndarray]) -> list[Row]:
+    columns = {name: np.concatenate([getattr(s, name) for s in scores]) for name in ("node_rms", "node_size", "net", "net_size", "iou")}
+    depth, good = np.concatenate([p.depth for p in presses]), np.concatenate(converged)
+    out = []
+    for low, high in zip(DEPTHS[:-1], DEPTHS[1:], strict=True):  # noqa: RUF007  two bins are meant
+        inside = (depth > low) & (depth <= high) & (columns["net_size"] > 0.0)
+        if inside.any():
+            rms = {name: float(np.sqrt(np.mean(columns[name][inside] ** 2))) for name in ("node_rms", "node_size", "net", "net_size")}
+            out.append(Row(label, level, low, high, int(inside.sum()), **rms, iou=float(columns["iou"][inside].mean()),
+                           converged=float(good[inside].mean()), seconds=spent))
+    return out
+
+
+def table(rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[PressRecord]) -> str:
+    """The rows as text, one block a noise level."""
+    out = [f"{len(presses)} presses ({', '.join(p.name for p in presses)}), {sum(len(p.depth) for p in presses)} frames."]
+    for one in field:
+        if one.calibrated is not None:
+            out.append(f"{one.label}: calibrated to E h {one.calibration.stiffness:.0f} N/m and a force scale of {one.options.force_scale:g} N (net force {one.calibrated:.3f} N there)")
+    bins = sorted({(r.low, r.high) for r in rows})
+    head = "".join(f"{f'{1e3 * low:.0f} to {1e3 * high:.0f} mm: node RMS N':>30}{'net N':>14}{'IoU':>6}" for low, high in bins)
+    for level in sorted({r.noise for r in rows}):
+        some = {(r.low, r.high): r for r in rows if r.noise == level}
+        true = "".join(f"{some[b].node_size:30.4f}{some[b].net_size:14.2f}{'':>6}" for b in bins)
+        out += ["", f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure" if level else ""),
+                f"{'estimator':22}{head}{'s/frame':>9}{'solved':>8}", f"{'(true forces)':22}{true}"]
+        for one in field:
+            mine = {(r.low, r.high): r for r in rows if r.noise == level and r.label == one.label}
+            cells = "".join(f"{mine[b].node_rms:20.4f} = {100 * mine[b].node_rms / mine[b].node_size:5.1f} %{mine[b].net:8.3f} = {100 * mine[b].net / mine[b].net_size:3.0f}%{mine[b].iou:6.2f}" for b in bins)
+            first = mine[bins[0]]
+            out.append(f"{one.label:22}{cells}{first.seconds:9.3f}{100 * np.mean([m.converged for m in mine.values()]):7.0f}%")
+    return "\n".join(out)
+
+
+def tables(rows: Sequence[Row], field: Sequence[Contender]) -> dict[str, Any]:
+    """The same for JSON."""
+    return {"rows": [asdict(r) for r in rows],
+            "calibrated": {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale, "net_error": c.calibrated} for c in field if c.calibrated is not None}}

@@ -1,0 +1,286 @@
+"""Gas: the air in a closed surface, at one pressure everywhere.
+
+    sealed: p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
+              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)     (gamma 1: p0 V0 ln(V0/V) + ambient (V - V0))
+    open:   p - ambient is what the supply keeps, g:   E(V) = -g (V - V0)
+
+p, ambient absolute [Pa], V: the volume inside the surface plus a dead volume that does not change [m^3]; gamma 1 isothermal, 1.4 adiabatic air.
+The surface volume is a sum of tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the gradient x1 x x2 / 6 at x0 and so on. A
+sheet is closed by a cap over its rim, so that a rigid motion leaves V as it is. Tangent: -g V'' + (-dp/dV) (grad V)(grad V)^T.
+The last term couples all nodes, and is a product of vectors (never a matrix); with g > 0 the first is not a bowl, and the projected tangent leaves it out.
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements.block import Block
+
+NODES = 3
+COLLECTIVE = True
+ANSWERS = 3  # gauge pressure [Pa], -dp/dV [Pa/m^3], energy [J]
+_LEAST = 1e-3  # of V0: air squeezed further is no state of a sensor; its energy counts as infinite, so no step leads there
+_INFINITE = 1e30
+
+
+def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: float, gamma: float = 1.4, ambient: float = 101325.0,
+          dead_volume: float = 0.0, sealed: bool = True) -> Block:
+    """The gas of one chamber.
+
+    Args:
+        faces: of the closed surface, wound outwards (m, 3). points: positions at u = 0 (n, 3) [m].
+        pressure: gauge pressure [Pa] at which the surface holds ``volume`` [m^3]; of an open chamber, always. gamma: of p V^gamma.
+        ambient: absolute pressure outside [Pa]. dead_volume: of the chamber besides [m^3]. sealed: or open.
+    """
+    faces = np.asarray(faces, np.int32)
+    whole = volume + dead_volume
+    assert whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0 and (not sealed or ambient + pressure > 0.0)
+    local = points[faces] - points[np.unique(faces)].mean(axis=0)
+    return Block("gas", faces, {"points": local, "law": np.array([ambient + pressure, whole, gamma, ambient, float(sealed), dead_volume])})
+
+
+def cap(rim: np.ndarray) -> np.ndarray:
+    """Triangles (r - 2, 3) that close the loop ``rim`` (r,), which runs counter-clockwise as seen from the side the sheet bulges to."""
+    return np.array([(rim[0], rim[i + 1], rim[i]) for i in range(1, len(rim) - 1)], np.int32)
+
+
+def volume(points: np.ndarray, faces: np.ndarray) -> float:
+    """Volume [m^3] inside a closed surface; points (n, 3) [m], faces (m, 3)."""
+    x = points[faces] - points[np.unique(faces)].mean(axis=0)
+    return float(np.einsum("mi,mi->m", x[:, 0], np.cross(x[:, 1], x[:, 2])).sum() / 6.0)
+
+
+def gradient(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Derivative of the volume by the nodes' positions (3 n,) [m^2]."""
+    x = points[faces] - points[np.unique(faces)].mean(axis=0)
+    out = np.zeros_like(points)
+    for a in range(3):
+        np.add.at(out, faces[:, a], np.cross(x[:, (a + 1) % 3], x[:, (a + 2) % 3]) / 6.0)
+    return out.ravel()
+
+
+def second(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Second derivatives of the volume, one matrix a triangle (m, 9, 9) [m]."""
+    x = points[faces] - points[np.unique(faces)].mean(axis=0)
+    out = np.zeros((len(faces), 3, 3, 3, 3))
+    for a in range(3):
+        b, c = (a + 1) % 3, (a + 2) % 3
+        turn = np.zeros((len(faces), 3, 3))  # v -> v x x_c / 6, the change of the force on a by that of b
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            turn[:, i, j], turn[:, j, i] = x[:, c, k] / 6.0, -x[:, c, k] / 6.0
+        out[:, a, :, b, :] = turn
+        out[:, b, :, a, :] = np.swapaxes(turn, 1, 2)
+    return out.reshape(len(faces), 9, 9)
+
+
+def answer(block: Block, inside: float) -> tuple[float, float, float]:
+    """Gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] when the surface holds ``inside`` [m^3]."""
+    p0, v0, gamma, ambient, sealed, dead = block.parameters["law"]
+    now = inside + dead
+    if not sealed:
+        return p0 - ambient, 0.0, -(p0 - ambient) * (now - v0)
+    x = np.log(now / v0)
+    p = p0 * np.exp(-gamma * x)
+    work = -x if gamma == 1.0 else np.expm1(-(gamma - 1.0) * x) / (gamma - 1.0)
+    return p - ambient, gamma * p / now, p0 * v0 * work + ambient * (now - v0)
+
+
+def _placed(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n', 3) at u = 0 and faces in their numbers; only those of the surface."""
+    used, faces = np.unique(block.nodes, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    points = np.zeros((len(used), 3))
+    points[faces.ravel()] = block.parameters["points"].reshape(-1, 3)
+    return points, faces
+
+
+def at_rest(block: Block) -> tuple[float, float, float, float]:
+    """Volume inside the surface [m^3] at u = 0, and `answer` there."""
+    inside = volume(*_placed(block))
+    return inside, *answer(block, inside)
+
+
+def state_size(block: Block) -> int:
+    """What a tangent remembers is the whole block's, not an element's."""
+    return 0
+
+
+def rest_stiffness(block: Block) -> np.ndarray:
+    """The sparse part of the tangent at u = 0, -g V'' (m, 9, 9) [N/m]; see `rest_coupling` for the rest."""
+    points, faces = _placed(block)
+    return -at_rest(block)[1] * second(points, faces)
+
+
+def rest_coupling(block: Block, points: int) -> tuple[np.ndarray, float]:
+    """The other part: grad V (3 n,) [m^2] at u = 0 for a body of n = ``points`` nodes, and -dp/dV [Pa/m^3]."""
+    local, faces = _placed(block)
+    out = np.zeros((points, 3))
+    out[np.unique(block.nodes)] = gradient(local, faces).reshape(-1, 3)
+    return out.ravel(), at_rest(block)[2]
+
+
+@functools.cache
+def kernels(real: type) -> Any:
+    """The kernels of this element for one scalar type of displacements; volume and pressure are double."""
+    double = wp.float64
+    vec3 = wp.types.vector(length=3, dtype=double)
+    module = f"vsfsim_gas_{real.__name__}"
+    sixth = wp.constant(double(1.0 / 6.0))
+    least = wp.constant(double(_LEAST))
+    infinite = wp.constant(double(_INFINITE))
+
+    @wp.func(module=module)
+    def vector(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, a: int, b: int):
+        i = 3 * nodes[t, a]
+        return vec3(double(x[i, b]), double(x[i + 1, b]), double(x[i + 2, b]))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def share(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        points: wp.array2d(dtype=vec3),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        u_in: wp.array2d(dtype=real),
+        # state out
+        share_out: wp.array2d(dtype=double),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        x0 = points[t, 0] + vector(nodes, u_in, t, 0, b)
+        x1 = points[t, 1] + vector(nodes, u_in, t, 1, b)
+        x2 = points[t, 2] + vector(nodes, u_in, t, 2, b)
+        share_out[t, b] = sixth * wp.dot(x0, wp.cross(x1, x2))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def respond(
+        # model
+        law: wp.array(dtype=double),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        number_in: wp.array(dtype=double),
+        # state out
+        answer_out: wp.array2d(dtype=double),
+    ):
+        b = index[wp.tid()]
+        ambient = law[3]
+        now = number_in[b] + law[5]
+        if law[4] == double(0.0):
+            answer_out[0, b] = law[0] - ambient
+            answer_out[1, b] = double(0.0)
+            answer_out[2, b] = -(law[0] - ambient) * (now - law[1])
+        else:
+            gamma = law[2]
+            held = wp.max(now, least * law[1])
+            ratio = law[1] / held
+            p = law[0] * wp.pow(ratio, gamma)
+            work = wp.log(ratio)
+            if gamma != double(1.0):
+                work = (wp.pow(ratio, gamma - double(1.0)) - double(1.0)) / (gamma - double(1.0))
+            answer_out[0, b] = p - ambient
+            answer_out[1, b] = gamma * p / held
+            answer_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
+            if now < held:
+                answer_out[2, b] = infinite
+
+    @wp.kernel(module=module, enable_backward=False)
+    def forces(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        points: wp.array2d(dtype=vec3),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        u_in: wp.array2d(dtype=real),
+        answer_in: wp.array2d(dtype=double),
+        # state out
+        force_out: wp.array3d(dtype=real),
+        energy_out: wp.array2d(dtype=real),
+        det_out: wp.array2d(dtype=real),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        x0 = points[t, 0] + vector(nodes, u_in, t, 0, b)
+        x1 = points[t, 1] + vector(nodes, u_in, t, 1, b)
+        x2 = points[t, 2] + vector(nodes, u_in, t, 2, b)
+        push = -sixth * answer_in[0, b]
+        f0 = push * wp.cross(x1, x2)
+        f1 = push * wp.cross(x2, x0)
+        f2 = push * wp.cross(x0, x1)
+        for c in range(3):
+            force_out[t, c, b] = real(f0[c])
+            force_out[t, 3 + c, b] = real(f1[c])
+            force_out[t, 6 + c, b] = real(f2[c])
+        energy_out[t, b] = real(0.0)
+        if t == 0:
+            energy_out[t, b] = real(answer_in[2, b])
+        det_out[t, b] = real(1.0)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def share_change(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        points: wp.array2d(dtype=vec3),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        at_in: wp.array2d(dtype=real),
+        x_in: wp.array2d(dtype=real),
+        # state out
+        share_out: wp.array2d(dtype=double),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
+        x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
+        x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
+        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k), wp.cross(x1, x2)) + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
+                                   + wp.dot(vector(nodes, x_in, t, 2, k), wp.cross(x0, x1)))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def multiply(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        points: wp.array2d(dtype=vec3),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        at_in: wp.array2d(dtype=real),
+        answer_in: wp.array2d(dtype=double),
+        true_in: wp.array(dtype=double),
+        change_in: wp.array(dtype=double),
+        x_in: wp.array2d(dtype=real),
+        # state out
+        force_out: wp.array3d(dtype=real),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
+        x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
+        x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
+        d0 = vector(nodes, x_in, t, 0, k)
+        d1 = vector(nodes, x_in, t, 1, k)
+        d2 = vector(nodes, x_in, t, 2, k)
+        push = -sixth * answer_in[0, b] * true_in[b]
+        swell = sixth * answer_in[1, b] * change_in[k]
+        f0 = push * (wp.cross(d1, x2) + wp.cross(x1, d2)) + swell * wp.cross(x1, x2)
+        f1 = push * (wp.cross(d2, x0) + wp.cross(x2, d0)) + swell * wp.cross(x2, x0)
+        f2 = push * (wp.cross(d0, x1) + wp.cross(x0, d1)) + swell * wp.cross(x0, x1)
+        for c in range(3):
+            force_out[t, c, k] = real(f0[c])
+            force_out[t, 3 + c, k] = real(f1[c])
+            force_out[t, 6 + c, k] = real(f2[c])
+
+    def parameters(block: Block, device: str) -> list[wp.array]:
+        return [wp.array(block.parameters["points"], dtype=vec3, device=device)]
+
+    def law(block: Block, device: str) -> wp.array:
+        return wp.array(block.parameters["law"], dtype=double, device=device)
+
+    class Kernels:
+        pass
+
+    out = Kernels()
+    out.share, out.respond, out.forces, out.share_change, out.multiply = share, respond, forces, share_change, multiply
+    out.tangent, out.parameters, out.law = None, parameters, law
+    return out

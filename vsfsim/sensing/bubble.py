@@ -1,0 +1,168 @@
+"""What a bubble shows of itself in every frame: chamber pressure, nodes of the read-out mesh, forces on them, and the wrench at the mount.
+
+The solver's mesh may be finer than the read-out mesh, and another one. Both are meshes of one flat skin, so a node of one lies in a triangle of the
+other by its material coordinates: the flat ellipse before the air is let in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
+
+_CHUNK = 2_000_000  # pairs of point and triangle looked at together
+_SLACK = 1e-9  # of a barycentric weight: on an edge
+
+
+@dataclass(frozen=True)
+class FlatMesh:
+    """A mesh of the flat skin. points: material coordinates (n, 2) [m]. triangles: counter-clockwise (m, 3). rim: True where it is clamped (n,)."""
+
+    points: np.ndarray
+    triangles: np.ndarray
+    rim: np.ndarray
+
+    def __post_init__(self) -> None:
+        checked_mesh(np.column_stack([self.points, np.zeros(len(self.points))]), self.triangles, "bubble mesh")
+        if np.shape(self.rim) != (len(self.points),) or np.asarray(self.rim).dtype != bool:
+            raise SensorError(f"bubble mesh: rim has shape {np.shape(self.rim)}; give one bool a node, ({len(self.points)},).")
+
+
+@dataclass(frozen=True)
+class BubbleFrames:
+    """Read-outs of T frames, in the frame that the positions were given in.
+
+    pressure_change: of the chamber against the free dome (T,) [Pa]. node_position: of the read-out mesh (T, N, 3) [m]. node_force: true contact force
+    on each of its nodes (T, N, 3) [N]. force, moment: of all contact on the sensor, moment about ``origin`` (T, 3) [N], (T, 3) [N m].
+    """
+
+    pressure_change: np.ndarray
+    node_position: np.ndarray
+    node_force: np.ndarray
+    force: np.ndarray
+    moment: np.ndarray
+
+
+def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (k, 3) of the triangle of ``mesh`` that holds each of the flat ``points`` (k, 2) [m], and the point's barycentric weights there (k, 3).
+
+    A point outside (rims are polygons, and a finer one bulges further) takes the nearest point of the triangle that it is least outside of.
+    """
+    corner = mesh.points[mesh.triangles]
+    inverse = np.linalg.inv(np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2))
+    rows, step = [], max(1, _CHUNK // len(corner))
+    for start in range(0, len(points), step):
+        part = points[start:start + step]
+        two = np.einsum("mij,kmj->kmi", inverse, part[:, None] - corner[None, :, 0])
+        weight = np.concatenate([1.0 - two.sum(axis=2, keepdims=True), two], axis=2)
+        best = weight.min(axis=2).argmax(axis=1)
+        rows.append((best, weight[np.arange(len(part)), best]))
+    triangle, weight = np.concatenate([r[0] for r in rows]), np.concatenate([r[1] for r in rows])
+    for k in np.flatnonzero(weight.min(axis=1) < -_SLACK):
+        weight[k] = _nearest(points[k], corner[triangle[k]])
+    weight = np.where(np.abs(weight) < _SLACK, 0.0, weight)
+    weight /= weight.sum(axis=1, keepdims=True)
+    return mesh.triangles[triangle], weight
+
+
+def weights(nodes: np.ndarray, weight: np.ndarray, count: int) -> sparse.csr_matrix:
+    """What `locate` found as a matrix (k, count): times nodal values it interpolates, transposed it spreads."""
+    return sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())), shape=(len(nodes), count))
+
+
+def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
+    """Barycentric weights (3,) of the point of a triangle (3, 2) nearest to ``point`` (2,), which is outside."""
+    best, weight = np.inf, np.zeros(3)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        edge = corner[j] - corner[i]
+        share = float(np.clip((point - corner[i]) @ edge / (edge @ edge), 0.0, 1.0))
+        far = float(np.linalg.norm(corner[i] + share * edge - point))
+        if far < best:
+            best, weight = far, np.zeros(3)
+            weight[i], weight[j] = 1.0 - share, share
+    return weight
+
+
+class BubbleReadout:
+    """From the state of the solver's mesh to the read-out mesh.
+
+    Args:
+        solver: flat mesh of the solver. readout: flat mesh of the read-out; the same object gives the solver's own nodes back.
+
+    Attributes:
+        readout: as given. solver_triangles: of the solver's mesh (m, 3).
+    """
+
+    def __init__(self, solver: FlatMesh, readout: FlatMesh):
+        self.solver, self.readout = solver, readout
+        same = solver is readout or (solver.points.shape == readout.points.shape and np.array_equal(solver.points, readout.points)
+                                     and np.array_equal(solver.triangles, readout.triangles))
+        self._corners, share = locate(solver.points, readout)  # of each solver node: its triangle on the read-out mesh
+        self._up = weights(self._corners, share, len(readout.points))
+        self._down = weights(*locate(readout.points, solver), len(solver.points))
+        self._same = same
+
+    def positions(self, points: np.ndarray) -> np.ndarray:
+        """Read-out nodes (T, N, 3) [m] of solver nodes (T, n, 3) [m]."""
+        points = self._checked(points, "positions")
+        return points.copy() if self._same else np.stack([self._down @ x for x in points])
+
+    def forces(self, points: np.ndarray, force: np.ndarray) -> np.ndarray:
+        """Forces on the read-out nodes (T, N, 3) [N] that are equivalent to nodal forces on the solver's mesh.
+
+        Each force goes to the three corners of the triangle it lies in, by its barycentric weights. It acts beside their plane, though, where the
+        skin is curved; a couple of forces within the triangle makes up for that moment. So net force and net moment are kept, force by force.
+
+        Args:
+            points: solver nodes (T, n, 3) [m]. force: on them (T, n, 3) [N].
+        """
+        points, force = self._checked(points, "positions"), self._checked(force, "forces")
+        if len(points) != len(force):
+            raise SensorError(f"bubble: {len(points)} frames of positions and {len(force)} of forces; give as many of both.")
+        if self._same:
+            return force.copy()
+        return np.stack([self._transfer(x, f) for x, f in zip(points, force, strict=True)])
+
+    def _transfer(self, points: np.ndarray, force: np.ndarray) -> np.ndarray:
+        nodes = self._down @ points
+        out = self._up.T @ force
+        couple = np.cross(points - self._up @ nodes, force)
+        corners = nodes[self._corners]
+        arm = corners - corners.mean(axis=1, keepdims=True)
+        inertia = np.einsum("kai,kai->k", arm, arm)[:, None, None] * np.eye(3) - np.einsum("kai,kaj->kij", arm, arm)
+        turn = np.linalg.solve(inertia, couple[..., None])[..., 0]
+        np.add.at(out, self._corners, np.cross(turn[:, None], arm))
+        return out
+
+    def frames(self, points: np.ndarray, force: np.ndarray, pressure: np.ndarray, *, rest_pressure: float, origin: np.ndarray | None = None) -> BubbleFrames:
+        """All read-outs of T frames.
+
+        Args:
+            points: solver nodes (T, n, 3) [m], mount or world frame. force: contact force on each (T, n, 3) [N], the same frame. pressure: gauge (T,) [Pa].
+            rest_pressure: of the free dome [Pa]. origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0, 0).
+
+        Raises:
+            SensorError: shapes that do not fit.
+        """
+        points, force = self._checked(points, "positions"), self._checked(force, "forces")
+        pressure = np.asarray(pressure, np.float64)
+        if pressure.shape != (len(points),):
+            raise SensorError(f"bubble: pressure has shape {pressure.shape}; give one a frame, ({len(points)},).")
+        total, moment = wrench(points, force, origin=origin)
+        return BubbleFrames(pressure - rest_pressure, self.positions(points), self.forces(points, force), total, moment)
+
+    def _checked(self, array: np.ndarray, what: str) -> np.ndarray:
+        array = np.asarray(array, np.float64)
+        if array.ndim != 3 or array.shape[1:] != (len(self.solver.points), 3):
+            raise SensorError(f"bubble: {what} have shape {array.shape}; give frames of all nodes of the solver's mesh, (T, {len(self.solver.points)}, 3).")
+        return array
+
+
+def wrench(points: np.ndarray, force: np.ndarray, *, origin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Net force (T, 3) [N] and its moment (T, 3) [N m] about ``origin`` (T, 3) or (3,) [m] of nodal forces (T, n, 3) at points (T, n, 3)."""
+    about = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
+    arm = points - (about[:, None] if about.ndim == 2 else about)
+    return force.sum(axis=1), np.cross(arm, force).sum(axis=1)

@@ -1,0 +1,94 @@
+"""How far estimated contact forces are from the true ones: figures that no real set-up can give."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
+from vsfsim.sensing.membrane_fe import SensorError
+
+REGION = 0.1
+"""A node is in the contact region if its force is over this share of the frame's largest; the same for truth and estimate."""
+
+
+@dataclass(frozen=True)
+class PressRecord:
+    """One press as simulated, on the read-out mesh, mount frame.
+
+    name: of the press. depth: past first contact (T,) [m]. position: of the nodes (T, n, 3) [m]. pressure: gauge (T,) [Pa]. force: true contact
+    force on each node (T, n, 3) [N].
+    """
+
+    name: str
+    depth: np.ndarray
+    position: np.ndarray
+    pressure: np.ndarray
+    force: np.ndarray
+
+
+@dataclass(frozen=True)
+class ForceScore:
+    """Errors in each of T frames.
+
+    node_rms: root mean square over the nodes of the error's length (T,) [N]. node_size: the same of the true forces (T,) [N]. net: length of the error
+    of the net force (T,) [N]. net_size: length of the true net force (T,) [N]. iou: of the contact regions, intersection over union (T,) [-];
+    NaN without contact.
+    """
+
+    node_rms: np.ndarray
+    node_size: np.ndarray
+    net: np.ndarray
+    net_size: np.ndarray
+    iou: np.ndarray
+
+
+def score(estimate: np.ndarray, true: np.ndarray) -> ForceScore:
+    """Compare estimated with true forces, both (T, n, 3) [N]."""
+    if estimate.shape != true.shape or true.ndim != 3:
+        raise SensorError(f"dense force score: estimate {estimate.shape} and truth {true.shape}; both must be (T, n, 3).")
+    error = estimate - true
+    regions = []
+    for force in (estimate, true):
+        size = np.linalg.norm(force, axis=2)
+        regions.append((size > REGION * size.max(axis=1, keepdims=True)) & (size > 0.0))
+    both, either = (regions[0] & regions[1]).sum(axis=1), (regions[0] | regions[1]).sum(axis=1)
+    iou = np.where(regions[1].any(axis=1), both / np.maximum(either, 1), np.nan)
+    return ForceScore(np.sqrt((error**2).sum(axis=2).mean(axis=1)), np.sqrt((true**2).sum(axis=2).mean(axis=1)),
+                      np.linalg.norm(error.sum(axis=1), axis=1), np.linalg.norm(true.sum(axis=1), axis=1), iou)
+
+
+def noisy(press: PressRecord, rng: np.random.Generator, *, displacement_std: float, pressure_std: float) -> PressRecord:
+    """The press with white noise on every node [m], each component alike, and on the pressure [Pa]."""
+    return replace(press, position=press.position + displacement_std * rng.standard_normal(press.position.shape),
+                   pressure=press.pressure + pressure_std * rng.standard_normal(press.pressure.shape))
+
+
+STIFFNESSES = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
+FORCE_SCALES = (0.005, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""What `calibrate` tries: E h over its nominal value [-], and the force scale [N]."""
+
+
+def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str, options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
+    """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31] calibrates the same way.
+
+    Args:
+        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: all but the force scale.
+
+    Returns:
+        The calibration and options with the smallest RMS error of the net force, and that error [N].
+    """
+    best: tuple[float, BubbleCalibration, EstimatorOptions] | None = None
+    position, pressure = np.concatenate([p.position for p in presses]), np.concatenate([p.pressure for p in presses])
+    true = np.concatenate([p.force for p in presses]).sum(axis=1)
+    for share in STIFFNESSES:
+        given = replace(calibration, stiffness=share * calibration.stiffness)
+        for scale in FORCE_SCALES:
+            tried = replace(options, force_scale=scale)
+            found = DenseForceEstimator(given, method=method, options=tried).estimate(position, pressure).force.sum(axis=1)
+            error = float(np.sqrt(np.mean(np.sum((found - true) ** 2, axis=1))))
+            if best is None or error < best[0]:
+                best = error, given, tried
+    assert best is not None
+    return best[1], best[2], best[0]
