@@ -38,7 +38,8 @@ class Trees:
 class Touches:
     """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses (T, B, K).
 
-    force_limit: a touch ends before the first frame past it [N]. tolerance: unbalanced over contact force [-].
+    force_limit: a touch ends before the first frame past it [N]. tolerance: unbalanced over contact force [-]; contact forces
+    under ``faint`` count as that [N].
     """
 
     plant: wp.array(dtype=wp.int32)
@@ -50,6 +51,7 @@ class Touches:
     turn: wp.array3d(dtype=wp.quatd)
     force_limit: wp.float64
     tolerance: wp.float64
+    faint: wp.float64
 
 
 @wp.struct

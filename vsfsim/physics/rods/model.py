@@ -47,7 +47,7 @@ class RodModel:
     def floor(self) -> float:
         """What rounding leaves of the sum of unbalanced forces [N], a bound."""
         size = float(np.abs(self.plant.nodes).max())
-        return 1e-9 + 4.0 * _ROUNDING * size * float(self.kd.sum())
+        return 4.0 * _ROUNDING * size * float(self.kd.sum())
 
     def point_stiffness(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Force over displacement at material points (k,), along unit directions (k, 3), at rest: (k,) [N/m]; infinite where nothing gives way."""

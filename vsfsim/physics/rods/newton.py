@@ -14,7 +14,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be listed [m]
 MOVE = wp.constant(wp.float64(0.85))  # longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is under half of the thinnest
 TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
-FAINT = wp.constant(wp.float64(1.0))  # smaller contact forces count as this in the residual [N]: with the tolerance of 1e-4 a joint is then off by under 0.1 mN m, a thousandth of its sensor
 BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
 NEWTON = wp.constant(60)
 HALVINGS = wp.constant(12)
@@ -192,7 +191,7 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
             plain = CAREFUL
             continue
         tried = 0
-        residual = rest / wp.max(wp.max(force, FAINT), tree.floor[touch.plant[b]] / touch.tolerance)
+        residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
         if not wp.isfinite(rest):
             reason = NOT_FINITE
             break

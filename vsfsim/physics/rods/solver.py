@@ -23,10 +23,12 @@ ROOM = 512  # places for contacts (sample, capsule) of a touch
 
 @dataclass(frozen=True)
 class RodOptions:
-    """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. force_limit: a touch ends before the first frame past it [N].
+    """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
+    0.1 mN m, a thousandth of the noise of its sensor. force_limit: a touch ends before the first frame past it [N].
     room: places for contacts of a touch. chunk: frames of one launch, for the progress and for memory."""
 
     tolerance: float = 1e-4
+    faint: float = 1.0
     force_limit: float = np.inf
     room: int = ROOM
     chunk: int = 32
@@ -114,7 +116,7 @@ class RodSolver:
             touch.radius = wp.array([s.radius for s in self.shapes], dtype=wp.float64)
             touch.place = wp.array(np.ascontiguousarray(poses[..., :3, 3]), dtype=wp.vec3d)
             touch.turn = wp.array(quaternions(poses[..., :3, :3]), dtype=wp.quatd)
-            touch.force_limit, touch.tolerance = float(self.options.force_limit), float(self.options.tolerance)
+            touch.force_limit, touch.tolerance, touch.faint = float(self.options.force_limit), float(self.options.tolerance), float(self.options.faint)
             work = self._make_work(plant, b, wide, k)
             out = _make_results(t, b, k, wide if keep_nodes else 0)
             for begin in range(0, t, self.options.chunk):
