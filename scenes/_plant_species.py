@@ -103,7 +103,8 @@ SPECIES: dict[str, Species] = {
 
 @dataclass(frozen=True)
 class PlantOptions:
-    """What a scene may ask of a plant. species: key of `SPECIES`, or "random": one of them with every size drawn within a factor of 1.5. scale: of all lengths [-]. variation: every size of a species is
+    """What a scene may ask of a plant. species: key of `SPECIES`; "random": one of them with every size drawn within a factor of 1.5; or "by-object": the
+    first for object 0 of a dataset, the second for object 1 and so on. scale: of all lengths [-]. variation: every size of a species is
     drawn within this fraction of its own. leaf_share: of the leaves that grow, 0 to 1. max_segments: leaves are left out until the plant has no more. appearance_informative: probability that a part
     looks as stiff as it is. leaves: False for a bare plant. modulus_factor: of all moduli [-]. segment: length of wood's segments [m]."""
 
@@ -128,7 +129,7 @@ def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
     for key in parameters:
         if key not in allowed:
             raise SceneError(unknown_key(where, key, allowed))
-    names = (*SPECIES, "random")
+    names = (*SPECIES, "random", "by-object")
     species, leaves = parameters.get("species", "random"), parameters.get("leaves", True)
     if species not in names:
         raise SceneError(f"{where}: species is {species!r}. {did_you_mean(str(species), names)}")
@@ -141,11 +142,11 @@ def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
                         number["modulus_factor"], number["segment"])
 
 
-def drawn(options: PlantOptions, rng: np.random.Generator) -> tuple[str, Species]:
-    """The species to grow, its sizes drawn, and its name. The number of draws does not depend on the outcome."""
+def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple[str, Species]:
+    """The species to grow as object ``number``, its sizes drawn, and its name. The number of draws does not depend on the outcome."""
     names = tuple(SPECIES)
     pick, wild = int(rng.integers(len(names))), options.species == "random"
-    name = names[pick] if wild else options.species
+    name = names[pick] if wild else names[number % len(names)] if options.species == "by-object" else options.species
     kind = SPECIES[name]
     spread = np.log(1.5) if wild else np.log1p(options.variation)
     f = np.exp(spread * rng.uniform(-1.0, 1.0, 8))

@@ -24,17 +24,18 @@ _WOOD_DENSITY, _LEAF_DENSITY = 700.0, 600.0  # kg/m^3
 _BRIGHTNESS = 0.45
 
 
-def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str) -> Plant:
+def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
     """A plant in its pot on z = 0, its foot over the origin.
 
     Args:
         parameters: fields of `_plant_species.PlantOptions`. rng: stream of form, moduli and look, in this order. where: file and section, for the messages.
+        number: of the object in its dataset, from 0.
 
     Raises:
         SceneError: an unknown or impossible parameter.
     """
     options = read_parameters(parameters, where)
-    name, kind = drawn(options, rng)
+    name, kind = drawn(options, rng, number)
     garden = _Garden(kind, options, rng)
     garden.grow()
     n = len(garden.nodes)

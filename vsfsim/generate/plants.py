@@ -92,8 +92,8 @@ class Subject:
     aims: list[ArmAim]
 
 
-def grow(scene: Scene, seed: np.random.SeedSequence | int) -> Plant:
-    """The plant of a scene.
+def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
+    """The plant of a scene, as object ``number`` of its dataset.
 
     Raises:
         SceneError: its object is no family of plants, or a parameter is wrong.
@@ -106,7 +106,7 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int) -> Plant:
     module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
     if not hasattr(module, "grow"):
         raise SceneError(f"{scene.source} [arm]: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use family = \"plant\", or take [arm] out and give a [probe].")
-    plant = module.grow(shape.parameters, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'")
+    plant = module.grow(shape.parameters, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
     return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
 
 
@@ -119,7 +119,7 @@ def prepare(scene: Scene, touches: TouchSpec, seeds: Callable[[str], Any], *, na
     """
     assert scene.arm is not None
     seconds, since = seconds or Seconds(), time.perf_counter()
-    plant = grow(scene, seeds("body")).turned(2.0 * np.pi * numbers[1] / views)
+    plant = grow(scene, seeds("body"), number=numbers[0]).turned(2.0 * np.pi * numbers[1] / views)
     model = build(plant, gravity=scene.gravity)
     since = seconds.charge("grow", since)
     view = see(plant, scene.camera, device=device, renderer=renderer)
@@ -177,6 +177,10 @@ def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> T
     spec, arm = subject.scene.arm, subject.arm
     assert spec is not None
     n = int(frames.frames[b])
+    if n < len(a.q):
+        # stopped by the force limit: what did not converge on the way there is no reading either
+        good = np.flatnonzero(frames.converged[:n, b])
+        n = int(good[-1]) + 1 if len(good) else 1
     force, moment = frames.force[:n, b], frames.moment[:n, b]
     postures = type(at)(at.links[:n], at.tool[:n], at.anchors[:n], at.axes[:n])
     time_, q = times(n), a.q[:n]

@@ -14,7 +14,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
-WORK = wp.constant(600)  # Newton iterations that one frame may take, retries included
+WORK = wp.constant(800)  # Newton iterations that one frame may take, retries included
 UNSTRAINED = wp.constant(wp.float64(1e-8))  # strain and turn [-, rad] below which a released segment is at rest
 
 

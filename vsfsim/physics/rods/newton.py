@@ -15,9 +15,11 @@ MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be liste
 MOVE = wp.constant(wp.float64(0.85))  # longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is under half of the thinnest
 TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
 BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
-NEWTON = wp.constant(60)
+NEWTON = wp.constant(60)  # iterations, those not counted in which something goes as far as it may
+TRAVEL = wp.constant(400)  # and all of them
 HALVINGS = wp.constant(12)
-SHRINK = wp.constant(wp.float64(0.7))  # of the unbalanced force, by a step that no potential vouches for
+SHRINK = wp.constant(wp.float64(0.25))  # least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
+TRIES = wp.constant(3)  # lengths that such a step is tried at
 CAREFUL = wp.constant(2)  # steps down the potential after one that was taken back
 OK, ITERATIONS, STALLED, NOT_FINITE, PATCH = (wp.constant(k) for k in (0, 1, 3, 4, 5))  # frames.Reason
 SETS = wp.constant(6)  # how often the contacts of a step are chosen anew
@@ -169,7 +171,13 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
     plain = int(0)
     tried = int(0)
     before = ZERO
-    for it in range(NEWTON):
+    again = int(0)
+    part = ONE
+    way = ZERO
+    spent = int(0)
+    for _it in range(TRAVEL):
+        if spent >= NEWTON:
+            break
         if moved > ONE and tried == 0:
             ride(tree, w, b, o, n)
             listed = gather(tree, touch, w, b, o, n, MARGIN, old, new)
@@ -184,12 +192,25 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
         force = renew(tree, touch, w, b, o, new) + load
         slips = assemble(tree, touch, w, b, o, count, new, ONE)
         rest = unbalanced(tree, w, b, o, count)
-        if tried == 1 and not rest < SHRINK * before:
-            # Newton's step with friction following the normal force did no good: back, and down the potential instead
-            restore(w, b, count)
-            tried = 0
-            plain = CAREFUL
+        if again == 1:
+            # back where the step was made: it is tried once more, shorter
+            again = 0
+            attempt(tree, w, b, o, count, part)
+            accept(w, b, count)
             continue
+        if tried > 0 and not rest < (ONE - SHRINK * part) * before:
+            # no potential vouches for the step with friction that follows the normal force, so the unbalanced force must shrink; else back, and at last down the potential
+            restore(w, b, count)
+            if tried < TRIES:
+                tried = tried + 1
+                part = real(0.35) * part
+                again = 1
+            else:
+                tried = 0
+                plain = CAREFUL
+            continue
+        if tried > 0:
+            moved = moved + part * way
         tried = 0
         residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
         if not wp.isfinite(rest):
@@ -204,12 +225,13 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
                 rates(tree, w, b, o, count)
                 slope, way, turn = extent(tree, w, b, o, count, real(10.0))
                 if wp.isfinite(slope) and way < MOVE and turn < TURN:
+                    spent = spent + 1
                     before = rest
                     tried = 1
+                    part = ONE
                     keep(w, b, count)
                     attempt(tree, w, b, o, count, ONE)
                     accept(w, b, count)
-                    moved = moved + way
                     continue
             plain = 1
             assemble(tree, touch, w, b, o, count, new, ONE)
@@ -230,6 +252,7 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
         if not wp.isfinite(slope):
             reason = NOT_FINITE
             break
+        spent = spent + 1
         alpha = wp.min(ONE, wp.min(MOVE / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
         start = attempt(tree, w, b, o, count, ZERO) + contact_energy(tree, touch, w, b, o, new, w.x, w.q)
         found = int(0)
@@ -247,6 +270,8 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
                 break
             continue
         small = 0
+        if found == 1 and alpha * way > HALF * MOVE:
+            spent = spent - 1  # on its way: a branch that springs back goes as far as it must
         accept(w, b, count)
         moved = moved + alpha * way
     ride(tree, w, b, o, n)
