@@ -6,7 +6,7 @@ import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
 from vsfsim.physics.rods.assembly import vec6
 from vsfsim.physics.rods.newton import balance
-from vsfsim.physics.rods.search import surface_point
+from vsfsim.physics.rods.search import ride, surface_point
 from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, quat, real, six, strain, vec3
 from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip
 
@@ -15,7 +15,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
 WORK = wp.constant(800)  # Newton iterations that one frame may take, retries included
-UNSTRAINED = wp.constant(wp.float64(1e-8))  # strain and turn [-, rad] below which a released segment is at rest
 
 
 @wp.func
@@ -40,7 +39,7 @@ def capsules_at(touch: Touches, w: Work, b: int, t: int, from_part: real, part: 
 
 
 @wp.func
-def settle(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, side: int, count: int):
+def settle(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, side: int, count: int, weighs: int, found: int):
     """The step is done: contacts remember where they stick, segments whether they are strained."""
     for c in range(w.count[side, b]):
         i = w.node[side, b, c]
@@ -59,14 +58,23 @@ def settle(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, side: i
             w.stuck[side, b, c] = 1
         else:
             w.stuck[side, b, c] = 0
-    for i in range(1, n):
+    for i in range(n):
         w.strained[b, i] = 0
-    for a in range(1, count):
-        i = w.order[b, a]
-        p = tree.parent[o + i]
-        s = strain(w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i], tree.frame[o + i], tree.length[o + i])
-        if wp.length(s.phi) > UNSTRAINED or wp.length(s.d) > UNSTRAINED * tree.length[o + i]:
-            w.strained[b, i] = 1
+    if found == 1 and weighs == 0:
+        # what nothing presses any more is unloaded: it is put where its joint carries it, to the last bit
+        for c in range(w.count[side, b]):
+            if w.stuck[side, b, c] == 1:
+                w.strained[b, w.node[side, b, c]] = 1
+        for back in range(1, n):
+            i = n - back
+            if w.strained[b, i] == 1:
+                w.strained[b, tree.parent[o + i]] = 1
+        for i in range(1, n):
+            w.active[b, i] = w.strained[b, i]
+        ride(tree, w, b, o, n)
+    else:
+        for a in range(1, count):
+            w.strained[b, w.order[b, a]] = 1
 
 
 @wp.func
@@ -180,7 +188,7 @@ def advance(
                         part = ONE
                 else:
                     if reason != 5:
-                        settle(tree, touch, w, b, o, n, new, count)
+                        settle(tree, touch, w, b, o, n, new, count, weighs, wp.where(reason == 0, 1, 0))
                         w.side[b] = new
                     part = goal
                     h = wp.min(real(2.0) * h, base)
