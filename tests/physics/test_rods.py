@@ -63,11 +63,10 @@ def test_friction_sticks_then_slips_both_ways(device):
     stick = drag < 0.9 * mu * 0.012
     # the press has left friction along the stem, up to mu, which is part of the push as it is taken here: 1 - cos(atan mu / 2) and the slope of 0.09 rad
     assert ratio[:60][stick] == pytest.approx(-at[stick], rel=0.08)
-    assert (frames.slipping[13:73, 0][stick] == 0.0).mean() > 0.9
     slip = drag > 1.1 * mu * 0.012
     assert ratio[:60][slip] == pytest.approx(-mu, rel=1e-3) and (frames.slipping[13:73, 0][slip] == 1.0).all()
-    # dragged back it sticks for twice that way first
-    assert frames.slipping[73 + 20, 0] == 0.0 and ratio[119] == pytest.approx(mu, rel=1e-3)
+    # dragged back, half a millimetre a frame, it comes to the other limit after twice that way and no sooner
+    assert np.abs(ratio[60:65]).min() > 0.5 * mu and np.sign(ratio[68]) != np.sign(ratio[78]) and ratio[90:119] == pytest.approx(mu, rel=1e-3)
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.02])

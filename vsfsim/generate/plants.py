@@ -21,7 +21,7 @@ from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, View
 from vsfsim.generate.plant_aim import ArmAim, aim_arm, load
 from vsfsim.generate.plant_surface import plant_view
 from vsfsim.generate.plant_truth import plant_truth
-from vsfsim.physics.frames import Reason
+from vsfsim.generate.touch import _BALANCE, REASONS
 from vsfsim.physics.rods.model import RodModel, build
 from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
 from vsfsim.robot.arm import Arm
@@ -32,7 +32,6 @@ from vsfsim.robot.press import times
 from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import kinect_depth
 
-REASONS = tuple(reason.text for reason in Reason if reason != Reason.NONE)
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 BATCH = 512  # touches that advance together on a GPU; on a CPU one thread does them one after the other, and the bits are the same
 
@@ -190,11 +189,12 @@ def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> T
     else:
         torque = body_torque(arm, postures, force, moment=moment)
     link_force, link_moment = _by_link(arm, postures, force, moment)
-    converged = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
+    found = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
+    converged = found & (frames.force_balance[:n, b] <= _BALANCE)
     audit = {name: getattr(frames, name)[:n, b] for name in AUDIT_COLUMNS if name != "min_det_f"}
     return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
                  residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
-                 reason=np.where(converged, 0, frames.reason[:n, b]).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
+                 reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
                  draws=np.array(a.draws))
 
 
