@@ -38,13 +38,23 @@ BATCH = 512  # touches that advance together on a GPU; on a CPU one thread does 
 
 @dataclass
 class Seconds:
-    """Where the time goes, stage by stage [s]."""
+    """Where the time goes, stage by stage: on the clock, and of this process's CPU [s]."""
 
     spent: Counter = field(default_factory=Counter)
+    cpu: Counter = field(default_factory=Counter)
+    _last: float = field(default_factory=time.process_time)
+
+    def begin(self) -> float:
+        """Starts a stage; the clock's time, for `charge`."""
+        self._last = time.process_time()
+        return time.perf_counter()
 
     def charge(self, stage: str, since: float) -> float:
-        now = time.perf_counter()
+        """Ends a stage and starts the next one."""
+        now, busy = time.perf_counter(), time.process_time()
         self.spent[stage] += now - since
+        self.cpu[stage] += busy - self._last
+        self._last = busy
         return now
 
 
@@ -117,7 +127,8 @@ def prepare(scene: Scene, touches: TouchSpec, seeds: Callable[[str], Any], *, na
         seeds: streams by name: "body", "depth", and "aim" with the number of a touch. views: of the object; it is turned by a full circle over as many.
     """
     assert scene.arm is not None
-    seconds, since = seconds or Seconds(), time.perf_counter()
+    seconds = seconds or Seconds()
+    since = seconds.begin()
     plant = grow(scene, seeds("body"), number=numbers[0]).turned(2.0 * np.pi * numbers[1] / views)
     model = build(plant, gravity=scene.gravity)
     since = seconds.charge("grow", since)
@@ -140,7 +151,8 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
 
 def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
-    seconds, since = seconds or Seconds(), time.perf_counter()
+    seconds = seconds or Seconds()
+    since = seconds.begin()
     arm, scene = subjects[0].arm, subjects[0].scene
     assert scene.touches is not None
     every = [(s, a) for s, subject in enumerate(subjects) for a in subject.aims]
