@@ -47,9 +47,9 @@ class Leaves:
 
 @dataclass(frozen=True)
 class Species:
-    """A kind of plant. height: of the stems [m]. stems: from the soil. spread: of their feet [m]. lean: of the stems [rad]. radius: at the foot [m]. taper, droop: as of a `Level`.
-    wood, shoot, petiole, leaf: Young's moduli, lowest and highest [Pa], log-uniform between. levels, leaves: what grows. bark, foliage: usual colours, linear RGB.
-    texture: of the bark. pot: (radius, height) [m]."""
+    """A kind of plant. height: of the stems [m]. stems: from the soil. spread: of their feet [m]. lean: of the stems [rad]. radius: at the foot [m]. taper: radius at the tip over that at the foot.
+    droop: downward bend a metre [1/m]. levels, leaves: what grows. wood: Young's modulus of stems, lowest and highest [Pa], log-uniform between. shoot: of branches [Pa]. petiole: of petioles [Pa].
+    leaf: of blades [Pa]. bark: usual colour, linear RGB, 0..1. foliage: usual colour, linear RGB, 0..1. texture: of the bark. pot: (radius, height) [m]."""
 
     height: float
     stems: int
@@ -105,7 +105,7 @@ SPECIES: dict[str, Species] = {
 class PlantOptions:
     """What a scene may ask of a plant. species: key of `SPECIES`; "random": one of them with every size drawn within a factor of 1.5; or "by-object": the
     first for object 0 of a dataset, the second for object 1 and so on. scale: of all lengths [-]. variation: every size of a species is
-    drawn within this fraction of its own. leaf_share: of the leaves that grow, 0 to 1. max_segments: leaves are left out until the plant has no more. appearance_informative: probability that a part
+    drawn within this fraction of its own. leaf_share: fraction of the leaves that grow. max_segments: leaves are left out until the plant has no more. appearance_informative: probability that a part
     looks as stiff as it is. leaves: False for a bare plant. modulus_factor: of all moduli [-]. segment: length of wood's segments [m]."""
 
     species: str

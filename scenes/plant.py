@@ -1,12 +1,13 @@
 """Potted plants: stems, branches of tapering radius, petioles and leaf blades, as a tree of beams.
 
-`grow` makes the tree (`vsfsim.core.plant.Plant`); `build` fills a bare one with tetrahedra, for cross-checks on small cases.
+`grow` makes the tree (`vsfsim.core.plant.Plant`); `vsfsim.physics.rods.family.solid_of` fills a bare one with tetrahedra, for cross-checks on small cases.
 An axis is a chain of segments that turns a little at every one; the axes of the next level, or the leaves, stand around it by the golden
 angle. Young's modulus is drawn for every axis within its species' range for wood (stems), shoots (branches), petioles or leaves, and varies along it.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from typing import Any
@@ -14,8 +15,20 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.plant import Plant, Pot
-from vsfsim.core.solid import Appearance, Solid
-from vsfsim.scenes._plant_species import BRANCH, LEAF, PETIOLE, REGIONS, TRUNK, Leaves, Level, PlantOptions, Species, drawn, read_parameters
+from vsfsim.core.solid import Appearance
+from vsfsim.scenes._plant_species import (
+    BRANCH,
+    LEAF,
+    PETIOLE,
+    REGIONS,
+    TRUNK,
+    Leaves,
+    Level,
+    PlantOptions,
+    Species,
+    drawn,
+    read_parameters,
+)
 
 _GOLDEN = 2.399963  # rad
 _WANDER = 0.05  # rad a segment, how much an axis turns by chance
@@ -45,13 +58,6 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
         np.array(garden.modulus) * options.modulus_factor, np.where(np.array(garden.region) == LEAF, _LEAF_DENSITY, _WOOD_DENSITY), np.array(garden.region), REGIONS,
         look=np.array(garden.axis), appearance=look, pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
         notes=(f"{name}: {n - 1} segments, {sum(r == LEAF for r in garden.region[1:])} of them of leaves, {garden.nodes_top():.2f} m high.",))
-
-
-def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
-    """A plant without its leaves as tetrahedra, for small cases; see `_plant_tets`."""
-    from vsfsim.scenes._plant_tets import fill
-
-    return fill(grow({**parameters, "leaves": False}, rng, where=where), resolution, where)
 
 
 class _Garden:
@@ -124,7 +130,7 @@ class _Garden:
         return out
 
     def _branches(self, axis: list[int], level: Level) -> list[list[int]]:
-        length = sum(float(np.linalg.norm(self.nodes[b] - self.nodes[a])) for a, b in zip(axis[:-1], axis[1:]))
+        length = sum(float(np.linalg.norm(self.nodes[b] - self.nodes[a])) for a, b in itertools.pairwise(axis))
         out, turn = [], self.rng.uniform(0.0, 2.0 * math.pi)
         for k in range(level.count):
             place = level.start + (level.end - level.start) * (k + 0.5) / level.count

@@ -9,17 +9,21 @@ from vsfsim.core import shelf
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Sphere
 from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.rods.family import grow
 
 
 def test_the_shelf_is_complete() -> None:
-    assert {"shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball"} <= set(shelf.scenes())
-    assert "shoe" in shelf.families()
+    assert {"plants", "plants-mini", "shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball"} <= set(shelf.scenes())
+    assert {"plant", "shoe"} <= set(shelf.families())
 
 
 @pytest.mark.parametrize("name", shelf.scenes())
 def test_scene_builds(name: str) -> None:
     scene = load_scene(shelf.scenes()[name]).sample(0)
     assert scene.name == name
+    if scene.arm is not None:
+        assert scene.object.tier == "rod" and 50 <= len(grow(scene.object.shape, np.random.default_rng(0), where=name).nodes) - 1 <= 500
+        return
     solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
     spec = scene.object
     material = spec.young_modulus.by_region(solid.region_names, solid.young_modulus, name)

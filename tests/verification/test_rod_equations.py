@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import fsolve
-
 from stems import crossing, loaded, plant, stem, touch
 
 from vsfsim.physics.rods.model import SHEAR_ROUND, build

@@ -25,7 +25,7 @@ class ChainCapsule:
 class Chain:
     """Links in a row, each in its parent's frame; a joint turns its link about the link's own +z.
 
-    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z (L, 4). joints: number of the joint that turns each link, -1 for none (L,).
+    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z (L, 4) [-]. joints: number of the joint that turns each link, -1 for none (L,).
     capsules: K of them. As a "probe" of a dataset it says what touched the object, and ``q`` of a touch where it was.
     """
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -12,16 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import CameraSpec, Scene, TouchSpec, parse_scene
 from vsfsim.core.shape import Family
-from vsfsim.core.shelf import families
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, View
 from vsfsim.generate.plant_aim import ArmAim, aim_arm, load
 from vsfsim.generate.plant_surface import plant_view
 from vsfsim.generate.plant_truth import plant_truth
 from vsfsim.generate.touch import _BALANCE, REASONS
+from vsfsim.physics.rods.family import grow as grow_family
 from vsfsim.physics.rods.model import RodModel, build
 from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
 from vsfsim.robot.arm import Arm
@@ -110,12 +109,7 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     shape = scene.object.shape
     if not isinstance(shape, Family):
         raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not {type(shape).__name__.lower()}.")
-    if shape.name not in families():
-        raise SceneError(f"{scene.source} [object.shape]: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
-    module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
-    if not hasattr(module, "grow"):
-        raise SceneError(f"{scene.source} [arm]: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use family = \"plant\", or take [arm] out and give a [probe].")
-    plant = module.grow(shape.parameters, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
+    plant = grow_family(shape, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
     return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
 
 
@@ -207,7 +201,7 @@ def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> T
     return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
                  residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
                  reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
-                 draws=np.array(a.draws))
+                 draws=a.draws)
 
 
 def _by_link(arm: Arm, at: Any, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

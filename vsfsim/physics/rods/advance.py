@@ -7,7 +7,7 @@ from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
 from vsfsim.physics.rods.assembly import vec6
 from vsfsim.physics.rods.newton import balance
 from vsfsim.physics.rods.search import ride, surface_point
-from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, quat, real, six, strain, vec3
+from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, real, six, strain, vec3
 from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -121,7 +121,7 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
         s = strain(w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i], tree.frame[o + i], tree.length[o + i])
         stored = stored + energy(s, tree.kd[o + i], tree.kphi[o + i])
         if p == 0:
-            f, mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
+            f, _mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
             root = root + six(-f, mp)
     out.reaction[t, b] = root
     out.energy[t, b] = stored

@@ -4,7 +4,7 @@ import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Touches, Trees, Work
-from vsfsim.physics.rods.assembly import assemble, contact_energy, foresee, model, press, renew, unbalanced, vec6
+from vsfsim.physics.rods.assembly import assemble, contact_energy, foresee, model, press, renew, unbalanced
 from vsfsim.physics.rods.elimination import solve, solve_coulomb
 from vsfsim.physics.rods.search import activate, gather, ride
 from vsfsim.physics.rods.segment import HALF, ONE, TINY, ZERO, energy, quat, real, six, strain, vec3
@@ -139,7 +139,7 @@ def step(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side:
     """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at most. 1, or 0 where there is none."""
     fine = int(0)
     geometric = ONE
-    for pick in range(sets):
+    for _pick in range(sets):
         model(tree, touch, w, b, o, count, side, geometric, coulomb)
         if coulomb == 1:
             fine = solve_coulomb(tree, w, b, o, count)
@@ -256,7 +256,7 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
         alpha = wp.min(ONE, wp.min(MOVE / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
         start = attempt(tree, w, b, o, count, ZERO) + contact_energy(tree, touch, w, b, o, new, w.x, w.q)
         found = int(0)
-        for trial in range(HALVINGS):
+        for _trial in range(HALVINGS):
             there = attempt(tree, w, b, o, count, alpha) + contact_energy(tree, touch, w, b, o, new, w.x_try, w.q_try)
             # rounding of the sum decides below its last digits
             if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
