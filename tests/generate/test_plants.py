@@ -34,7 +34,7 @@ from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows
 @pytest.fixture(scope="module")
 def scene_file():
     text = find_scene("plants-mini").read_text()
-    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"), ("in = 60, hold = 2, out = 13", "in = 14, hold = 1, out = 4"),
+    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"), ("in = 64, hold = 2, out = 14", "in = 14, hold = 1, out = 4"),
                      ("width = 480\nheight = 432", "width = 120\nheight = 108")):
         assert old in text
         text = text.replace(old, new)

@@ -20,7 +20,7 @@ from vsfsim.robot.reach import Unreachable, straight_touch
 DRAWS = 100  # targets that are tried for one touch
 TURN, LIFT = 0.6, 0.35  # rad: how far the tool's axis may turn sideways from the way arm to target, and how far up or down
 SWEEP = 1.0  # rad: how far the line of motion may turn from the tool's axis, in half of the touches; the tool goes along its own axis in the others
-SHORTEST = 0.3  # of the scene's depth: a touch goes between this share and all of it past its target
+SHORTEST = 0.4  # of the scene's depth: a touch goes between this share and all of it past its target
 PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
 
 
