@@ -32,7 +32,7 @@ from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
-BATCH = 512  # touches that advance together on a GPU; on a CPU one thread does them one after the other, and the bits are the same
+BATCH = 1200  # touches that are solved together, views whole; on a CPU one thread does them one after the other, and the bits are the same
 
 
 @dataclass
@@ -96,7 +96,7 @@ class Subject:
     plant: Plant
     model: RodModel
     view: View
-    arm: Arm
+    arm: Arm | None
     aims: list[ArmAim]
 
 
@@ -145,42 +145,65 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
 
 def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
+    found = solve(subjects, device=device, progress=progress, seconds=seconds)
+    return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
+
+
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[tuple[RodFrames, slice]]:
+    """The equilibria of some views' touches: for each view its frames, and which columns of them are its."""
     seconds = seconds or Seconds()
     since = seconds.begin()
-    arm, scene = subjects[0].arm, subjects[0].scene
+    arm, scene = arm_of(subjects[0]), subjects[0].scene
     assert scene.touches is not None
-    every = [(s, a) for s, subject in enumerate(subjects) for a in subject.aims]
-    longest = max(len(a.q) for _, a in every)
-    at = [arm.postures(a.q) for _, a in every]
-    poses = np.zeros((longest, len(every), len(arm.shapes), 4, 4))
-    for b, posture in enumerate(at):
-        own = arm.capsule_poses(posture)
-        poses[:len(own), b] = own
-        poses[len(own):, b] = own[-1]
-    since = seconds.charge("kinematics", since)
-    solver = RodSolver([s.model for s in subjects], arm.shapes, device=device, options=RodOptions(force_limit=scene.touches.force_limit))
-    parts = []
-    for begin in range(0, len(every), BATCH):
-        some = slice(begin, begin + BATCH)
-        parts.append(solver.run(np.array([s for s, _ in every[some]]), poses[:, some], friction=np.array([subjects[s].scene.object.friction for s, _ in every[some]]),
-                                frames=np.array([len(a.q) for _, a in every[some]]), progress=progress))
-    since = seconds.charge("solve", since)
-    made: list[list[Touch]] = [[] for _ in subjects]
-    for b, (s, a) in enumerate(every):
-        made[s].append(_touch(subjects[s], a, at[b], parts[b // BATCH], b % BATCH))
+    out: list[tuple[RodFrames, slice]] = []
+    group: list[Subject] = []
+    for k, subject in enumerate(subjects):
+        group.append(subject)
+        more = sum(len(s.aims) for s in group) + (len(subjects[k + 1].aims) if k + 1 < len(subjects) else BATCH) > BATCH
+        if not more:
+            continue
+        every = [(s, a) for s, member in enumerate(group) for a in member.aims]
+        poses = np.zeros((max(len(a.q) for _, a in every), len(every), len(arm.shapes), 4, 4))
+        for b, (_, a) in enumerate(every):
+            own = arm.body_poses(a.q)
+            poses[:len(own), b] = own
+            poses[len(own):, b] = own[-1]
+        since = seconds.charge("kinematics", since)
+        solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=RodOptions(force_limit=scene.touches.force_limit))
+        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress)
+        begin = 0
+        for member in group:
+            own_frames = frames.columns(slice(begin, begin + len(member.aims)))
+            out.append((own_frames, slice(0, len(member.aims))))
+            begin += len(member.aims)
+        group = []
+        since = seconds.charge("solve", since)
+    return out
+
+
+def finish(subject: Subject, frames: RodFrames, columns: slice, *, device: str, seconds: Seconds | None = None) -> ObjectView:
+    """The object view of a touched subject: records, torques and truth."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    arm = arm_of(subject)
+    subject = dataclasses.replace(subject, arm=arm)
+    touches = [_touch(subject, a, arm.postures(a.q), frames, columns.start + b) for b, a in enumerate(subject.aims)]
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
-    out = []
-    for subject, touches in zip(subjects, made, strict=True):
-        truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
-        out.append(ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth))
+    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
     seconds.charge("truth", since)
-    return out
+    return ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth)
+
+
+def arm_of(subject: Subject) -> Arm:
+    """Its arm; loaded anew in a process to which it did not travel."""
+    assert subject.scene.arm is not None
+    return subject.arm or load(subject.scene.arm)
 
 
 def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> Touch:
     spec, arm = subject.scene.arm, subject.arm
-    assert spec is not None
+    assert spec is not None and arm is not None
     n = int(frames.frames[b])
     if n < len(a.q):
         # stopped by the force limit: what did not converge on the way there is no reading either

@@ -178,7 +178,13 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         count = workers if workers is not None else (1 if device != "cpu" else (os.cpu_count() or 1))
         if jobs:
             compile_kernels(_kernels(recipe.precision, plants=recipe.tier == "rod"), device, progress=progress)
-            for frames, what in _work(jobs, min(count, len(jobs)), device):
+            if recipe.tier == "rod" and device != "cpu":
+                from vsfsim.generate.plant_batches import make_all
+
+                work = make_all(jobs, device=device, workers=workers)
+            else:
+                work = _work(jobs, min(count, len(jobs)), device)
+            for frames, what in work:
                 done += frames
                 if progress is not None:
                     progress(done, total, what)

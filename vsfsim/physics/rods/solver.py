@@ -5,6 +5,7 @@ All touches of a batch advance together, each in one thread, and may be of diffe
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -62,6 +63,11 @@ class RodFrames:
     force_balance: np.ndarray
     nodes: np.ndarray | None
     turns: np.ndarray | None
+
+    def columns(self, some: slice) -> RodFrames:
+        """Those of some touches."""
+        parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        return RodFrames(**{name: None if a is None else a[some] if name == "frames" else a[:, some] for name, a in parts.items()})
 
 
 class RodSolver:
