@@ -1,7 +1,6 @@
 """Potted plants: stems, branches of tapering radius, petioles and leaf blades, as a tree of beams.
 
-`grow` makes the tree (`vsfsim.core.plant.Plant`); `vsfsim.physics.rods.family.solid_of` fills a bare one with tetrahedra, for cross-checks on small cases.
-An axis is a chain of segments that turns a little at every one; the axes of the next level, or the leaves, stand around it by the golden
+`grow` makes the tree (`vsfsim.core.plant.Plant`). An axis is a chain of segments that turns a little at every one; the axes of the next level, or the leaves, stand around it by the golden
 angle. Young's modulus is drawn for every axis within its species' range for wood (stems), shoots (branches), petioles or leaves, and varies along it.
 """
 

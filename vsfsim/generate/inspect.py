@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.core.scene import Scene
+
 
 def inspect(what: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     """Draw the picture of a dataset folder or of a scene; returns lines to print.
@@ -42,12 +44,14 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     loaded = load_scene(find_scene(name))
     # as object 0 of a dataset of this seed
     scene = loaded.sample(stream(seed, _SCENE, 0))
+    path = out or Path(f"{loaded.name}.png")
+    if scene.arm is not None:
+        return _plant(scene, path, stream(seed, _BODY, 0), f"{loaded.name}, seed {seed}", device)
     tier = tiers.choose(scene)
     solid, values = tiers.body(scene, tier, seed=stream(seed, _BODY, 0))
     mean = values.mean(axis=1)
     surface = surface_of(solid, scene)
     owner = solid.surface()[1]
-    path = out or Path(f"{loaded.name}.png")
     turntable(surface, path, young_modulus=mean[owner], title=f"{loaded.name}, seed {seed}", device=device)
     lines = [f"{loaded.name}: {len(solid.tets)} tetrahedra, {1e6 * solid.volume():.1f} cm^3, E {mean.min():.3g} to {mean.max():.3g} Pa, tier {tier}"]
     volume = tet_volumes(solid.vertices, solid.tets)
@@ -56,4 +60,21 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
         if inside.any():
             lines.append(f"  {region:<14} E {np.average(mean[inside], weights=volume[inside]):9.3g} Pa  {1e6 * volume[inside].sum():8.1f} cm^3")
     lines.extend(f"note: {sentence}" for sentence in solid.notes)
+    return [*lines, f"turntable: {path}"]
+
+
+def _plant(scene: Scene, path: Path, seed: np.random.SeedSequence, title: str, device: str) -> list[str]:
+    from vsfsim.generate.plant_surface import plant_surface, triangles_of
+    from vsfsim.generate.plants import grow
+    from vsfsim.sensing.turntable import turntable
+
+    plant = grow(scene, seed)
+    turntable(plant_surface(plant, pot=False), path, young_modulus=np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:]), title=title, device=device)
+    lines = [f"{scene.name}: {len(plant.nodes) - 1} segments, {plant.lengths().sum():.2f} m in all, {plant.nodes[:, 2].max():.2f} m high, tier rod"]
+    for index, region in enumerate(plant.region_names):
+        mine = np.flatnonzero(plant.region[1:] == index) + 1
+        if len(mine):
+            e, r = plant.young_modulus[mine], plant.radius[mine]
+            lines.append(f"  {region:<14} {len(mine):4d} segments, E {e.min():9.3g} to {e.max():9.3g} Pa, {'half thickness' if plant.half_width[mine].any() else 'radius'} {1e3 * r.min():.2g} to {1e3 * r.max():.2g} mm")
+    lines.extend(f"note: {sentence}" for sentence in plant.notes)
     return [*lines, f"turntable: {path}"]

@@ -75,3 +75,8 @@ def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: in
     bare = render(plant_surface(plant, pot=False), intrinsics, pose, width, height, device=device, renderer=renderer)
     mask = bare.mask & (bare.depth <= whole.depth + 1e-5)
     return dataclasses.replace(whole, depth=np.where(mask, bare.depth, 0.0).astype(np.float32), mask=mask)
+
+
+def triangles_of(plant: Plant) -> np.ndarray:
+    """How many triangles of `plant_surface` each segment has (n,); they stand in the order of the segments."""
+    return np.where(plant.half_width > 0.0, 2, 3 * _SIDES - 2) * (np.arange(len(plant.nodes)) > 0)

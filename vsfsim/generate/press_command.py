@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import SceneFile
 from vsfsim.generate import press as presses
 from vsfsim.generate.press_text import text as table
@@ -24,6 +25,8 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     """
     keep = picture is not None or save is not None
     scene = loaded.sample(seed)
+    if scene.arm is not None:
+        raise SceneError(f"{loaded.path}: its plant is made of beams and touched by an [arm]; `vsfsim generate {loaded.name} --objects 1 --touches 1` makes such a touch, `vsfsim press` presses solid bodies.")
     words, found = [], {}
     if refine is None:
         result = presses.press(scene, tier=tier, device=device, precision=precision, seed=seed, keep=keep, progress=progress)
