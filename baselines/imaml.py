@@ -182,7 +182,9 @@ class ImamlVision(Imaml):
 
 
 def _inputs(action: Action) -> np.ndarray:
-    """The action in 7 numbers a frame (T, 7): position [m], press direction, way along it since the first frame [m]."""
+    """The action in 7 numbers a frame (T, 7): an arm's joint angles [rad] (SBML appendix B.4); without an arm position [m], press direction, way along it since the first frame [m]."""
+    if action.q is not None:
+        return action.q
     position = action.poses[:, :3, 3]
     along = (position - position[:1]) @ action.axis
     return np.concatenate([position, np.broadcast_to(action.axis, position.shape), along[:, None]], axis=1)

@@ -161,7 +161,7 @@ class Sbml:
         from vsfsim.vsf.meta_prior import MetaTask
 
         rows, z = model.stack(specimen.touches)
-        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) for t in specimen.touches])
+        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) * t.action.size for t in specimen.touches])
         evidence = Evidence.of(rows, z, noise_std=self._settings.noise_std, membership=part.membership, touch=touch, device=self.device)
         features = self._normaliser(raw)[evidence.touched]
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device) for x in (features, part.features)), evidence)

@@ -15,8 +15,10 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vsfsim.bench.method import Action, Estimate, Reading
+from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
+from vsfsim.vsf.arm_rows import arm_torque_rows
 from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
@@ -69,7 +71,9 @@ class VsfObject:
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:
-        """W (T, n) of a touch: readings = W K."""
+        """W (T d, n) of a touch, frame by frame: readings = W K."""
+        if action.observation == "joint-torque":
+            return self._torque_rows(action)
         key = _digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
         if key not in self.rows:
             moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction, device=self.settings.device)
@@ -78,7 +82,16 @@ class VsfObject:
             elif action.observation == "force-magnitude":
                 self.rows[key] = force_sum_rows(moved, len(self.particles))
             else:
-                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force and force-magnitude.")
+                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force, force-magnitude and joint-torque.")
+        return self.rows[key]
+
+    def _torque_rows(self, action: Action) -> sparse.csr_matrix:
+        """Rows of SBML eq. 7, contact along the whole arm."""
+        if not isinstance(action.probe, Chain) or action.q is None:
+            raise MethodError("joint torques need an arm: a touch with joint angles, and the arm's chain as its probe.")
+        key = _digest(action.q, action.axis) + b"joint-torque"
+        if key not in self.rows:
+            self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction, device=self.settings.device)
         return self.rows[key]
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -90,12 +103,12 @@ class VsfObject:
         blocks, values = [sparse.csr_matrix((0, len(self.particles)))], [np.zeros(0)]
         for index, reading in enumerate(readings):
             value = reading.value[reading.valid]
-            if value.shape[1:] != (1,):
-                raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; the particle model predicts one.")
+            if value.shape[1:] != (reading.action.size,):
+                raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; its action says {reading.action.size}.")
             if not np.isfinite(value).all():
                 raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
-            blocks.append(self.observe(reading.action)[np.flatnonzero(reading.valid)])
-            values.append(value[:, 0])
+            blocks.append(self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid, reading.action.size))])
+            values.append(value.ravel())
         return sparse.csr_matrix(sparse.vstack(blocks)), np.concatenate(values)
 
 
@@ -130,15 +143,15 @@ class Posterior:
         return np.diff(self.rows.tocsc().indptr) > 0
 
     def predict(self, actions: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, 1) of each action."""
-        return [(self.model.observe(action) @ self.stiffness)[:, None] for action in actions]
+        """Readings (T, d) of each action."""
+        return [(self.model.observe(action) @ self.stiffness).reshape(-1, action.size) for action in actions]
 
     def predict_std(self, actions: Sequence[Action]) -> list[np.ndarray]:
-        """Standard deviations (T, 1) of the readings: what is left of the springs', and the noise of a reading."""
+        """Standard deviations (T, d) of the readings: what is left of the springs', and the noise of a reading."""
         out = []
         for action in actions:
             std = reading_std(self.rows, self.model.observe(action), noise_std=self.model.settings.noise_std, prior=self.prior)
-            out.append(np.hypot(std, self.model.settings.noise_std)[:, None])
+            out.append(np.hypot(std, self.model.settings.noise_std).reshape(-1, action.size))
         return out
 
     def density(self, points: np.ndarray) -> Estimate:

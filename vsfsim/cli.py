@@ -16,6 +16,7 @@ from typing import Annotated, Any
 import typer
 
 from vsfsim.cli_bench import app as bench_app
+from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
@@ -161,6 +162,7 @@ def generate(scene: SceneName,
              seed: Annotated[int, typer.Option(min=0, help="Root of all random streams.")] = 0,
              tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
+             arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the scene's.")] = None,
              workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None) -> None:
     """Make a dataset from a scene, or finish one.
 
@@ -172,13 +174,15 @@ def generate(scene: SceneName,
     _check_device(device, precision)
     if renderer not in ("warp", "pyrender"):
         raise VsfsimError(f"--renderer is '{renderer}'. {did_you_mean(renderer, ('warp', 'pyrender'))}")
+    if arm is not None and arm not in ARM_MODELS:
+        raise VsfsimError(f"--arm is '{arm}'. {did_you_mean(arm, ARM_MODELS)}")
     loaded = load_scene(find_scene(scene))
     folder = out or Path("datasets") / loaded.name
     from vsfsim.generate.run import generate as run  # seconds; a mistake in the scene should not wait for it
 
     began = time.perf_counter()
     dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device, precision=precision,
-                  renderer=renderer, workers=workers, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
+                  renderer=renderer, workers=workers, arm=arm, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
     bad = sum(entry.unconverged for entry in dataset.entries)
     print(f"{folder}: {len(dataset)} object views, {sum(e.touches for e in dataset.entries)} touches, {sum(e.frames for e in dataset.entries)} frames "
           f"({bad} not converged, marked), {time.perf_counter() - began:.0f} s")

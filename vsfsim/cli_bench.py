@@ -103,3 +103,29 @@ def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes o
     print(bench.table(rows, field, presses))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+           scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants",
+           objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: 3 on a CPU, the scene's own number on a GPU.")] = None,
+           views: Annotated[int | None, typer.Option(min=1, help="Views of each; default: 1 on a CPU, the scene's own number on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of each view; default: 6 on a CPU, the scene's own number on a GPU.")] = None,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Touches and readings a second of plants under an arm, split by stage."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate.bench_plants import bench, table
+
+    _check_device(device)
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    if device == "cpu":
+        objects, views, touches = objects or 3, views or 1, touches or 6
+    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

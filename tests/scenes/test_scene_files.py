@@ -10,11 +10,12 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Sphere
 from vsfsim.physics.bubble import build_bubble
 from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.rods.family import grow
 
 
 def test_the_shelf_is_complete() -> None:
-    assert {"shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball", "punyo"} <= set(shelf.scenes())
-    assert "shoe" in shelf.families()
+    assert {"plants", "plants-mini", "shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball", "punyo"} <= set(shelf.scenes())
+    assert {"plant", "shoe"} <= set(shelf.families())
 
 
 @pytest.mark.parametrize("name", shelf.scenes())
@@ -26,6 +27,9 @@ def test_scene_builds(name: str) -> None:
         assert scene.sensor is not None and scene.press is not None and isinstance(scene.obstacles[0].shape, Sphere)
         apex = build_bubble(scene.sensor).mesh.points[:, 2].max()
         assert scene.press.start[2] - apex - scene.obstacles[0].shape.radius == pytest.approx(0.0, abs=1e-6)
+        return
+    if scene.arm is not None:
+        assert scene.object.tier == "rod" and 50 <= len(grow(scene.object.shape, np.random.default_rng(0), where=name).nodes) - 1 <= 500
         return
     solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
     spec = scene.object

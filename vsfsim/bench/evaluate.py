@@ -124,7 +124,7 @@ class _Run:
         points = view.truth.probe_points
         near = np.zeros(len(points), bool)
         for touch in view.touches:
-            near |= reached(points, view.probe, touch.mount_pose)
+            near |= reached(points, view.probe, touch.mount_pose, q=touch.q)
         near &= view.truth.probe_stiffness > 0.0  # ratios are scored; a cone that met nothing has none
         return _Subject(view, frozen_view(view.view), record(view, self.task), divide(view, self.task.protocol), near)
 

@@ -27,6 +27,9 @@ class Noise:
     depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much images, and the node positions
     made from them, are late against the pressure [s]. node_force_share: error of an estimated contact force on a node, over the RMS force of the
     nodes in contact in that frame [-].
+    made from them, are late against the pressure [s].
+    torque_std: white noise of a torque sensor of joints 1 to 4 [N m]; torque_offset_std: constant through a touch [N m]; torque_drift_std: random walk, after one second
+    [N m]. Those of the smaller joints 5 to 7 are half as large.
     """
 
     force_std: float
@@ -44,6 +47,9 @@ class Noise:
     depth_quantum: float = 0.0
     image_lag: float = 0.0
     node_force_share: float = 0.0
+    torque_std: float = 0.0
+    torque_offset_std: float = 0.0
+    torque_drift_std: float = 0.0
 
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
@@ -54,8 +60,10 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
         "node_force_share": 0.2,  # of a good estimator at this depth noise, `vsfsim bench dense-force`; not of the sensor
     },
+    "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},  # those of `vsfsim.robot.torque_sensor`, with their sources
 }
-"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real one at 30 Hz."""
+"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real one at 30 Hz.
+"gen3": the joint torques of a Kinova Gen3."""
 
 SIGNED = ("pressure_drift",)
 """Keys that may be negative."""

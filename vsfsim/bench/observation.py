@@ -15,8 +15,8 @@ class Observation:
     """How a force becomes a reading.
 
     name: e.g. "normal-force". unit: of a reading. size: numbers in a reading, d.
-    of: (force on the probe (T, 3) [N], or the pressure change (T,) [Pa]; press direction (3,)) -> readings (T, d). doc: one sentence.
-    source: which of the two, "force" or "pressure".
+    of: (force on the probe (T, 3) [N], the pressure change (T,) [Pa], or the joint torques (T, 7) [N m]; press direction (3,)) -> readings (T, d). doc: one sentence.
+    source: which of them, "force", "pressure" or "torque".
     """
 
     name: str
@@ -35,6 +35,8 @@ OBSERVATIONS: Mapping[str, Observation] = {
                     "Norm of the contact force on the probe; noise makes it positive without contact."),
         Observation("pressure", "Pa", 1, lambda pressure, axis: pressure[:, None],
                     "Change of the bubble's gauge pressure against the free dome; positive when pressed.", "pressure"),
+        Observation("joint-torque", "N m", 7, lambda torque, axis: torque,
+                    "Torques of the contact on the seven joints of the arm, weight taken off (SBML eq. 7).", "torque"),
     )
 }
 

@@ -14,6 +14,7 @@ import numpy as np
 from vsfsim.bench.method import Action, Reading, Specimen, frozen, frozen_view
 from vsfsim.bench.noise import noisy_force
 from vsfsim.bench.noise_bubble import noisy_pressure
+from vsfsim.bench.noise_torque import noisy_torque
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.errors import TaskError
 from vsfsim.data.records import ObjectView, Touch
@@ -35,16 +36,22 @@ def record(view: ObjectView, task: Task) -> Recording:
     """Reduce the touches of ``view`` to readings, with the task's noise on them.
 
     Raises:
-        TaskError: the task reads the pressure, and the dataset was made with a rigid probe.
+        TaskError: the task reads the pressure, or the joint torques, and the dataset has none.
     """
     readings, clean = [], []
     for index, touch in enumerate(view.touches):
-        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, task.observation.name, task.observation.size)
+        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, task.observation.name, task.observation.size,
+                        None if touch.q is None else frozen(touch.q))
         force = np.where(touch.converged[:, None], touch.force, np.nan)
         which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": index}
         if task.observation.source == "pressure":
             signal = _pressure_change(touch, f"object view '{view.name}' touch {index}", task)
             noisy = noisy_pressure(signal, touch.time, force, task.noise, **which)
+        elif task.observation.source == "torque":
+            if touch.torque is None or touch.q is None:
+                raise TaskError(f"object view '{view.name}' touch {index} has no joint torques, which task {task.name} reads; its dataset must be made by an arm, an [arm] in the scene.")
+            signal = np.where(touch.converged[:, None], touch.torque, np.nan)
+            noisy = noisy_torque(signal, touch.time, force, task.noise, **which)
         else:
             signal = force
             noisy = noisy_force(force, task.noise, time=touch.time, **which)

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import numpy as np
 
+from vsfsim.core.chain import Chain
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 
 REACH = 0.005
 """A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
 
 
-def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, reach: float = REACH) -> np.ndarray:
+def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None, reach: float = REACH) -> np.ndarray:
     """True where the probe comes within ``reach`` [m] of a point in any frame: (k,) bool.
 
     Args:
-        points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m].
+        points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m]. q: joint angles (T, dof) [rad] of an arm, which is reached by all of its capsules.
     """
+    if isinstance(probe, Chain):
+        assert q is not None, "an arm's touch has joint angles"
+        at, out = probe.capsule_poses(probe.links(q)), np.zeros(len(points), bool)
+        for k, c in enumerate(probe.capsules):
+            if probe.moves(c.link).any():
+                out |= reached(points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach=reach)
+        return out
     out = np.zeros(len(points), bool)
     for pose in poses:
         local = (points - pose[:3, 3]) @ pose[:3, :3]

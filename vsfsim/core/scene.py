@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.bubble import Bubble, parse_sensor
+from vsfsim.core.arm_spec import ArmSpec, parse_arm
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import (
@@ -31,7 +32,7 @@ from vsfsim.core.rigid import (
 from vsfsim.core.shape import Family, MeshFile, ObjectShape, ProbeShape, parse_object_shape
 from vsfsim.core.table import Table
 
-TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine")
+TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine", "rod")
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 _DISTRIBUTIONS = ("uniform", "loguniform", "choice")
 
@@ -83,6 +84,7 @@ class CameraSpec:
 
     width, height: [px]. fov: vertical field of view [rad]. distance: to the look-at point [m].
     azimuth, elevation: direction from the object to the camera [rad].
+    noise: of its depth, "none" or "kinect" (`vsfsim.sensing.kinect`).
     """
 
     width: int
@@ -91,6 +93,7 @@ class CameraSpec:
     distance: float
     azimuth: float
     elevation: float
+    noise: str = "none"
 
 
 @dataclass(frozen=True)
@@ -108,8 +111,8 @@ class Scene:
 
     name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
     probe: moves along the path; parts move with it; obstacles stand in the world. source: the file it came from.
-    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's place.
-    The other fields: see their classes; None where the file has no such table. Without an object there are a sensor and obstacles.
+    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's place. arm: what touches instead of
+    the probe. The other fields: see their classes; None where the file has no such table. Without an object there are a sensor and obstacles.
     """
 
     name: str
@@ -126,6 +129,7 @@ class Scene:
     source: Path
     given: frozenset[str] = frozenset()
     sensor: Bubble | None = None
+    arm: ArmSpec | None = None
 
     @property
     def bodies(self) -> tuple[ProbeShape, ...]:
@@ -259,7 +263,7 @@ def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
 
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
-                                  "obstacles", "press", "touches", "camera", "dataset"))
+                                  "obstacles", "press", "touches", "camera", "dataset", "arm"))
     sensor = parse_sensor(tree["sensor"], path) if "sensor" in tree else None
     if sensor is not None and "probe" in tree:
         raise SceneError(f"{path}: there is a [sensor] and a [probe]; one of them moves along the path. What a bubble is to touch goes into [object] or [[obstacles]].")
@@ -296,6 +300,7 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         source=path,
         given=frozenset(tree),
         sensor=sensor,
+        arm=parse_arm(tree["arm"], path) if "arm" in tree else None,
     )
 
 
@@ -344,11 +349,12 @@ def _touches(node: Any, path: Path) -> TouchSpec:
 
 
 def _camera(node: Any, path: Path) -> CameraSpec:
-    t = Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation"))
+    t = Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation", "noise"))
     return CameraSpec(t.count("width", 640, 8, 8192), t.count("height", 480, 8, 8192),
                       t.number("fov", 0.8, 0.05, 2.8, "rad"), t.number("distance", 0.6, 0.01, 100.0, "m"),
                       t.number("azimuth", 0.9, -2 * math.pi, 2 * math.pi, "rad"),
-                      t.number("elevation", 0.7, -1.55, 1.55, "rad"))
+                      t.number("elevation", 0.7, -1.55, 1.55, "rad"),
+                      t.word("noise", "none", ("none", "kinect")))
 
 
 def _dataset(node: Any, path: Path) -> DatasetSpec:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from vsfsim.core.chain import Chain, read_chain
 from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
 
 
@@ -91,7 +92,7 @@ class Family:
 
 
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
-ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile
+ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain
 
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
@@ -159,6 +160,8 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
         raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. {{ sphere = 0.02 }}.")
     if "mesh" in table:
         return _mesh(table, where)
+    if "chain" in table:  # of a dataset's file; a scene says [arm]
+        return read_chain(table["chain"], where)
     key = _only_key(table, PROBE_SHAPES, where)
     value = table[key]
     if key == "sphere":
@@ -195,6 +198,8 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
             return {"box": list(size)}
         case Plane():
             return {"plane": True}
+        case Chain():
+            return {"chain": shape.table()}
         case MeshFile(path, scale):
             return {"mesh": path} if scale is None else {"mesh": path, "scale": scale}
     raise AssertionError(shape)

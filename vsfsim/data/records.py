@@ -69,6 +69,9 @@ class Touch:
         penetration = deepest quadrature point of the surface inside the probe [m].
     q: joint angles of the arm (T, 7) [rad], or None without an arm.
     torque: joint torques due to the contact (T, 7) [N m], or None without an arm.
+    link_force: contact force on each of the arm's L links, world (T, L, 3) [N], or None without an arm.
+    link_moment: contact moment on each about the origin of its frame, world (T, L, 3) [N m], or None without an arm.
+    draws: how many targets were drawn until the arm could reach one [-], or None without an arm.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
     rest_pressure: that of its free dome, a number [Pa], or None for a rigid probe.
     moment: of the contact force on the sensor about the mount's origin, world (T, 3) [N m], or None for a rigid probe.
@@ -97,6 +100,9 @@ class Touch:
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
     q: np.ndarray | None = None
     torque: np.ndarray | None = None
+    link_force: np.ndarray | None = None
+    link_moment: np.ndarray | None = None
+    draws: int | None = None
     pressure: np.ndarray | None = None
     rest_pressure: float | None = None
     moment: np.ndarray | None = None
@@ -127,6 +133,9 @@ class Truth:
     vsf_points: particles of the oracle VSF, world (n, 3) [m]; empty if not fitted.
     vsf_stiffness: spring constant of each particle, fitted to exhaustive noise-free touches (n,) [N/m].
     vsf_touched: the particle was displaced by at least one of those touches (n,) bool.
+    radius: of a plant's segments, half the thickness of a blade (M,) [m], or None for a solid.
+    half_width: of a blade's segments, 0 for a round one (M,) [m], or None for a solid.
+    segment_ends: of a plant's segments on its middle line, world (M, 2, 3) [m], or None for a solid.
     """
 
     points: np.ndarray
@@ -139,6 +148,9 @@ class Truth:
     vsf_points: np.ndarray
     vsf_stiffness: np.ndarray
     vsf_touched: np.ndarray
+    radius: np.ndarray | None = None
+    half_width: np.ndarray | None = None
+    segment_ends: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

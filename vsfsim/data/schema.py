@@ -60,8 +60,8 @@ def _touch(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: b
     return Field(f"touches/*/{name}", dtype, tuple(dims.split()), unit, doc, required, masked)
 
 
-def _truth(name: str, dtype: str, dims: str, unit: str, doc: str) -> Field:
-    return Field(f"truth/{name}", dtype, tuple(dims.split()), unit, doc)
+def _truth(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: bool = True) -> Field:
+    return Field(f"truth/{name}", dtype, tuple(dims.split()), unit, doc, required)
 
 
 FIELDS: tuple[Field, ...] = (
@@ -83,12 +83,15 @@ FIELDS: tuple[Field, ...] = (
     _touch("touched", "bool", "", "1", "The probe met the object in at least one frame."),
     _touch("reason", "int64", "T", "1", "0 for a good frame, else 1 + an index into reason_names."),
     _touch("reason_names", TEXT, "Q", "1", "What the codes of reason mean."),
-    _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance.", masked=True),
-    _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element.", masked=True),
+    _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: over 0.1 N at least.", masked=True),
+    _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, required=False),
     _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object.", masked=True),
     _touch("audit/penetration", "float64", "T", "m", "Deepest quadrature point of the surface inside the probe.", masked=True),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
+    _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False, masked=True),
+    _touch("link_moment", "float64", "T L 3", "N m", "Contact moment on each link about the origin of its frame, world.", required=False, masked=True),
+    _touch("draws", "int64", "", "1", "How many targets were drawn until the arm could reach one.", required=False),
     _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
     _touch("rest_pressure", "float64", "", "Pa", "Gauge pressure of the free dome.", required=False),
     _touch("moment", "float64", "T 3", "N m", "Moment of the contact force on the sensor about the mount's origin, world.", required=False, masked=True),
@@ -101,6 +104,9 @@ FIELDS: tuple[Field, ...] = (
     _touch("inside_rgb", "uint8", "T h w 3", "1", "Colour image of the same, sRGB, 0 to 255.", required=False),
     _truth("points", "float64", "M 3", "m", "Centroid of each element at rest, world."),
     _truth("young_modulus", "float64", "M", "Pa", "Young's modulus at each centroid."),
+    _truth("radius", "float64", "M", "m", "Of a plant's segment; half the thickness of a leaf blade.", required=False),
+    _truth("half_width", "float64", "M", "m", "Of a leaf blade's segment, 0 for a round one.", required=False),
+    _truth("segment_ends", "float64", "M 2 3", "m", "Ends of a plant's segments on its middle line, world.", required=False),
     _truth("region", "int64", "M", "1", "Region of each element, an index into region_names."),
     _truth("region_names", TEXT, "R", "1", "Names of the object's parts."),
     _truth("probe_points", "float64", "P 3", "m", "Surface points where the small cone was pressed, world."),
@@ -196,7 +202,7 @@ def schema_markdown() -> str:
         "## The object file", "",
         f"Schema version {SCHEMA_VERSION}. Every HDF5 dataset carries `@units` and `@dims`.",
         "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are lengths: H, W of",
-        "the image; T frames of a touch; N read-out vertices, F their triangles; h, w of the inside image; Q reasons; M elements, R regions, P probed points and n",
+        "the image; T frames of a touch; N read-out vertices, F their triangles; h, w of the inside image; L links of the arm; Q reasons; M elements, R regions, P probed points and n",
         "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and nowhere else.", "",
         "| root attribute | type | meaning |", "|---|---|---|",
     ]

@@ -46,6 +46,8 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     scene = loaded.sample(stream(seed, _SCENE, 0))
     if scene.object is None:
         return _sensor(scene, loaded.name, out or Path(f"{loaded.name}.png"), device=device)
+    if scene.arm is not None:
+        return _plant(scene, out or Path(f"{loaded.name}.png"), stream(seed, _BODY, 0), f"{loaded.name}, seed {seed}", device)
     tier = tiers.choose(scene)
     solid, values = tiers.body(scene, tier, seed=stream(seed, _BODY, 0))
     mean = values.mean(axis=1)
@@ -87,4 +89,21 @@ def _sensor(scene: Scene, name: str, path: Path, *, device: str) -> list[str]:
              f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, " + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
     if spec.semi_axes == type(spec)().semi_axes:
         lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - rho^2)^0.763, a real Punyo's")
+    return [*lines, f"turntable: {path}"]
+
+
+def _plant(scene: Scene, path: Path, seed: np.random.SeedSequence, title: str, device: str) -> list[str]:
+    from vsfsim.generate.plant_surface import plant_surface, triangles_of
+    from vsfsim.generate.plants import grow
+    from vsfsim.sensing.turntable import turntable
+
+    plant = grow(scene, seed)
+    turntable(plant_surface(plant, pot=False), path, young_modulus=np.repeat(plant.young_modulus[1:], triangles_of(plant)[1:]), title=title, device=device)
+    lines = [f"{scene.name}: {len(plant.nodes) - 1} segments, {plant.lengths().sum():.2f} m in all, {plant.nodes[:, 2].max():.2f} m high, tier rod"]
+    for index, region in enumerate(plant.region_names):
+        mine = np.flatnonzero(plant.region[1:] == index) + 1
+        if len(mine):
+            e, r = plant.young_modulus[mine], plant.radius[mine]
+            lines.append(f"  {region:<14} {len(mine):4d} segments, E {e.min():9.3g} to {e.max():9.3g} Pa, {'half thickness' if plant.half_width[mine].any() else 'radius'} {1e3 * r.min():.2g} to {1e3 * r.max():.2g} mm")
+    lines.extend(f"note: {sentence}" for sentence in plant.notes)
     return [*lines, f"turntable: {path}"]

@@ -30,6 +30,8 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
             if given is not None:
                 raise SceneError(f"{option} {given}: a press of a [sensor] has no such output yet; leave {option} out.")
         return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, plot=plot, save=save, progress=progress)
+    if scene.arm is not None:
+        raise SceneError(f"{loaded.path}: its plant is made of beams and touched by an [arm]; `vsfsim generate {loaded.name} --objects 1 --touches 1` makes such a touch, `vsfsim press` presses solid bodies.")
     words, found = [], {}
     if refine is None:
         result = presses.press(scene, tier=tier, device=device, precision=precision, seed=seed, keep=keep, progress=progress)

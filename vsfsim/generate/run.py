@@ -65,8 +65,8 @@ def splits_for(scene: Scene, objects: int) -> dict[str, int]:
 
 
 def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views: int | None, touches: int | None,
-                tier: str | None, device: str, precision: str, renderer: str) -> Recipe:
-    """What will be made; None takes the scene's own number.
+                tier: str | None, device: str, precision: str, renderer: str, arm: str | None = None) -> Recipe:
+    """What will be made; None takes the scene's own number, or its own arm.
 
     Raises:
         SceneError: the scene has no ``[touches]``, or the tier does not do.
@@ -76,6 +76,12 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
     scene = scene_file.sample(0)
     if scene.touches is None:
         raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of its touches.")
+    if scene.arm is None and arm is not None:
+        raise SceneError(f"{scene_file.path}: --arm is '{arm}', but the scene has no [arm]; it is touched by a [probe].")
+    if scene.arm is not None and (tier or "rod") not in ("rod", "auto"):
+        raise SceneError(f"{scene_file.path}: --tier is '{tier}', but what an arm touches is made of beams, tier 'rod'.")
+    if scene.arm is not None and precision != "float64":
+        raise SceneError(f"{scene_file.path}: --precision is '{precision}', but beams are solved in float64 only.")
     count = objects if objects is not None else (scene.dataset.objects if scene.dataset else 1)
     for name, value in (("--objects", count), ("--views", views), ("--touches", touches), ("--seed + 1", seed + 1)):
         if value is not None and value < 1:
@@ -84,7 +90,8 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
         scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
         views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
         touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier=tiers.choose(scene, tier), precision=precision, renderer=renderer)
+        device=device.split(":")[0], tier="rod" if scene.arm is not None else tiers.choose(scene, tier), precision=precision, renderer=renderer,
+        options={} if arm is None else {"arm": arm})
 
 
 def jobs_of(recipe: Recipe, path: Path, writer: DatasetWriter | None, folder: Path, cache: Path | None) -> list[Job]:
@@ -112,6 +119,10 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
 
     r = job.recipe
     scene = parse_scene(r.scene_text, job.path).sample(stream(r.seed, _SCENE, job.object_index))
+    if scene.arm is not None:
+        from vsfsim.generate.plants import make_views
+
+        return make_views([job], device=device, progress=progress)[0]
     assert scene.touches is not None
     spec = dataclasses.replace(scene.touches, count=r.touches)
     model = tiers.build(scene, r.tier, seed=stream(r.seed, _BODY, job.object_index), cache=job.cache)
@@ -139,7 +150,7 @@ def surface_of(solid: Solid, scene: Scene) -> Any:
 
 def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | None = None, views: int | None = None,
              touches: int | None = None, tier: str | None = None, device: str = "cpu", precision: str = "float64",
-             renderer: str = "warp", workers: int | None = None, cache: Path | None = None,
+             renderer: str = "warp", workers: int | None = None, cache: Path | None = None, arm: str | None = None,
              progress: Callable[[int, int, str], None] | None = None, note: Callable[[str], None] | None = None) -> Dataset:
     """Make a dataset, or finish one that was begun.
 
@@ -147,13 +158,13 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         scene_file: with ``[touches]``. out: the folder. seed: root of all random streams, 0 or more.
         objects, views, touches: counts, None for the scene's own. tier: fidelity. device: Warp device. precision: of the
         solver. renderer: "warp" or "pyrender". workers: processes (None: one a CPU core; 1 on a GPU).
-        progress: called with (frames done, frames in all, what). note: called with sentences for the user.
+        arm: model that touches instead of the scene's own. progress: called with (frames done, frames in all, what). note: called with sentences for the user.
 
     Raises:
         SceneError, MeshError, DatasetError: with what to do.
     """
     recipe = make_recipe(scene_file, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device,
-                         precision=precision, renderer=renderer)
+                         precision=precision, renderer=renderer, arm=arm)
     names = [job.name for job in jobs_of(recipe, scene_file.path, None, out, cache)]
     per_touch = sum(_touches(scene_file).frames)
     with DatasetWriter(out, recipe, names) as writer:
@@ -166,21 +177,31 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         done = 0
         count = workers if workers is not None else (1 if device != "cpu" else (os.cpu_count() or 1))
         if jobs:
-            compile_kernels(_kernels(recipe.precision), device, progress=progress)
-            for frames, what in _work(jobs, min(count, len(jobs)), device):
+            compile_kernels(_kernels(recipe.precision, plants=recipe.tier == "rod"), device, progress=progress)
+            if recipe.tier == "rod" and device != "cpu":
+                from vsfsim.generate.plant_batches import make_all
+
+                work = make_all(jobs, device=device, workers=workers)
+            else:
+                work = _work(jobs, min(count, len(jobs)), device)
+            for frames, what in work:
                 done += frames
                 if progress is not None:
                     progress(done, total, what)
         return writer.finish()
 
 
-def _kernels(precision: str) -> list[Any]:
+def _kernels(precision: str, *, plants: bool = False) -> list[Any]:
     import warp as wp
 
     from vsfsim.sensing import render_warp
     from vsfsim.vsf import particles
     from vsfsim.vsf.stick_slip import stick_slip_kernel
 
+    if plants:
+        from vsfsim.physics.rods.advance import advance
+
+        return [advance, render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
     return [*solver_kernels(precision), render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
 
 

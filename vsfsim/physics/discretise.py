@@ -65,6 +65,8 @@ def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid
     if shape.name not in families():
         raise SceneError(f"[object] shape: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
     module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
+    if not hasattr(module, "build"):
+        raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an [arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")
     return module.build(shape.parameters, rng, resolution=resolution, where=f"[object] shape family '{shape.name}'")
 
 

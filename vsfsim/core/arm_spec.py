@@ -1,0 +1,44 @@
+"""``[arm]``: which arm touches, where it stands, and how its torques come about."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import Table
+
+ARM_MODELS = ("gen3", "menagerie")
+ARM_MODES = ("kinematic", "dynamic")
+ARM_DRIVES = ("position", "impedance")
+
+
+@dataclass(frozen=True)
+class ArmSpec:
+    """model: "gen3" or "menagerie". punyo: whether it carries one. base: of its foot (3,) [m]; yaw: its turn about +z [rad]. mode: "kinematic" (J^T f) or "dynamic" (simulated controller and sensors).
+    drive: of the dynamic mode. clearance: least gap to the plant at the start of a touch, and to its pot all the way [m]."""
+
+    model: str
+    punyo: bool
+    base: tuple[float, float, float]
+    yaw: float
+    mode: str
+    drive: str
+    clearance: float
+
+
+def parse_arm(node: Any, path: Path) -> ArmSpec:
+    """The table ``[arm]``.
+
+    Raises:
+        SceneError: an unknown key, or a value out of its range.
+    """
+    t = Table(node, f"{path} [arm]", ("model", "punyo", "base", "yaw", "mode", "drive", "clearance"))
+    punyo = t.table.get("punyo", False)
+    if not isinstance(punyo, bool):
+        raise SceneError(f"{t.where}: punyo is {punyo!r}; it must be true or false.")
+    return ArmSpec(t.word("model", "gen3", ARM_MODELS), punyo, t.vector("base", (-0.65, 0.0, 0.0)),
+                   t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"), t.word("mode", "kinematic", ARM_MODES), t.word("drive", "position", ARM_DRIVES),
+                   t.number("clearance", 0.01, 0.0, 0.2, "m"))

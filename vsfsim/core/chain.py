@@ -1,0 +1,121 @@
+"""An arm as a dataset knows it: a chain of links with capsules. Joint angles in, poses, axes and anchors out; numpy alone, so that a method needs no robot simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, unknown_key
+
+
+@dataclass(frozen=True)
+class ChainCapsule:
+    """A capsule fixed to a link. link: its number. start, stop: centres of the half-spheres in the link's frame (3,) [m]. radius: [m]."""
+
+    link: int
+    start: tuple[float, float, float]
+    stop: tuple[float, float, float]
+    radius: float
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Links in a row, each in its parent's frame; a joint turns its link about the link's own +z.
+
+    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z (L, 4) [-]. joints: number of the joint that turns each link, -1 for none (L,).
+    capsules: K of them. As a "probe" of a dataset it says what touched the object, and ``q`` of a touch where it was.
+    """
+
+    base: tuple[tuple[float, ...], ...]
+    positions: tuple[tuple[float, ...], ...]
+    quaternions: tuple[tuple[float, ...], ...]
+    joints: tuple[int, ...]
+    capsules: tuple[ChainCapsule, ...]
+
+    @property
+    def dof(self) -> int:
+        """Number of joints."""
+        return max(self.joints) + 1
+
+    def links(self, q: np.ndarray) -> np.ndarray:
+        """Poses (T, L, 4, 4) [m] of the links at joint angles ``q`` (T, dof) [rad]."""
+        q = np.asarray(q, float)
+        if q.ndim != 2 or q.shape[1] != self.dof:
+            raise SceneError(f"joint angles have the shape {q.shape}; give (frames, {self.dof}) in radians.")
+        out = np.tile(np.eye(4), (len(q), len(self.joints), 1, 1))
+        pose = np.tile(np.eye(4), (len(q), 1, 1))
+        pose[:, :3] = np.array(self.base)
+        for i, joint in enumerate(self.joints):
+            step = np.eye(4)
+            step[:3, :3], step[:3, 3] = _rotation(self.quaternions[i]), self.positions[i]
+            pose = pose @ step
+            if joint >= 0:
+                turn = np.tile(np.eye(4), (len(q), 1, 1))
+                turn[:, 0, 0] = turn[:, 1, 1] = np.cos(q[:, joint])
+                turn[:, 1, 0] = np.sin(q[:, joint])
+                turn[:, 0, 1] = -turn[:, 1, 0]
+                pose = pose @ turn
+            out[:, i] = pose
+        return out
+
+    def joint_axes(self, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit axes and a point on each (T, dof, 3), (T, dof, 3) [m], of poses ``links`` (T, L, 4, 4)."""
+        at = [self.joints.index(j) for j in range(self.dof)]
+        return links[:, at][..., :3, 2], links[:, at][..., :3, 3]
+
+    def capsule_poses(self, links: np.ndarray) -> np.ndarray:
+        """Poses (T, K, 4, 4) [m] of the capsules, their middle as the origin and z along them."""
+        local = np.stack([capsule_pose(np.array(c.start), np.array(c.stop)) for c in self.capsules])
+        return links[:, [c.link for c in self.capsules]] @ local
+
+    def moves(self, link: int) -> np.ndarray:
+        """Whether each joint moves a link (dof,) bool."""
+        return np.isin(np.arange(self.dof), self.joints[:link + 1])
+
+    def table(self) -> dict[str, Any]:
+        """As JSON values; `read_chain` takes them back."""
+        return {"base": [list(r) for r in self.base], "positions": [list(p) for p in self.positions], "quaternions": [list(p) for p in self.quaternions], "joints": list(self.joints),
+                "capsules": [[c.link, *c.start, *c.stop, c.radius] for c in self.capsules]}
+
+
+def capsule_pose(start: np.ndarray, stop: np.ndarray) -> np.ndarray:
+    """Pose (4, 4) of a capsule: its middle, z from start to stop; any direction across will do, it is round."""
+    z = (stop - start) / np.linalg.norm(stop - start)
+    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)
+    x /= np.linalg.norm(x)
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = np.stack([x, np.cross(z, x), z], axis=1), 0.5 * (start + stop)
+    return out
+
+
+def read_chain(table: Any, where: str) -> Chain:
+    """The chain of `Chain.table`.
+
+    Raises:
+        SceneError: a key is missing or unknown, or a list has another length.
+    """
+    keys = ("base", "positions", "quaternions", "joints", "capsules")
+    if not isinstance(table, Mapping):
+        raise SceneError(f"{where}: chain is {table!r}; it must be a table.")
+    for key in table:
+        if key not in keys:
+            raise SceneError(unknown_key(f"{where} chain", key, keys))
+    try:
+        base, positions, quaternions = (tuple(tuple(float(v) for v in row) for row in table[key]) for key in keys[:3])
+        joints = tuple(int(j) for j in table["joints"])
+        capsules = tuple(ChainCapsule(int(c[0]), tuple(map(float, c[1:4])), tuple(map(float, c[4:7])), float(c[7])) for c in table["capsules"])  # type: ignore[arg-type]
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise SceneError(f"{where}: the chain cannot be read ({error!r}); it is a table of {', '.join(keys)}, as `vsfsim generate` writes it.") from error
+    if not len(positions) == len(quaternions) == len(joints) or len(base) != 3 or any(not 0 <= c.link < len(joints) for c in capsules):
+        raise SceneError(f"{where}: the chain has {len(positions)} positions, {len(quaternions)} quaternions and {len(joints)} joints; they must be as many, and capsules be on links of them.")
+    return Chain(base, positions, quaternions, joints, capsules)
+
+
+def _rotation(quaternion: tuple[float, ...]) -> np.ndarray:
+    w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
+    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])

@@ -1,0 +1,86 @@
+"""A plant before any model is made of it: a tree of branches, petioles and leaf blades, standing in a pot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.solid import Appearance
+
+
+@dataclass(frozen=True)
+class Pot:
+    """A pot that stands on z = 0 under the origin, a truncated cone. radius_top, radius_bottom, height: [m]."""
+
+    radius_top: float
+    radius_bottom: float
+    height: float
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A tree of n nodes; node 0 is clamped in the pot, and segment i (1 to n - 1) goes from node ``parent[i]`` to node i. Entry 0 of what belongs to segments is not read.
+
+    nodes: (n, 3) [m]. parent: (n,) int, smaller than the node's own number; -1 for node 0.
+    radius: of the round segment, or half the thickness of a leaf blade (n,) [m]. half_width: of a blade, 0 for a round segment (n,) [m].
+    blade_normal: unit normal of a blade at rest (n, 3). young_modulus: (n,) [Pa]. poisson_ratio: [-]. density: (n,) [kg/m^3].
+    region: of each segment, an index into ``region_names`` (n,). look: of each segment, an index into ``appearance`` (n,), None for the region. appearance: None for a plain grey.
+    pot: None for none. notes: a sentence each.
+    """
+
+    nodes: np.ndarray
+    parent: np.ndarray
+    radius: np.ndarray
+    half_width: np.ndarray
+    blade_normal: np.ndarray
+    young_modulus: np.ndarray
+    density: np.ndarray
+    region: np.ndarray
+    region_names: tuple[str, ...]
+    poisson_ratio: float = 0.35
+    look: np.ndarray | None = None
+    appearance: Appearance | None = None
+    pot: Pot | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        n = len(self.nodes)
+        if n < 2 or self.nodes.shape != (n, 3) or not np.isfinite(self.nodes).all():
+            raise SceneError(f"plant: nodes have the shape {self.nodes.shape}; give at least two finite points (n, 3) in metres.")
+        for name in ("parent", "radius", "half_width", "young_modulus", "density", "region"):
+            if getattr(self, name).shape != (n,):
+                raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; one value a node, ({n},), is wanted.")
+        if self.blade_normal.shape != (n, 3):
+            raise SceneError(f"plant: blade_normal has the shape {self.blade_normal.shape}; it must be ({n}, 3).")
+        wrong = np.flatnonzero((self.parent[1:] < 0) | (self.parent[1:] >= np.arange(1, n))) + 1
+        if len(wrong):
+            raise SceneError(f"plant: the parent of node {wrong[0]} is {self.parent[wrong[0]]}; it must be a node before it, 0 to {wrong[0] - 1}.")
+        checks = (("radius", self.radius, 1e-5, 1.0), ("young_modulus", self.young_modulus, 1.0, 1e13), ("length of the segment", self.lengths(), 1e-5, 10.0))
+        for name, value, low, high in checks:
+            bad = np.flatnonzero(~((value[1:] >= low) & (value[1:] <= high))) + 1
+            if len(bad):
+                raise SceneError(f"plant: the {name} of segment {bad[0]} is {value[bad[0]]:g}; it must be from {low:g} to {high:g}.")
+        if not (self.half_width[1:] >= 0.0).all() or not (self.density[1:] >= 0.0).all() or not 0.0 <= self.poisson_ratio < 0.5:
+            raise SceneError("plant: half widths and densities must be 0 or more, and Poisson's ratio from 0 to under 0.5.")
+        along = (self.nodes[1:] - self.nodes[self.parent[1:]]) / self.lengths()[1:, None]
+        blade = self.half_width[1:] > 0.0
+        tilt = np.abs(np.einsum("ij,ij->i", along, self.blade_normal[1:]))[blade]
+        size = np.linalg.norm(self.blade_normal[1:], axis=1)[blade]
+        if blade.any() and not ((tilt < 1e-6) & (np.abs(size - 1.0) < 1e-6)).all():
+            raise SceneError("plant: the normal of a blade must be a unit vector across its segment.")
+
+    def lengths(self) -> np.ndarray:
+        """Length of each segment (n,) [m]; 0 for entry 0."""
+        out = np.zeros(len(self.nodes))
+        out[1:] = np.linalg.norm(self.nodes[1:] - self.nodes[self.parent[1:]], axis=1)
+        return out
+
+    def turned(self, yaw: float) -> Plant:
+        """The same plant turned by ``yaw`` [rad] about +z."""
+        import dataclasses
+
+        c, s = np.cos(yaw), np.sin(yaw)
+        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        return dataclasses.replace(self, nodes=self.nodes @ turn.T, blade_normal=self.blade_normal @ turn.T)

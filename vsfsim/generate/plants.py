@@ -1,0 +1,238 @@
+"""Object views of plants touched by an arm: grown, seen, touched, and the truth said."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.plant import Plant
+from vsfsim.core.scene import CameraSpec, Scene, TouchSpec, parse_scene
+from vsfsim.core.shape import Family
+from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch, View
+from vsfsim.generate.plant_aim import ArmAim, aim_arm, load
+from vsfsim.generate.plant_surface import plant_view
+from vsfsim.generate.plant_truth import plant_truth
+from vsfsim.generate.touch import _BALANCE, REASONS
+from vsfsim.physics.rods.family import grow as grow_family
+from vsfsim.physics.rods.model import RodModel, build
+from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
+from vsfsim.robot.arm import Arm
+from vsfsim.robot.chain import chain_of
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
+from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.press import times
+from vsfsim.sensing.camera import look_at
+from vsfsim.sensing.kinect import kinect_depth
+
+_DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
+BATCH = 1200  # touches that are solved together, views whole; on a CPU one thread does them one after the other, and the bits are the same
+
+
+@dataclass
+class Seconds:
+    """Where the time goes, stage by stage: on the clock, and of this process's CPU [s]."""
+
+    spent: Counter = field(default_factory=Counter)
+    cpu: Counter = field(default_factory=Counter)
+    _last: float = field(default_factory=time.process_time)
+
+    def begin(self) -> float:
+        """Starts a stage; the clock's time, for `charge`."""
+        self._last = time.process_time()
+        return time.perf_counter()
+
+    def charge(self, stage: str, since: float) -> float:
+        """Ends a stage and starts the next one."""
+        now, busy = time.perf_counter(), time.process_time()
+        self.spent[stage] += now - since
+        self.cpu[stage] += busy - self._last
+        self._last = busy
+        return now
+
+
+def make_views(jobs: Sequence[Any], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+    """The object views of some jobs (`generate.run.Job`), touched together.
+
+    Args:
+        device: Warp device. progress: called with the number of frames newly done. seconds: where the time is charged.
+    """
+    return touch([prepare_job(job, device=device, seconds=seconds) for job in jobs], device=device, progress=progress, seconds=seconds)
+
+
+def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Subject:
+    """The view of a job, ready to be touched."""
+    from vsfsim.generate.run import _AIM, _BODY, _SCENE, stream
+
+    r = job.recipe
+    scene = parse_scene(r.scene_text, job.path).sample(stream(r.seed, _SCENE, job.object_index))
+    assert scene.arm is not None and scene.touches is not None
+    if "arm" in r.options:
+        scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, model=r.options["arm"]))
+    o, v = job.object_index, job.view_index
+
+    def seeds(name: str) -> np.random.SeedSequence:
+        if name == "body":
+            return stream(r.seed, _BODY, o)
+        return stream(r.seed, _DEPTH, o, v) if name == "depth" else stream(r.seed, _AIM, o, v, int(name.split()[1]))
+
+    return prepare(scene, dataclasses.replace(scene.touches, count=r.touches), seeds, name=job.name, split=job.split, numbers=(o, v), views=r.views, device=device, renderer=r.renderer, seconds=seconds)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A view that is ready to be touched. name, split: of the view. numbers: (object, view). plant: turned as this view shows it."""
+
+    name: str
+    split: str
+    numbers: tuple[int, int]
+    scene: Scene
+    plant: Plant
+    model: RodModel
+    view: View
+    arm: Arm | None
+    aims: list[ArmAim]
+
+
+def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
+    """The plant of a scene, as object ``number`` of its dataset.
+
+    Raises:
+        SceneError: its object is no family of plants, or a parameter is wrong.
+    """
+    shape = scene.object.shape
+    if not isinstance(shape, Family):
+        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not {type(shape).__name__.lower()}.")
+    plant = grow_family(shape, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
+    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
+
+
+def prepare(scene: Scene, touches: TouchSpec, seeds: Callable[[str], Any], *, name: str, split: str, numbers: tuple[int, int], views: int, device: str, renderer: str,
+            seconds: Seconds | None = None) -> Subject:
+    """Grow a plant, turn it, take its picture and choose its touches.
+
+    Args:
+        seeds: streams by name: "body", "depth", and "aim" with the number of a touch. views: of the object; it is turned by a full circle over as many.
+    """
+    assert scene.arm is not None
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    plant = grow(scene, seeds("body"), number=numbers[0]).turned(2.0 * np.pi * numbers[1] / views)
+    model = build(plant, gravity=scene.gravity)
+    since = seconds.charge("grow", since)
+    view = see(plant, scene.camera, device=device, renderer=renderer)
+    if scene.camera.noise == "kinect":
+        view = kinect_depth(view, seeds("depth"))
+    since = seconds.charge("look", since)
+    arm = load(scene.arm)
+    aims = aim_arm(arm, scene.arm, touches, plant, view, lambda k: np.random.default_rng(seeds(f"aim {k}")), where=str(scene.source))
+    seconds.charge("aim", since)
+    return Subject(name, split, numbers, scene, plant, model, view, arm, aims)
+
+
+def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:
+    """The picture of a table camera that stands still while plants are turned."""
+    low, high = plant.nodes.min(axis=0), plant.nodes.max(axis=0)
+    intrinsics, pose = look_at(camera, np.array([0.0, 0.0, 0.5 * (low[2] + high[2])]))
+    return plant_view(plant, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)
+
+
+def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+    """Carry out the touches of some views together."""
+    found = solve(subjects, device=device, progress=progress, seconds=seconds)
+    return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
+
+
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[tuple[RodFrames, slice]]:
+    """The equilibria of some views' touches: for each view its frames, and which columns of them are its."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    arm, scene = arm_of(subjects[0]), subjects[0].scene
+    assert scene.touches is not None
+    out: list[tuple[RodFrames, slice]] = []
+    group: list[Subject] = []
+    for k, subject in enumerate(subjects):
+        group.append(subject)
+        more = sum(len(s.aims) for s in group) + (len(subjects[k + 1].aims) if k + 1 < len(subjects) else BATCH) > BATCH
+        if not more:
+            continue
+        every = [(s, a) for s, member in enumerate(group) for a in member.aims]
+        poses = np.zeros((max(len(a.q) for _, a in every), len(every), len(arm.shapes), 4, 4))
+        for b, (_, a) in enumerate(every):
+            own = arm.body_poses(a.q)
+            poses[:len(own), b] = own
+            poses[len(own):, b] = own[-1]
+        since = seconds.charge("kinematics", since)
+        solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=RodOptions(force_limit=scene.touches.force_limit))
+        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress)
+        begin = 0
+        for member in group:
+            own_frames = frames.columns(slice(begin, begin + len(member.aims)))
+            out.append((own_frames, slice(0, len(member.aims))))
+            begin += len(member.aims)
+        group = []
+        since = seconds.charge("solve", since)
+    return out
+
+
+def finish(subject: Subject, frames: RodFrames, columns: slice, *, device: str, seconds: Seconds | None = None) -> ObjectView:
+    """The object view of a touched subject: records, torques and truth."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    arm = arm_of(subject)
+    subject = dataclasses.replace(subject, arm=arm)
+    touches = [_touch(subject, a, arm.postures(a.q), frames, columns.start + b) for b, a in enumerate(subject.aims)]
+    since = seconds.charge("torque", since)
+    chain = chain_of(arm)
+    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
+    seconds.charge("truth", since)
+    return ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth)
+
+
+def arm_of(subject: Subject) -> Arm:
+    """Its arm; loaded anew in a process to which it did not travel."""
+    assert subject.scene.arm is not None
+    return subject.arm or load(subject.scene.arm)
+
+
+def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> Touch:
+    spec, arm = subject.scene.arm, subject.arm
+    assert spec is not None and arm is not None
+    n = int(frames.frames[b])
+    if n < len(a.q):
+        # stopped by the force limit: what did not converge on the way there is no reading either
+        good = np.flatnonzero(frames.converged[:n, b])
+        n = int(good[-1]) + 1 if len(good) else 1
+    force, moment = frames.force[:n, b], frames.moment[:n, b]
+    postures = type(at)(at.links[:n], at.tool[:n], at.anchors[:n], at.axes[:n])
+    time_, q = times(n), a.q[:n]
+    if spec.mode == "dynamic" and n > 1:
+        motion = simulate(arm, q, time_, series(time_, force, moment), drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
+        q, torque = motion.q, motion.torque
+    else:
+        torque = body_torque(arm, postures, force, moment=moment)
+    link_force, link_moment = _by_link(arm, postures, force, moment)
+    found = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
+    converged = found & (frames.force_balance[:n, b] <= _BALANCE)
+    audit = {name: getattr(frames, name)[:n, b] for name in AUDIT_COLUMNS if name != "min_det_f"}
+    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
+                 residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
+                 reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
+                 draws=a.draws)
+
+
+def _by_link(arm: Arm, at: Any, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Wrenches on the links, moments about their origins, two arrays (T, L, 3)."""
+    place = arm.capsule_poses(at)[..., :3, 3] - at.links[:, arm.capsule_links][..., :3, 3]
+    about = moment + np.cross(place, force)
+    out = np.zeros((2, len(force), len(arm.links), 3))
+    for k, link in enumerate(arm.capsule_links):
+        out[0, :, link] += force[:, k]
+        out[1, :, link] += about[:, k]
+    return out[0], out[1]

@@ -1,0 +1,1 @@
+"""Plants as trees of geometrically exact beams, touched by the rigid capsules of an arm."""

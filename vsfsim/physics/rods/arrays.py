@@ -1,0 +1,132 @@
+"""What the rod kernels read and write, as Warp structs: trees, touches, workspace, results. Shapes: P plants, S all nodes of all of them, B touches,
+N nodes of the largest plant, K capsules, T frames, C places for contacts."""
+
+import warp as wp
+
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+
+
+@wp.struct
+class Trees:
+    """The plants, one after the other. A node and the segment from its parent to it share a number; node 0 of a plant is clamped and has none.
+
+    first: of a plant's nodes (P + 1,). parent: within the plant (S,). rest: position (S,) [m]. frame: of the segment at rest, x along it (S,).
+    length: (S,) [m]. kd: (S,) [N/m]. kphi: (S,) [N m]. load: dead force (S,) [N]. reach: longest way from a node to one below it, at rest (S,) [m].
+    bound: radius around the segment that holds all its samples (S,) [m]. sample: first of a segment's samples (S + 1,).
+    along: (Q,) in 0..1. offset: (Q,) [m]. radius: (Q,) [m]. penalty: (Q,) [N/m]. floor: what rounding leaves of the residual (P,) [N].
+    """
+
+    first: wp.array(dtype=wp.int32)
+    parent: wp.array(dtype=wp.int32)
+    rest: wp.array(dtype=wp.vec3d)
+    frame: wp.array(dtype=wp.quatd)
+    length: wp.array(dtype=wp.float64)
+    kd: wp.array(dtype=wp.vec3d)
+    kphi: wp.array(dtype=wp.vec3d)
+    load: wp.array(dtype=wp.vec3d)
+    reach: wp.array(dtype=wp.float64)
+    bound: wp.array(dtype=wp.float64)
+    sample: wp.array(dtype=wp.int32)
+    along: wp.array(dtype=wp.float64)
+    offset: wp.array(dtype=wp.vec3d)
+    radius: wp.array(dtype=wp.float64)
+    penalty: wp.array(dtype=wp.float64)
+    floor: wp.array(dtype=wp.float64)
+
+
+@wp.struct
+class Touches:
+    """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses (T, B, K).
+
+    force_limit: a touch ends before the first frame past it [N]. tolerance: unbalanced over contact force [-]; contact forces
+    under ``faint`` count as that [N].
+    """
+
+    plant: wp.array(dtype=wp.int32)
+    friction: wp.array(dtype=wp.float64)
+    frames: wp.array(dtype=wp.int32)
+    half: wp.array(dtype=wp.float64)
+    radius: wp.array(dtype=wp.float64)
+    place: wp.array3d(dtype=wp.vec3d)
+    turn: wp.array3d(dtype=wp.quatd)
+    force_limit: wp.float64
+    tolerance: wp.float64
+    faint: wp.float64
+
+
+@wp.struct
+class Work:
+    """State and scratch. x, q: nodes now; *_start: at the step's start; *_try: in the line search (B, N). active, order, strained, rider: of the active part of the
+    tree; clear: of segments from capsules, room: of nodes to move in (B, N) [m]. g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment`; relative: spin over it (B, N). cap_*: capsules now and at the start (B, K).
+    Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
+    gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
+    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). ended: 1 past the force limit (B,).
+    """
+
+    x: wp.array2d(dtype=wp.vec3d)
+    q: wp.array2d(dtype=wp.quatd)
+    x_start: wp.array2d(dtype=wp.vec3d)
+    q_start: wp.array2d(dtype=wp.quatd)
+    x_try: wp.array2d(dtype=wp.vec3d)
+    q_try: wp.array2d(dtype=wp.quatd)
+    active: wp.array2d(dtype=wp.int32)
+    order: wp.array2d(dtype=wp.int32)
+    strained: wp.array2d(dtype=wp.int32)
+    rider: wp.array2d(dtype=wp.float64)
+    clear: wp.array2d(dtype=wp.float64)
+    room: wp.array2d(dtype=wp.float64)
+    g: wp.array2d(dtype=wp.spatial_vectord)
+    elastic: wp.array2d(dtype=wp.spatial_vectord)
+    step: wp.array2d(dtype=wp.spatial_vectord)
+    own: wp.array2d(dtype=wp.spatial_matrixd)
+    mixed: wp.array2d(dtype=wp.spatial_matrixd)
+    diagonal: wp.array2d(dtype=wp.spatial_matrixd)
+    coupling: wp.array2d(dtype=wp.spatial_matrixd)
+    across: wp.array2d(dtype=wp.spatial_matrixd)
+    x_keep: wp.array2d(dtype=wp.vec3d)
+    q_keep: wp.array2d(dtype=wp.quatd)
+    mid: wp.array2d(dtype=wp.quatd)
+    stretch: wp.array2d(dtype=wp.vec3d)
+    half_turn: wp.array2d(dtype=wp.vec3d)
+    rate: wp.array2d(dtype=wp.vec3d)
+    relative: wp.array2d(dtype=wp.vec3d)
+    cap_x: wp.array2d(dtype=wp.vec3d)
+    cap_q: wp.array2d(dtype=wp.quatd)
+    cap_x_start: wp.array2d(dtype=wp.vec3d)
+    cap_q_start: wp.array2d(dtype=wp.quatd)
+    key: wp.array3d(dtype=wp.int32)
+    sample: wp.array3d(dtype=wp.int32)
+    node: wp.array3d(dtype=wp.int32)
+    body: wp.array3d(dtype=wp.int32)
+    stuck: wp.array3d(dtype=wp.int32)
+    anchor: wp.array3d(dtype=wp.vec3d)
+    gap0: wp.array3d(dtype=wp.float64)
+    local0: wp.array3d(dtype=wp.vec3d)
+    lever: wp.array3d(dtype=wp.vec3d)
+    tau: wp.array3d(dtype=wp.float64)
+    depth: wp.array3d(dtype=wp.float64)
+    on: wp.array3d(dtype=wp.int32)
+    normal: wp.array3d(dtype=wp.vec3d)
+    hold: wp.array3d(dtype=wp.vec3d)
+    count: wp.array2d(dtype=wp.int32)
+    side: wp.array(dtype=wp.int32)
+    ended: wp.array(dtype=wp.int32)
+
+
+@wp.struct
+class Results:
+    """What comes out. force, moment: on each capsule, the moment about its origin (T, B, K) [N, N m]. reaction: of the pot on the plant, force and moment about its node 0
+    (T, B). residual, energy, penetration, slipping: (T, B) [-, J, m, -]. iterations, reason, contacts: (T, B). x, q: nodes (T, B, N), or of no length."""
+
+    force: wp.array3d(dtype=wp.vec3d)
+    moment: wp.array3d(dtype=wp.vec3d)
+    reaction: wp.array2d(dtype=wp.spatial_vectord)
+    residual: wp.array2d(dtype=wp.float64)
+    energy: wp.array2d(dtype=wp.float64)
+    penetration: wp.array2d(dtype=wp.float64)
+    slipping: wp.array2d(dtype=wp.float64)
+    iterations: wp.array2d(dtype=wp.int32)
+    reason: wp.array2d(dtype=wp.int32)
+    contacts: wp.array2d(dtype=wp.int32)
+    x: wp.array3d(dtype=wp.vec3d)
+    q: wp.array3d(dtype=wp.quatd)

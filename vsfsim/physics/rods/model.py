@@ -1,0 +1,172 @@
+"""From a plant to the arrays of the solver: stiffness of sections, frames, contact samples, and the compliance at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.plant import Plant
+
+SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
+SAMPLE_SPACING = 0.004  # m along a branch: the sagitta of half of it under a forearm is 0.06 mm
+BLADE_SPACING = 0.008  # m across a leaf blade
+STIFFER = 1000.0  # contact penalty over the stiffness of the plant at that point: a touch goes in by a thousandth of what it bends
+PENALTY = (1e2, 1e8)  # N/m, limits of the penalty
+_ROUNDING = 2.2e-16
+
+
+class RodError(VsfsimError):
+    """The rod solver was given something it cannot work with."""
+
+
+@dataclass(frozen=True)
+class RodModel:
+    """A plant ready to be solved; arrays of n nodes, entry 0 of what belongs to segments not used.
+
+    plant: what it was made from. frame: rotations (n, 3, 3), the segment's axis as the first column, a blade's width as the second. kd: (n, 3) [N/m], kphi: (n, 3) [N m], see `segment`.
+    reach: longest way to a node below (n,) [m]. first: of a segment's samples (n + 1,). sample_segment, along, radius, penalty: (Q,) [-, -, m, N/m]; offset: (Q, 3) [m].
+    compliance: of each node against a force and a moment there, rest state (n, 6, 6) [m/N and so on]. weight: dead load a node (n, 3) [N].
+    """
+
+    plant: Plant
+    frame: np.ndarray
+    kd: np.ndarray
+    kphi: np.ndarray
+    reach: np.ndarray
+    first: np.ndarray
+    sample_segment: np.ndarray
+    along: np.ndarray
+    offset: np.ndarray
+    radius: np.ndarray
+    penalty: np.ndarray
+    compliance: np.ndarray
+    weight: np.ndarray
+
+    def floor(self) -> float:
+        """What rounding leaves of the sum of unbalanced forces [N], a bound."""
+        size = float(np.abs(self.plant.nodes).max())
+        return 4.0 * _ROUNDING * size * float(self.kd.sum())
+
+    def point_stiffness(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Force over displacement at material points (k,), along unit directions (k, 3), at rest: (k,) [N/m]; infinite where nothing gives way."""
+        c = self._point_compliance(segment, along, offset)
+        soft = np.einsum("ki,kij,kj->k", direction, c, direction)
+        return np.where(soft > 0.0, 1.0 / np.where(soft > 0.0, soft, 1.0), np.inf)
+
+    def _point_compliance(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray) -> np.ndarray:
+        """(k, 3, 3) [m/N] of material points."""
+        parent = self.plant.parent[segment]
+        carry = _carry(self.plant.nodes[segment] - self.plant.nodes[parent])
+        cp, cc = self.compliance[parent], self.compliance[segment]
+        to_point = _carry(offset)[:, :3]
+        a, b = (1.0 - along)[:, None, None] * to_point, along[:, None, None] * to_point
+        mixed = cp @ carry.transpose(0, 2, 1)
+        cross = a @ mixed @ b.transpose(0, 2, 1)
+        return a @ cp @ a.transpose(0, 2, 1) + b @ cc @ b.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
+
+
+def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RodModel:
+    """The rod model of a plant.
+
+    Args:
+        gravity: [m/s^2]; a plant that weighs something sags before it is touched, and costs more: all of it is solved in every frame.
+    """
+    n, length = len(plant.nodes), plant.lengths()
+    frame = _frames(plant)
+    kd, kphi = sections(plant)
+    reach = np.zeros(n)
+    for i in range(n - 1, 0, -1):
+        reach[plant.parent[i]] = max(reach[plant.parent[i]], length[i] + reach[i])
+    compliance = _compliance(plant, frame, kd, kphi)
+    segment, along, offset, radius = _samples(plant, frame)
+    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), segment, along, offset, radius, np.zeros(0), compliance, np.zeros((n, 3)))
+    softest = np.linalg.eigvalsh(model._point_compliance(segment, along, offset))[:, -1]
+    penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
+    area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
+    mass = np.zeros(n)
+    np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
+    np.add.at(mass, plant.parent[1:], 0.5 * (plant.density * area * length)[1:])
+    return RodModel(plant, frame, kd, kphi, reach, model.first, segment, along, offset, radius, penalty, compliance, mass[:, None] * np.asarray(gravity, float))
+
+
+def sections(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
+    """Stiffnesses kd (n, 3) [N/m] and kphi (n, 3) [N m] of the segments: axial, shear, shear; torsion, bending, bending.
+
+    Round: A = pi r^2, I = pi r^4 / 4, J = 2 I. Blade of width w, thickness t: A = w t, I about its width w t^3 / 12, about its normal t w^3 / 12,
+    J = w t^3 / 3 (thin). Axis 2 of the frame is the width, axis 3 the normal.
+    """
+    e, r, length = plant.young_modulus, plant.radius, np.where(plant.lengths() > 0.0, plant.lengths(), 1.0)
+    shear = e / (2.0 * (1.0 + plant.poisson_ratio))
+    flat = plant.half_width > 0.0
+    w, t = 2.0 * plant.half_width, 2.0 * r
+    area = np.where(flat, w * t, np.pi * r**2)
+    i2 = np.where(flat, w * t**3 / 12.0, np.pi * r**4 / 4.0)
+    i3 = np.where(flat, t * w**3 / 12.0, np.pi * r**4 / 4.0)
+    j = np.where(flat, w * t**3 / 3.0, np.pi * r**4 / 2.0)
+    factor = np.where(flat, SHEAR_FLAT, SHEAR_ROUND)
+    # shear along axis 2 goes with bending about axis 3, and the other way round
+    s2 = 1.0 / (1.0 / (factor * shear * area) + length**2 / (12.0 * e * i3))
+    s3 = 1.0 / (1.0 / (factor * shear * area) + length**2 / (12.0 * e * i2))
+    kd = np.stack([e * area, s2, s3], axis=1) / length[:, None]
+    kphi = np.stack([shear * j, e * i2, e * i3], axis=1) / length[:, None]
+    kd[0] = kphi[0] = 0.0
+    return kd, kphi
+
+
+def _frames(plant: Plant) -> np.ndarray:
+    out = np.tile(np.eye(3), (len(plant.nodes), 1, 1))
+    x = (plant.nodes[1:] - plant.nodes[plant.parent[1:]]) / plant.lengths()[1:, None]
+    z = np.where((plant.half_width[1:] > 0.0)[:, None], plant.blade_normal[1:], np.eye(3)[np.abs(x).argmin(axis=1)])
+    y = np.cross(z, x)
+    y /= np.linalg.norm(y, axis=1, keepdims=True)
+    out[1:] = np.stack([x, y, np.cross(x, y)], axis=2)
+    return out
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) with skew(a) b = a x b."""
+    out = np.zeros((*v.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2], out[..., 1, 2] = -v[..., 2], v[..., 1], -v[..., 0]
+    return out - np.swapaxes(out, -1, -2)
+
+
+def _carry(way: np.ndarray) -> np.ndarray:
+    """Displacement and spin at a point ``way`` (k, 3) from one that moves rigidly with it: (k, 6, 6)."""
+    out = np.tile(np.eye(6), (len(way), 1, 1))
+    out[:, :3, 3:] = -skew(way)
+    return out
+
+
+def _compliance(plant: Plant, frame: np.ndarray, kd: np.ndarray, kphi: np.ndarray) -> np.ndarray:
+    """Of each node at rest: that of its parent, carried along, and that of the segment between; what hangs on other branches does not matter."""
+    n = len(plant.nodes)
+    out = np.zeros((n, 6, 6))
+    way = plant.nodes - plant.nodes[np.maximum(plant.parent, 0)]
+    carry = _carry(way)
+    half = 0.5 * skew(way)
+    for i in range(1, n):
+        d = frame[i] * kd[i] @ frame[i].T
+        k = frame[i] * kphi[i] @ frame[i].T
+        own = np.block([[d, d @ half[i]], [(d @ half[i]).T, half[i].T @ d @ half[i] + k]])
+        out[i] = carry[i] @ out[plant.parent[i]] @ carry[i].T + np.linalg.inv(own)
+    return out
+
+
+def _samples(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Contact samples: segment, place along it, offset [m], radius [m]."""
+    parts = []
+    has_child = np.bincount(plant.parent[1:], minlength=len(plant.nodes)) > 0
+    for i in range(1, len(plant.nodes)):
+        along = max(2, int(np.ceil(plant.lengths()[i] / SAMPLE_SPACING)))
+        s = (np.arange(along) + 0.5) / along
+        if not has_child[i]:
+            s = np.append(s, 1.0)  # the tip itself
+        across = 1 + 2 * int(np.ceil(plant.half_width[i] / BLADE_SPACING)) if plant.half_width[i] > 0.0 else 1
+        side = np.linspace(-1.0, 1.0, across) * plant.half_width[i] if across > 1 else np.zeros(1)
+        grid, width = (a.ravel() for a in np.meshgrid(s, side, indexing="ij"))
+        parts.append((np.full(len(grid), i), grid, width[:, None] * frame[i][:, 1], np.full(len(grid), plant.radius[i])))
+        if len(grid) > 4000:
+            raise RodError(f"segment {i} of the plant is {plant.lengths()[i]:g} m long and {2 * plant.half_width[i]:g} m wide: more contact samples than a segment may have. Cut it into shorter ones.")
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]

@@ -1,0 +1,278 @@
+"""Equilibrium of the active part of a tree: Newton's method with a line search on the potential."""
+
+import warp as wp
+
+import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.arrays import Touches, Trees, Work
+from vsfsim.physics.rods.assembly import assemble, contact_energy, foresee, model, press, renew, unbalanced
+from vsfsim.physics.rods.elimination import solve, solve_coulomb
+from vsfsim.physics.rods.search import activate, gather, ride
+from vsfsim.physics.rods.segment import HALF, ONE, TINY, ZERO, energy, quat, real, six, strain, vec3
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be listed [m]
+MOVE = wp.constant(wp.float64(0.85))  # longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is under half of the thinnest
+TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
+BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
+NEWTON = wp.constant(60)  # iterations, those not counted in which something goes as far as it may
+TRAVEL = wp.constant(400)  # and all of them
+HALVINGS = wp.constant(12)
+SHRINK = wp.constant(wp.float64(0.25))  # least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
+TRIES = wp.constant(3)  # lengths that such a step is tried at
+CAREFUL = wp.constant(2)  # steps down the potential after one that was taken back
+OK, ITERATIONS, STALLED, NOT_FINITE, PATCH = (wp.constant(k) for k in (0, 1, 3, 4, 5))  # frames.Reason
+SETS = wp.constant(6)  # how often the contacts of a step are chosen anew
+
+
+@wp.func
+def turned(q: quat, spin: vec3):
+    """exp(spin) q."""
+    angle = wp.length(spin)
+    half = HALF * angle
+    scale = HALF
+    if angle > TINY:
+        scale = wp.sin(half) / angle
+    return wp.normalize(wp.mul(quat(scale * spin[0], scale * spin[1], scale * spin[2], wp.cos(half)), q))
+
+
+@wp.func
+def extent(tree: Trees, w: Work, b: int, o: int, count: int, bend: real):
+    """Slope of the potential along the step [J], the longest way of a node or its riders over the room that they have [-], the largest turn [rad]; D' of each segment, see `segment`.
+
+    A segment that would bend further than ``bend`` [rad] bends that far, and what is above it goes with it: soft leaves shall not hold up the branch that they hang on. The step is changed.
+    """
+    slope = ZERO
+    way = ZERO
+    turn = ZERO
+    for a in range(1, count):
+        i = w.order[b, a]
+        s = w.step[b, i]
+        up = w.step[b, tree.parent[o + i]]
+        mid = w.mid[b, i]
+        on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
+        e = wp.quat_rotate_inv(mid, w.relative[b, i])
+        rate = w.rate[b, i]
+        size = wp.length(e)
+        if size > bend:
+            e = (bend / size) * e
+            rate = (bend / size) * rate
+        spin = on_p + HALF * e - HALF * wp.cross(w.half_turn[b, i], e)
+        w.rate[b, i] = rate
+        s = six(wp.spatial_top(up) + wp.quat_rotate(mid, rate + wp.cross(spin, w.stretch[b, i])), wp.quat_rotate(mid, on_p + e))
+        w.step[b, i] = s
+        slope = slope + wp.dot(w.g[b, i], s)
+        angle = wp.length(wp.spatial_bottom(s))
+        turn = wp.max(turn, angle)
+        way = wp.max(way, (wp.length(wp.spatial_top(s)) + angle * w.rider[b, i]) / wp.max(MARGIN, w.room[b, i]))
+    return slope, way, turn
+
+
+@wp.func
+def rates(tree: Trees, w: Work, b: int, o: int, count: int):
+    """D' and the relative spin of each segment along the step, see `segment`."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        s = w.step[b, i]
+        up = w.step[b, tree.parent[o + i]]
+        mid = w.mid[b, i]
+        on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
+        on_c = wp.quat_rotate_inv(mid, wp.spatial_bottom(s))
+        spin = HALF * (on_p + on_c) - HALF * wp.cross(w.half_turn[b, i], on_c - on_p)
+        w.rate[b, i] = wp.quat_rotate_inv(mid, wp.spatial_top(s) - wp.spatial_top(up)) - wp.cross(spin, w.stretch[b, i])
+        w.relative[b, i] = wp.spatial_bottom(s) - wp.spatial_bottom(up)
+
+
+@wp.func
+def attempt(tree: Trees, w: Work, b: int, o: int, count: int, alpha: real):
+    """The trial state at ``alpha`` of the step, and its elastic energy less the work of the loads [J].
+
+    Nodes turn by their spins, each segment's D goes a part of its D', and positions follow from the root: a slender segment is then not stretched by turning, as it
+    would be if positions went straight. The path has the step as its tangent, which is all that a line search needs.
+    """
+    out = ZERO
+    w.x_try[b, 0] = w.x[b, 0]
+    w.q_try[b, 0] = w.q[b, 0]
+    for a in range(1, count):
+        i = w.order[b, a]
+        p = tree.parent[o + i]
+        w.q_try[b, i] = turned(w.q[b, i], alpha * wp.spatial_bottom(w.step[b, i]))
+        there = w.stretch[b, i] + alpha * w.rate[b, i]
+        xp = w.x_try[b, p]
+        s = strain(xp, w.q_try[b, p], xp, w.q_try[b, i], tree.frame[o + i], ZERO)
+        x = xp + wp.quat_rotate(s.turn, there)
+        w.x_try[b, i] = x
+        s.d = there - vec3(tree.length[o + i], ZERO, ZERO)
+        out = out + energy(s, tree.kd[o + i], tree.kphi[o + i]) - wp.dot(tree.load[o + i], x - tree.rest[o + i])
+    return out
+
+
+@wp.func
+def accept(w: Work, b: int, count: int):
+    """Takes the trial state."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.x[b, i] = w.x_try[b, i]
+        w.q[b, i] = w.q_try[b, i]
+
+
+@wp.func
+def keep(w: Work, b: int, count: int):
+    """Remembers the state, to come back to it."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.x_keep[b, i] = w.x[b, i]
+        w.q_keep[b, i] = w.q[b, i]
+
+
+@wp.func
+def restore(w: Work, b: int, count: int):
+    """Back to the state that `keep` remembers."""
+    for a in range(1, count):
+        i = w.order[b, a]
+        w.x[b, i] = w.x_keep[b, i]
+        w.q[b, i] = w.q_keep[b, i]
+
+
+@wp.func
+def step(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, coulomb: int, sets: int):
+    """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at most. 1, or 0 where there is none."""
+    fine = int(0)
+    geometric = ONE
+    for _pick in range(sets):
+        model(tree, touch, w, b, o, count, side, geometric, coulomb)
+        if coulomb == 1:
+            fine = solve_coulomb(tree, w, b, o, count)
+        else:
+            fine = solve(tree, w, b, o, count)
+            if fine == 0 and geometric > ZERO:
+                # without the terms of the stresses the tangent cannot lose its definiteness
+                geometric = ZERO
+                assemble(tree, touch, w, b, o, count, side, geometric)
+                model(tree, touch, w, b, o, count, side, geometric, coulomb)
+                fine = solve(tree, w, b, o, count)
+        if fine == 0:
+            return 0
+        if sets == 1 or foresee(tree, w, b, o, side) == 0:
+            return 1
+    return 1
+
+
+@wp.func
+def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: int, new: int, weighs: int, load: real):
+    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations, residual, active nodes."""
+    count = int(0)
+    moved = real(2.0)  # so that the lists are made at once
+    listed = int(0)
+    reason = int(ITERATIONS)
+    used = int(0)
+    residual = ZERO
+    small = int(0)
+    plain = int(0)
+    tried = int(0)
+    before = ZERO
+    again = int(0)
+    part = ONE
+    way = ZERO
+    spent = int(0)
+    for _it in range(TRAVEL):
+        if spent >= NEWTON:
+            break
+        if moved > ONE and tried == 0:
+            ride(tree, w, b, o, n)
+            listed = gather(tree, touch, w, b, o, n, MARGIN, old, new)
+            if listed < 0:
+                reason = PATCH
+                break
+            count = activate(tree, w, b, o, n, new, weighs)
+            moved = ZERO
+            if count == 1:
+                reason = OK
+                break
+        force = renew(tree, touch, w, b, o, new) + load
+        slips = assemble(tree, touch, w, b, o, count, new, ONE)
+        rest = unbalanced(tree, w, b, o, count)
+        if again == 1:
+            # back where the step was made: it is tried once more, shorter
+            again = 0
+            attempt(tree, w, b, o, count, part)
+            accept(w, b, count)
+            continue
+        if tried > 0 and not rest < (ONE - SHRINK * part) * before:
+            # no potential vouches for the step with friction that follows the normal force, so the unbalanced force must shrink; else back, and at last down the potential
+            restore(w, b, count)
+            if tried < TRIES:
+                tried = tried + 1
+                part = real(0.35) * part
+                again = 1
+            else:
+                tried = 0
+                plain = CAREFUL
+            continue
+        if tried > 0:
+            moved = moved + part * way
+        tried = 0
+        residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
+        if not wp.isfinite(rest):
+            reason = NOT_FINITE
+            break
+        if residual <= touch.tolerance:
+            reason = OK
+            break
+        used = used + 1
+        if slips > 0 and plain == 0:
+            if step(tree, touch, w, b, o, count, new, 1, SETS) == 1:
+                rates(tree, w, b, o, count)
+                slope, way, turn = extent(tree, w, b, o, count, real(10.0))
+                if wp.isfinite(slope) and way < MOVE and turn < TURN:
+                    spent = spent + 1
+                    before = rest
+                    tried = 1
+                    part = ONE
+                    keep(w, b, count)
+                    attempt(tree, w, b, o, count, ONE)
+                    accept(w, b, count)
+                    continue
+            plain = 1
+            assemble(tree, touch, w, b, o, count, new, ONE)
+        plain = wp.max(plain - 1, 0)
+        if step(tree, touch, w, b, o, count, new, 0, wp.where(small > 0, 1, SETS)) == 0:
+            reason = NOT_FINITE
+            break
+        rates(tree, w, b, o, count)
+        slope, way, turn = extent(tree, w, b, o, count, BEND)
+        if slope >= ZERO:
+            # the choice of contacts went round in circles; with those that press now the step leads down
+            press(w, b, new)
+            if step(tree, touch, w, b, o, count, new, 0, 1) == 0:
+                reason = NOT_FINITE
+                break
+            rates(tree, w, b, o, count)
+            slope, way, turn = extent(tree, w, b, o, count, real(10.0))
+        if not wp.isfinite(slope):
+            reason = NOT_FINITE
+            break
+        spent = spent + 1
+        alpha = wp.min(ONE, wp.min(MOVE / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
+        start = attempt(tree, w, b, o, count, ZERO) + contact_energy(tree, touch, w, b, o, new, w.x, w.q)
+        found = int(0)
+        for _trial in range(HALVINGS):
+            there = attempt(tree, w, b, o, count, alpha) + contact_energy(tree, touch, w, b, o, new, w.x_try, w.q_try)
+            # rounding of the sum decides below its last digits
+            if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
+                found = 1
+                break
+            alpha = HALF * alpha
+        if found == 0:
+            small = small + 1
+            if small > 2:
+                reason = STALLED
+                break
+            continue
+        small = 0
+        if found == 1 and alpha * way > HALF * MOVE:
+            spent = spent - 1  # on its way: a branch that springs back goes as far as it must
+        accept(w, b, count)
+        moved = moved + alpha * way
+    ride(tree, w, b, o, n)
+    return reason, used, residual, count

@@ -1,0 +1,73 @@
+"""Joint torques of a VSF touched by a whole arm: the particles that its capsules drag, and the rows of SBML eq. 7.
+
+Each capsule drags particles by the stick-slip motion of `vsf.dynamics`. A particle that several capsules hold at once goes with the one that displaces it
+most. A particle held by link l turns only the joints before l.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from vsfsim.core.chain import Chain
+from vsfsim.core.shape import Capsule
+from vsfsim.vsf.dynamics import Displacements, simulate
+from vsfsim.vsf.observe import joint_torque_rows
+
+
+def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[tuple[int, Displacements]]:
+    """The displaced particles of every frame, by the link that holds them: (link, displacements), links that hold none left out.
+
+    Args:
+        particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp device. max_step: see `dynamics.simulate` [m].
+    """
+    links = chain.links(q)
+    poses = chain.capsule_poses(links)
+    low, high = (particles.min(axis=0), particles.max(axis=0)) if len(particles) else (np.zeros(3), np.zeros(3))
+    found: list[tuple[int, Displacements]] = []
+    for k, capsule in enumerate(chain.capsules):
+        if chain.joints[capsule.link] < 0 and not chain.moves(capsule.link).any():
+            continue  # the base turns no joint
+        length = float(np.linalg.norm(np.subtract(capsule.stop, capsule.start)))
+        reach = capsule.radius + 0.5 * length
+        centre = poses[:, k, :3, 3]
+        near = np.flatnonzero(((centre + reach >= low) & (centre - reach <= high)).all(axis=1))
+        if not len(near):
+            continue
+        # frames before the first and after the last that can meet a particle are left out; it starts and ends free
+        begin, end = max(0, near[0] - 1), min(len(q), near[-1] + 2)
+        moved = simulate(particles, Capsule(capsule.radius, length), poses[begin:end, k], friction=friction, device=device, max_step=max_step)
+        if len(moved.particle):
+            pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer, np.full(len(q) - end, moved.pointer[-1])])
+            found.append((capsule.link, Displacements(pointer, moved.particle, moved.displacement)))
+    return _shared_out(found, len(q))
+
+
+def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tuple[int, Displacements]]:
+    """One holder a particle and frame, the capsule that displaces it most; the displacements joined by link."""
+    if not found:
+        return []
+    link = np.concatenate([np.full(len(d.particle), number) for number, d in found])
+    frame = np.concatenate([np.repeat(np.arange(frames), np.diff(d.pointer)) for _, d in found])
+    particle = np.concatenate([d.particle for _, d in found])
+    moved = np.concatenate([d.displacement for _, d in found])
+    order = np.lexsort((-np.linalg.norm(moved, axis=1), particle, frame))
+    first = np.ones(len(order), bool)
+    first[1:] = (np.diff(frame[order]) != 0) | (np.diff(particle[order]) != 0)
+    order = order[first]
+    out = []
+    for number in np.unique(link):
+        mine = order[link[order] == number]
+        if len(mine):
+            pointer = np.concatenate([[0], np.cumsum(np.bincount(frame[mine], minlength=frames))]).astype(np.int64)
+            out.append((int(number), Displacements(pointer, particle[mine], moved[mine])))
+    return out
+
+
+def arm_torque_rows(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> sparse.csr_matrix:
+    """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques of the contact on the joints [N m] (SBML eq. 7)."""
+    axes, origins = chain.joint_axes(chain.links(q))
+    total = sparse.csr_matrix((len(q) * chain.dof, len(particles)))
+    for link, moved in arm_displacements(particles, chain, q, friction=friction, device=device, max_step=max_step):
+        total = total + joint_torque_rows(moved, particles, np.where(chain.moves(link)[None, :, None], axes, 0.0), origins)
+    return sparse.csr_matrix(total)
