@@ -78,6 +78,10 @@ class GaussianAverage:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
 
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles)
+
     def save(self, folder: Path) -> None:
         """Keep the prior."""
         (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]} if self._prior else None))

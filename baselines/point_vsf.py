@@ -53,3 +53,7 @@ class PointVsf:
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles)

@@ -109,6 +109,10 @@ class Sbml:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
 
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles, seed=self.seed)
+
     def save(self, folder: Path) -> None:
         """Keep the prior: prior.json, and prior.npz with the weights."""
         if self._network is None or self._normaliser is None:

@@ -140,7 +140,7 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     total = TotalTouch(touch.vertices, touch.triangles, axis, np.append(-(touch.force.sum(axis=1) @ axis)[:-1], np.nan))
     each, together = VertexForces.of([touch]), TotalForces.of([total])
     assert together.index.tolist() == [[0, t] for t in range(1, 5)], "frame 0 has no way, the last no reading"
-    points, factor, force = together.rows(torch.arange(4), 30)
+    _, factor, force = together.rows(torch.arange(4), 30)
     every = factor.sum(dim=1)[:, 0]
     _, single, _ = each.rows(torch.arange(len(each.index)), 30)
     by_frame = torch.stack([-(single.sum(dim=1)[each.index[:, 1] == t].sum(dim=0) @ torch.tensor(axis, dtype=torch.float32)) for t in range(1, 5)])

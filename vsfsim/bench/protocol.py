@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.method import Action, Reading, Specimen, frozen, frozen_view
+from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
 from vsfsim.bench.noise import noisy_force
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.errors import TaskError
@@ -37,7 +37,10 @@ def record(view: ObjectView, task: Task) -> Recording:
         action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, task.observation.name, task.observation.size)
         force = np.where(touch.converged[:, None], touch.force, np.nan)
         noisy = noisy_force(force, task.noise, object_index=view.object_index, view_index=view.view_index, touch_index=index)
-        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged)))
+        surface = None
+        if touch.node_position is not None and touch.node_force is not None:
+            surface = Surface(frozen(touch.node_position), frozen(np.where(touch.converged[:, None, None], touch.node_force, np.nan)))
+        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged), surface))
         clean.append(task.observation.of(force, touch.axis))
     return Recording(view.name, tuple(readings), tuple(clean))
 

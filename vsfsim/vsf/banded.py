@@ -11,6 +11,8 @@ gives the blocks Z of M^-1 in the same places (Takahashi, Fagan and Chen 1973), 
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
@@ -61,7 +63,7 @@ class Band:
         # A last block of a few rows is not worth its calls.
         if len(cuts) > 2 and cuts[-1] - cuts[-2] < step // 3:
             del cuts[-2]
-        parts = [slice(a, b) for a, b in zip(cuts, cuts[1:])]
+        parts = [slice(a, b) for a, b in itertools.pairwise(cuts)]
         if len(self._inverse) < r:
             self._inverse = np.zeros((r, r))
         z, inverses, across, rest = self._inverse, [], [], right.copy()
