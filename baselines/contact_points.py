@@ -1,6 +1,6 @@
 """`contact-points`: what touches say without a stiffness (the contact-only baseline of Neural VSF section IV-C).
 
-A known object is registered to the points where the force passed a limit. Asked for forces, it answers with those of the nearest touch.
+A known object's outline is laid on the points where the force passed a limit. Asked for forces, it answers with those of the nearest touch.
 """
 
 from __future__ import annotations
@@ -8,9 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from vsfsim.baselines.locating import Locating, locate_contacts
+from vsfsim.baselines.locating import Locating, locate
 from vsfsim.bench.method import Action, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -21,7 +20,7 @@ class ContactPoints:
     """Learns nothing from training objects.
 
     Args:
-        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the paper. seed: of the registration.
+        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the paper. seed: of the search.
     """
 
     def __init__(self, *, share: float = 0.5, seed: int = 0):
@@ -38,7 +37,7 @@ class ContactPoints:
         Raises:
             MethodError: a reading marked valid is not finite.
         """
-        self._support = list(support)
+        self._view, self._support = view, list(support)
         for index, reading in enumerate(support):
             if not np.isfinite(reading.value[reading.valid]).all():
                 raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
@@ -59,34 +58,31 @@ class ContactPoints:
         return out
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Object-to-world transform (4, 4) of an object of known shape."""
-        return locate_contacts(vertices, triangles, self._contacts(), Locating(seed=self.seed))
+        """Object-to-world transform (4, 4) of an object of known shape: its outline laid on the contact points."""
+        points, size = self._contacts()
+        hard = size > self.share * size.max(initial=0.0)
+        # Contact or not is all that is told, as in the paper.
+        return locate(vertices, triangles, points, hard.astype(float), self._view, Locating(seed=self.seed))
 
-    def _contacts(self) -> np.ndarray:
-        """Points of the probe's front (k, 3) [m] in frames whose force passed the limit; with a surface, its vertices."""
-        largest = max((float(np.abs(r.value[r.valid]).max()) for r in self._support if r.valid.any()), default=0.0)
-        points = [np.zeros((0, 3))]
-        for reading in self._support:
+    def _contacts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and theirs."""
+        points, size = [np.zeros((0, 3))], [np.zeros(0)]
+        for reading in (r for r in self._support if r.valid.any()):
             if reading.surface is not None:
-                size = np.linalg.norm(np.nan_to_num(reading.surface.force), axis=2)
-                points.append(reading.surface.vertices[size > self.share * max(size.max(), 1e-12)])
+                force = np.linalg.norm(np.nan_to_num(reading.surface.force), axis=2)
+                last = int(np.argmax(force.sum(axis=1)))
+                points.append(reading.surface.vertices[last])
+                size.append(force[last])
                 continue
-            hit = np.flatnonzero(reading.valid & (np.abs(np.nan_to_num(reading.value)).max(axis=1) > self.share * largest)) if largest > 0.0 else []
+            value = np.where(reading.valid, np.abs(np.nan_to_num(reading.value)).max(axis=1), 0.0)
+            last = int(np.argmax(value))
             radius = reading.action.probe.radius if isinstance(reading.action.probe, Sphere) else 0.0
-            points.append(reading.action.poses[hit, :3, 3] + radius * reading.action.axis)
-        found = np.concatenate(points)
-        # One point a millimetre: frames of one touch that stand still count once.
-        return found if not len(found) else found[_thinned(found)]
+            points.append(reading.action.poses[last:last + 1, :3, 3] + radius * reading.action.axis)
+            size.append(value[last:last + 1])
+        return np.concatenate(points), np.concatenate(size)
 
 
 def _way(action: Action) -> np.ndarray:
     """How far the probe has come along the press since frame 0 (T,) [m]."""
     return (action.poses[:, :3, 3] - action.poses[0, :3, 3]) @ action.axis
 
-
-def _thinned(points: np.ndarray) -> np.ndarray:
-    dropped = np.zeros(len(points), bool)
-    for a, b in sorted(cKDTree(points).query_pairs(1e-3)):
-        if not dropped[a]:
-            dropped[b] = True
-    return np.flatnonzero(~dropped)

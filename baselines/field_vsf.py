@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vsfsim.baselines.locating import Locating, locate_stiff, touched_points
+from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -35,13 +35,14 @@ class NeuralVsf:
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
-                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.006, seed: int = 0, device: str = "cpu"):
         from vsfsim.vsf.neural import Fitting
 
         if min(iterations, batch, samples) < 1 or not rate > 0.0:
             raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} must be at least 1 and rate {rate} greater than 0.")
         self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, seed=seed)
         self.margin, self.table_height, self.depth, self.seed, self.device = margin, table_height, depth, seed, device
+        self._field: dict[str, float] = {}
         self._model = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
@@ -71,7 +72,7 @@ class NeuralVsf:
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.
-        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device))
+        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field))
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet."""
@@ -91,18 +92,21 @@ class NeuralVsf:
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
         points = touched_points(self._view, self._support, depth=self.depth)
-        return locate_stiff(vertices, triangles, points, self.stiffness(points).mean, Locating(seed=self.seed))
+        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, Locating(seed=self.seed))
 
 
 class GridVsf(NeuralVsf):
-    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`."""
+    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`; cell: edge of the finest grid's cells [m]."""
 
     _kind = "grid"
 
     def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1, free_space: float = 1e-2,
-                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.006, seed: int = 0, device: str = "cpu"):
+        if not cell > 0.0:
+            raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, margin=margin, table_height=table_height,
                          depth=depth, seed=seed, device=device)
+        self._field = {"cell": cell}
 
 
 def _fitted(work):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from vsfsim.baselines.locating import Locating, locate_stiff
+from vsfsim.baselines.locating import Locating, locate
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
@@ -157,10 +157,10 @@ class Posterior:
         volume = spacing**3
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
 
-    def locate(self, vertices: np.ndarray, triangles: np.ndarray, *, seed: int = 0) -> np.ndarray:
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
         touched = self.touched()
-        return locate_stiff(vertices, triangles, self.model.particles[touched], self.stiffness[touched], Locating(seed=seed))
+        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, Locating(seed=seed))
 
 
 @dataclass

@@ -8,7 +8,7 @@ import pytest
 from vsfsim.baselines import field_vsf
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
-from vsfsim.baselines.locating import Locating, locate_contacts, locate_stiff
+from vsfsim.baselines.locating import Locating, locate
 from vsfsim.bench.check import check
 from vsfsim.bench.hidden import Hidden, pose_scores
 from vsfsim.bench.method import Action, Reading, Surface
@@ -90,18 +90,23 @@ def test_failures_are_clear_or_have_a_defined_answer(seen):
         ContactPoints(share=2)
 
 
-def test_a_hidden_object_is_found_from_stiffness_and_a_contact_cloud():
-    angle, shift = 0.7, np.array([0.02, -0.01, 0.0])
-    parts = (Inclusion("capsule", (-0.025, -0.02, 0.02, 0.035, -0.02, 0.02, 0.008), 1e7), Inclusion("capsule", (-0.025, -0.02, 0.02, -0.025, 0.02, 0.02, 0.008), 1e7))
-    there = Hidden(parts, np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]), shift)
+@pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])
+def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
+    parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x, y in ((0.035, -0.02), (-0.025, 0.02)))
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]) @ (np.diag([1.0, -1.0, -1.0]) if over else np.eye(3))
+    there = Hidden(parts, turn, np.array([0.02, -0.01, 0.04 if over else 0.0]))
     vertices, triangles, truth = there.known_object()
-    axes = [np.arange(-0.07, 0.07, 0.004), np.arange(-0.07, 0.07, 0.004), np.arange(0.012, 0.03, 0.004)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    stiffness = np.where(there.inside(points), 50.0, 5.0) * np.random.default_rng(0).uniform(0.7, 1.3, len(points))
-    found = pose_scores(locate_stiff(vertices, triangles, points, stiffness, Locating(tries=2, refine=150)), truth)
-    assert found["translation_error"] < 4.0 and found["rotation_error"] < 10.0
-    contacts = pose_scores(locate_contacts(vertices, triangles, points[there.inside(points)], Locating(tries=2)), truth)
-    assert contacts["translation_error"] < 12.0
-    # Without a stiff class the object stands in the middle of what was touched.
-    nowhere = locate_stiff(vertices, triangles, points, np.ones(len(points)), Locating())
-    np.testing.assert_allclose(nowhere[:3, 3], points.mean(axis=0))
+    x = np.arange(-0.07, 0.07, 0.003)
+    points = np.stack(np.meshgrid(x, x, [0.02, 0.026], indexing="ij"), axis=-1).reshape(-1, 3)
+    # What lies in the object's outline is stiff, up to noise; the view shows a flat top at z = 0.032, 14 x 14 cm.
+    under = there.inside(points * [1, 1, 0] + [0, 0, 0.02])
+    stiffness = np.where(under, 50.0, 15.0) * np.random.default_rng(0).uniform(0.6, 1.4, len(points))
+    view = mock_view(0).view
+    view = dataclasses.replace(view, mask=np.ones_like(view.mask), depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
+                               intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
+    found = pose_scores(locate(vertices, triangles, points, stiffness, view, Locating(refine=200)), truth)
+    assert found["translation_error"] < 4.0 and found["rotation_error"] < 8.0
+    hard = pose_scores(locate(vertices, triangles, points, under.astype(float), view, Locating(refine=200)), truth)
+    assert hard["translation_error"] < 4.0 and hard["rotation_error"] < 8.0
+    # Where all is of one stiffness the object stands in the middle of what is seen.
+    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, Locating())[:3, 3], view.points().mean(axis=0))

@@ -87,12 +87,13 @@ def compare(*, device: str = "cpu", iterations: int = 2000, points: Sequence[int
     rows: list[FieldRow] = []
     for count in points:
         rows += _points(count, touches, pixels, tell)
-    for name, kind, settings in (("neural VSF", "nerf", Fitting(iterations=iterations)), ("grid VSF (ours)", "grid", Fitting(iterations=250, samples=32, rate=3e-2))):
+    for name, kind, settings, more in (("neural VSF", "nerf", Fitting(iterations=iterations), {}),
+                                       ("grid VSF (ours)", "grid", Fitting(iterations=250, samples=24, rate=0.1), {"cell": 0.004})):
         tell(f"{name}, {settings.iterations} iterations on {device}")
         _warm(kind, touches, device)
         before = _memory(device, reset=True)
         start = time.perf_counter()
-        model = fit(kind, touches, BOUNDS, settings, device=device)
+        model = fit(kind, touches, BOUNDS, settings, device=device, **more)
         _wait(device)
         seconds = time.perf_counter() - start
         with tempfile.TemporaryDirectory() as folder:
