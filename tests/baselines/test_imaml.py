@@ -70,7 +70,7 @@ def test_without_support_nothing_moves():
 
 @pytest.mark.parametrize("name", ["imaml", "imaml-vision"])
 def test_it_conforms(name):
-    findings = check(name, parameters={"epochs": 3})
+    findings = check(name, parameters={"epochs": 1, "inner_steps": 3, "cg_steps": 2})
     assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
 
 
