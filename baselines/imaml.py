@@ -92,6 +92,9 @@ class Imaml:
         finally:
             torch.set_num_threads(before)
         self._theta = [p.detach() for p in theta]
+        if not all(torch.isfinite(p).all() for p in self._theta):
+            self._scale = None
+            raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or inner_rate.")
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Gradient descent on the support touches, from the meta-learned start."""

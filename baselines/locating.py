@@ -1,4 +1,4 @@
-"""Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings that all of them share.
+"""Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings that all share.
 
 The papers register the object's surface to the stiff points (`vsfsim.vsf.localise`); on the training objects of localization-mini-v1 that tips over in
 most cases, while the outline of the stiff columns (`vsfsim.vsf.lying`) finds the angle to some degrees: docs/methods.md has both figures.
@@ -26,9 +26,10 @@ STEP = 0.003
 @dataclass(frozen=True)
 class Locating:
     """Settings. cover: how deep the object's upper side is taken to lie under the touched surface [m], of which touch says little. refine: steps of the
-    random search. seed: of it."""
+    random search. turned: the object may lie on its other face (the training objects do not). seed: of the search."""
 
     cover: float = 0.004
+    turned: bool = False
     refine: int = 400
     seed: int = 0
 
@@ -46,7 +47,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top, refine=settings.refine, seed=settings.seed).transform
+        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
     except VsfError:
         out = np.eye(4)
         out[:3, 3] = cloud.mean(axis=0)

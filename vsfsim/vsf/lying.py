@@ -2,13 +2,12 @@
 
 Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer over it before a probe gets there: the stiff points
 of an estimate are a thin sheet over the object, to which a registration of surfaces fits it in many ways. What such a sheet does tell is the object's
-outline. So the stiffness of each column of touched points is compared with the outline of the object, face up and face down, at all angles
-and places,
+outline. So the stiffness of each column of touched points is compared with the outline of the object at all angles and places,
 
     L = sum over columns under the outline of max(threshold - K, 0) + threshold * (stiff columns beside it)
 
 on a grid first, then by a shrinking random search. The threshold leaves as large a share of the columns stiff as the outline has of the area
-that can be touched, so that it needs no knowledge of the cover.
+that can be touched, so that it needs no knowledge of the cover. A turned over object has nearly the same outline mirrored: unless it may lie so, it is not asked.
 """
 
 from __future__ import annotations
@@ -29,12 +28,13 @@ def outline(known: KnownObject) -> float:
     return float(known.inside.any(axis=2).sum()) * known.cell**2
 
 
-def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float, refine: int = 400, seed: int = 0) -> Pose:
+def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float, turned: bool = False, refine: int = 400,
+               seed: int = 0) -> Pose:
     """The pose that best explains the stiffness of columns.
 
     Args:
-        known: the object, lying as in its own frame or turned over about its x axis. columns: places (n, 2) [m], world. stiffness: of each, >= 0 (n,).
-        area: that can be touched [m^2]. top: z of the object's upper side [m]. refine: steps of the random search. seed: of it.
+        known: the object, lying as in its own frame, or turned over about its x axis. columns: places (n, 2) [m], world. stiffness: of each, >= 0 (n,).
+        area: that can be touched [m^2]. top: z of the object's upper side [m]. turned: it may lie on its other face. refine: steps of the random search. seed: of it.
 
     Raises:
         VsfError: fewer than 10 columns, or all of one stiffness.
@@ -61,7 +61,7 @@ def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *
         return (flat[index[..., 0], index[..., 1]] * gain[::every]).sum(axis=1)
 
     best, most, every = (0.0, 1, middle), -np.inf, -(-len(columns) // _COLUMNS)
-    for face in (1, -1):
+    for face in (1, -1) if turned else (1,):
         for angle in 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES:
             found = covered(angle, face, middle + shifts, every)
             k = int(np.argmax(found))
