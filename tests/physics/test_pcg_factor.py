@@ -52,6 +52,24 @@ def test_every_column_of_a_batch_is_solved(systems, device):
     assert error[0] < 1e-14
 
 
+def test_the_plain_residual_stops_at_its_length_and_spares_one_use_of_the_preconditioner(systems, device):
+    matrix, right = systems
+    inverse = by_numpy(np.array([np.diag(1.0 / np.diag(m)) for m in matrix]), device)
+    tolerance = torch.full((5,), 1e-6, dtype=torch.float64, device=device)
+    for plain in (False, True):
+        uses = []
+
+        def precondition(x, which, uses=uses):
+            uses.append(x.shape[1])
+            return inverse(x, which)
+
+        x, done, _ = pcg.solve(by_numpy(matrix, device), precondition, torch.as_tensor(right, device=device), tolerance=tolerance, iterations=400,
+                               plain=plain)
+        assert len(uses) == int(done.amax()) + (0 if plain else 1)
+        residual = np.linalg.norm(right - np.einsum("kij,jk->ik", matrix, x.cpu().numpy()), axis=0) / np.linalg.norm(right, axis=0)
+        assert not plain or (residual <= 1.01e-6).all()
+
+
 def test_a_column_keeps_its_own_tolerance(systems, device):
     matrix, right = systems
     tolerance = np.array([1e-1, 1e-6, 1e-1, 1e-8, 1e-1])

@@ -12,14 +12,14 @@ from vsfsim.physics.touching import Touching
 
 
 def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *, near: torch.Tensor,
-                     tolerance: torch.Tensor, iterations: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+                     tolerance: torch.Tensor, iterations: int, plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
         elasticity: with the tangent of ``columns`` made. touching: evaluated at the present state.
         columns: touches (k,). residual: unbalanced forces (3 n, k) [N].
         near: whose contact counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
-        tolerance: relative residual of each column (k,). iterations: limit.
+        tolerance: relative residual of each column (k,). iterations: limit. plain: see `pcg.solve`.
 
     Returns:
         Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness used (k, 3 s, 3 s) [N/m].
@@ -68,5 +68,5 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
                 y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
         return y.to(r.dtype)
 
-    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations)
+    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations, plain=plain)
     return direction, steps, negative, stiffness

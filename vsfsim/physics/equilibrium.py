@@ -169,7 +169,7 @@ class Equilibrium:
                    near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         return newton_direction(self.elasticity, self.touching, columns, residual.to(self.real), near=near, iterations=opt.cg,
-                                tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance)
+                                tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor) -> torch.Tensor:
         """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.

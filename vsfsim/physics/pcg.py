@@ -24,13 +24,14 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+          iterations: int, plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0.
 
     Args:
         multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument says which columns of ``right`` those are (j,),
             None for all.
-        right: (3 n, k). tolerance: relative residual in the preconditioner's norm, per column (k,). iterations: the limit.
+        right: (3 n, k). tolerance: relative residual, per column (k,). iterations: the limit.
+        plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the preconditioner's norm.
 
     Returns:
         x (3 n, k), iterations of every column (k,), and which columns met negative curvature (k,) bool: those keep what they have so far
@@ -43,7 +44,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     z = precondition(r, None)
     p = z.clone()
     rz = column_dots(r, z)
-    start = rz.clamp(min=1e-300)
+    start = (column_dots(r, r) if plain else rz).clamp(min=1e-300)
     running = rz > 0.0
     negative = torch.zeros_like(running)
     steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
@@ -63,12 +64,18 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         alpha = torch.where(running, rz / torch.where(pap > 0.0, pap, 1.0), 0.0).to(right.dtype)
         x += alpha * p
         r -= alpha * ap
+        if plain:
+            goes_on = running & (column_dots(r, r) > tolerance**2 * start)
+            left = int(goes_on.sum())
+            if left == 0 or step == iterations - 1:
+                break
         z = precondition(r, which)
         fresh = column_dots(r, z)
-        goes_on = running & (fresh > tolerance**2 * start)
-        left = int(goes_on.sum())
-        if left == 0:
-            break
+        if not plain:
+            goes_on = running & (fresh > tolerance**2 * start)
+            left = int(goes_on.sum())
+            if left == 0:
+                break
         beta = torch.where(goes_on, fresh / torch.where(rz > 0.0, rz, 1.0), 0.0).to(right.dtype)
         p = z + beta * p
         rz = torch.where(running, fresh, rz)
