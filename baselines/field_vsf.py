@@ -35,7 +35,7 @@ class NeuralVsf:
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
-                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.006, seed: int = 0, device: str = "cpu"):
+                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
         from vsfsim.vsf.neural import Fitting
 
         if min(iterations, batch, samples) < 1 or not rate > 0.0:
@@ -101,7 +101,7 @@ class GridVsf(NeuralVsf):
     _kind = "grid"
 
     def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1, free_space: float = 1e-2,
-                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.006, seed: int = 0, device: str = "cpu"):
+                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, margin=margin, table_height=table_height,

@@ -2,8 +2,8 @@
 
 The literal forms are the papers' equations written down with dense matrices over the touched particles, as openvsf has them: eq. 15 with
 W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least squares problem with bounds; the diagonal Kalman
-filter with a dense gain. Each runs in a process of its own, so that its peak memory is its own; what takes less than half a
-second is run again, and the fastest run counts. Where a literal form would not fit, or take minutes, both are run on as many of the
+filter with a dense gain. Each runs in a process of its own, so that its peak memory is its own; what takes less than some
+seconds is run again, and the fastest run counts. Where a literal form would not fit, or take minutes, both are run on as many of the
 workload's touches as it can take, and its time for the whole is estimated from its number of operations.
 """
 
@@ -31,7 +31,7 @@ MOST_BYTES = 4e9
 MOST_WORK = 3e12
 NOISE, MEAN, STD = 0.05, 20.0, 30.0
 # Runs shorter than this are repeated, so often at most [s].
-_SHORT, _REPEATS = 0.5, 5
+_SHORT, _REPEATS = 3.0, 5
 
 # (particles, touches, frames): 2,000 readings of 2,000 particles; 900 frames of 20,000 (the paper's).
 MINI, PAPER = (2000, 100, 20), (20_000, 60, 15)
