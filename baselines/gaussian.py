@@ -64,6 +64,7 @@ class GaussianAverage:
         if self._prior is None:
             raise MethodError("the Gaussian prior was not estimated yet; call meta_fit or load first.")
         mean, variance = self._prior
+        self._view = view
         self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=mean, prior_var=variance)
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
@@ -77,6 +78,10 @@ class GaussianAverage:
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles, self._view)
 
     def save(self, folder: Path) -> None:
         """Keep the prior."""

@@ -55,6 +55,7 @@ class Imaml:
         import torch
 
         from vsfsim.baselines import implicit_maml as im
+        from vsfsim.vsf.adam import Adam
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:
@@ -74,7 +75,7 @@ class Imaml:
         theta = self._network.start(generator)
         for p in theta:
             p.requires_grad_(True)
-        optimiser = torch.optim.Adam(theta, lr=self.outer_rate)
+        optimiser = Adam(theta, rate=self.outer_rate)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
@@ -91,6 +92,9 @@ class Imaml:
         finally:
             torch.set_num_threads(before)
         self._theta = [p.detach() for p in theta]
+        if not all(torch.isfinite(p).all() for p in self._theta):
+            self._scale = None
+            raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or inner_rate.")
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Gradient descent on the support touches, from the meta-learned start."""

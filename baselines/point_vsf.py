@@ -40,6 +40,7 @@ class PointVsf:
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Fit the springs to the support touches."""
+        self._view = view
         self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
@@ -53,3 +54,7 @@ class PointVsf:
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles, self._view)

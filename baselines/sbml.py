@@ -95,6 +95,7 @@ class Sbml:
         if id(model) not in self._priors:
             features = self._normaliser(self._features(model, view))
             self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
+        self._view = view
         self._posterior = Posterior.under(model, support, self._priors[id(model)])
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
@@ -108,6 +109,10 @@ class Sbml:
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
         return self._posterior.density(points)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles, self._view, seed=self.seed)
 
     def save(self, folder: Path) -> None:
         """Keep the prior: prior.json, and prior.npz with the weights."""

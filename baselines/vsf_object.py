@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from vsfsim.baselines.locating import Locating, locate
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
@@ -168,6 +169,11 @@ class Posterior:
         groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
         volume = spacing**3
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
+        touched = self.touched()
+        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, Locating(seed=seed))
 
 
 @dataclass

@@ -30,7 +30,7 @@ MAY_IMPORT = {
 }
 """Layers that a layer may import, besides itself."""
 
-LAZILY = {"cli": {"core", "data", "generate", "bench", "vsf"}}
+LAZILY = {"cli": {"core", "data", "generate", "bench", "baselines", "vsf"}}
 """Layers that a layer may import inside a function."""
 
 BY_NAME = {"physics": {"scenes"}}

@@ -47,14 +47,48 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
 
 
 @app.command()
-def methods(particles: Annotated[int, typer.Option(min=1, help="Particles of the model, about.")] = 1000,
-            touches: Annotated[int, typer.Option(min=1, help="Touches of a dome of 217 vertices.")] = 20,
-            frames: Annotated[int, typer.Option(min=2, help="Frames of a touch.")] = 10,
-            literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True) -> None:
-    """Time and memory of every estimator beside its literal dense form, at equal answers."""
-    from vsfsim.vsf.side_by_side import compare, table
+def methods(paper: Annotated[bool, typer.Option("--paper", help="The paper's size: 20,000 particles, 60 touches, 900 frames.")] = False,
+            particles: Annotated[int | None, typer.Option(min=1, help="Particles of the model, about; default 2,000.")] = None,
+            touches: Annotated[int | None, typer.Option(min=1, help="Touches of a dome of 217 vertices; default 100.")] = None,
+            frames: Annotated[int | None, typer.Option(min=2, help="Frames of a touch; default 20.")] = None,
+            literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True,
+            fields: Annotated[bool | None, typer.Option(help="Also fit the point VSF, the neural VSF and its fast variant to a buried rope; default: on a GPU.")] = None,
+            iterations: Annotated[int, typer.Option(min=1, help="Of the neural VSF, 1,000 to 3,000 in the paper.")] = 2000,
+            device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu") -> None:
+    """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1 and size on disk."""
+    from vsfsim.vsf import bench_fields
+    from vsfsim.vsf.side_by_side import MINI, PAPER, compare, table
 
-    print(table(compare(particles, touches, frames, literal=literal, progress=lambda done, total, what: print(f"  {what} ...", file=sys.stderr, flush=True))))
+    bench_fields.check_device(device)
+    size = [given or default for given, default in zip((particles, touches, frames), PAPER if paper else MINI)]
+
+    def told(what: str) -> None:
+        print(f"  {what} ...", file=sys.stderr, flush=True)
+
+    print(table(compare(*size, literal=literal, device=device, progress=lambda done, total, what: told(what)), size[1]))
+    if fields if fields is not None else device != "cpu":
+        print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, progress=told)))
+
+
+
+@app.command()
+def features(task: Annotated[str, typer.Option(help="Task whose training objects are used; its test objects are not opened.")] = "fewshot-shoes-mini-v1",
+             dataset: Annotated[Path | None, typer.Option(help="Folder of a dataset of the same readings; default: the task's own.")] = None,
+             feature: Annotated[list[str] | None, typer.Option(help="A kind of features; may be given again. Default: local, local-full, xyzrgb.")] = None,
+             noise: Annotated[list[float] | None, typer.Option(help="A noise_std of SBML; may be given again. Default: 1, 3, 10.")] = None,
+             folds: Annotated[int, typer.Option(min=2, help="Of the training objects.")] = 4,
+             seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant and fold.")] = 1,
+             epochs: Annotated[int, typer.Option(min=1, help="Of each training, at most.")] = 400) -> None:
+    """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
+    from vsfsim.baselines.feature_choice import choose, table
+    from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.data.dataset import Dataset
+
+    wanted = load_task(task)
+    data = open_dataset(wanted) if dataset is None else Dataset.open(dataset)
+    rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")), noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
+                  seeds=seeds, epochs=epochs, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    print(table(rows, wanted.observation.unit))
 
 
 @app.command("pressure-law")

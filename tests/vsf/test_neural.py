@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.neural import Fitting, GridField, NerfField, Observations, density, fit, load_field, save_field
+from vsfsim.vsf.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
 from vsfsim.vsf.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
+from vsfsim.vsf.swept import TotalForces, TotalTouch, VertexForces
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])
@@ -33,7 +35,7 @@ def straight(depth=0.01, frames=6):
 def test_a_uniform_field_answers_as_eq_4_says():
     # Straight down by d into K: f_z = K |s_z| d^2 / 2 on every vertex; the pieces' midpoints give it exactly.
     touch = straight()
-    seen = Observations.of([touch])
+    seen = VertexForces.of([touch])
     points, factor, _ = seen.rows(torch.arange(len(seen.index)), 100)
     force = factor.sum(dim=1).double().numpy()
     frame, vertex = seen.index[:, 1].numpy(), seen.index[:, 2].numpy()
@@ -46,7 +48,7 @@ def test_a_uniform_field_answers_as_eq_4_says():
 def test_in_and_out_again_leaves_nothing():
     touch = straight()
     both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles, np.zeros((11, *touch.force.shape[1:])))
-    seen = Observations.of([both])
+    seen = VertexForces.of([both])
     last = torch.nonzero(seen.index[:, 1] == 10)[:, 0]
     points, factor, _ = seen.rows(last, 100)
     k = torch.exp(50.0 * points[:, :, 2:])
@@ -56,7 +58,7 @@ def test_in_and_out_again_leaves_nothing():
 def test_palpation_agrees_with_the_estimators_own_integral():
     field = layer_with_inclusion()
     (touch,) = palpate(field, touches=1, frames=10, extent=(0.05, 0.05), substeps=200)
-    seen = Observations.of([touch])
+    seen = VertexForces.of([touch])
     points, factor, force = seen.rows(torch.arange(len(seen.index)), 1000)
     k = torch.as_tensor(field(points.double().reshape(-1, 3).numpy())).reshape(points.shape[:2]).float()
     # Where a vertex crosses the rope's edge the two quadratures see it up to one piece apart: 1 / 1000 of the way.
@@ -129,3 +131,50 @@ def test_refusals(tmp_path):
     (tmp_path / "x.npz").write_bytes(b"no")
     with pytest.raises(VsfError, match="no field can be read"):
         load_field(tmp_path / "x.npz")
+
+
+def test_totals_are_the_sum_of_the_vertices_along_the_axis():
+    field = layer_with_inclusion()
+    (touch,) = palpate(field, touches=1, frames=6, extent=(0.05, 0.05), substeps=20)
+    axis = np.array([0.0, 0.6, -0.8])
+    total = TotalTouch(touch.vertices, touch.triangles, axis, np.append(-(touch.force.sum(axis=1) @ axis)[:-1], np.nan))
+    each, together = VertexForces.of([touch]), TotalForces.of([total])
+    assert together.index.tolist() == [[0, t] for t in range(1, 5)], "frame 0 has no way, the last no reading"
+    _, factor, force = together.rows(torch.arange(4), 30)
+    every = factor.sum(dim=1)[:, 0]
+    _, single, _ = each.rows(torch.arange(len(each.index)), 30)
+    by_frame = torch.stack([-(single.sum(dim=1)[each.index[:, 1] == t].sum(dim=0) @ torch.tensor(axis, dtype=torch.float32)) for t in range(1, 5)])
+    torch.testing.assert_close(every, by_frame, rtol=1e-4, atol=1e-12)
+    np.testing.assert_allclose(force[:, 0], total.force[1:5], rtol=1e-6)
+
+
+def test_a_soft_and_a_stiff_half_are_told_from_totals_alone():
+    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=16, frames=6, extent=(0.08, 0.08), rings=4)
+    totals = [TotalTouch(t.vertices, t.triangles, np.array([0, 0, -1.0]), t.force.sum(axis=1)[:, 2]) for t in touches]
+    model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
+    left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))
+    assert right > 3.0 * left
+    told = predict_totals(model, totals[0], samples=16)
+    assert told[0] == 0.0 and np.abs(told - totals[0].force).max() < 0.25 * np.abs(totals[0].force).max()
+
+
+def test_adam_takes_the_steps_of_the_published_rule():
+    # By hand for one number: m = 0.1 g, v = 0.001 g^2, both corrected to g and g^2: the first step is the rate, whatever the gradient.
+    p = torch.tensor([1.0, -2.0], dtype=torch.float64, requires_grad=True)
+    still = torch.ones(2, requires_grad=True)
+    ours = Adam([p, still], rate=0.1)
+    (p * torch.tensor([3.0, -0.01])).sum().backward()
+    ours.step()
+    np.testing.assert_allclose(p.detach().numpy(), [0.9, -1.9], atol=1e-6)
+    reference = torch.tensor([0.9, -1.9], dtype=torch.float64)
+    m, v = 0.1 * np.array([3.0, -0.01]), 0.001 * np.array([9.0, 1e-4])
+    for _ in range(3):
+        ours.clear()
+        (p**2).sum().backward()
+        gradient = 2.0 * reference.numpy()
+        m, v = 0.9 * m + 0.1 * gradient, 0.999 * v + 0.001 * gradient**2
+        steps = ours.steps + 1
+        reference = reference - 0.1 * torch.as_tensor(m / (1 - 0.9**steps) / (np.sqrt(v / (1 - 0.999**steps)) + 1e-8))
+        ours.step()
+    torch.testing.assert_close(p.detach(), reference, rtol=1e-5, atol=1e-7)
+    assert still.tolist() == [1.0, 1.0]

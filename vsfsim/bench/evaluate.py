@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.bench.hidden import MASK_METRICS, POSE_METRICS, Hidden, Mask, pose_scores
 from vsfsim.bench.method import (
     Action,
     Method,
@@ -77,6 +78,8 @@ class _Subject:
     recording: Recording
     draw: Draw
     reached: np.ndarray  # probe points of the truth that some touch reached
+    mask: Mask | None  # where the task seeks one
+    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None  # vertices, triangles and pose of the object that it seeks
 
 
 @dataclass
@@ -90,6 +93,7 @@ class _Run:
     rows: list[dict[str, Any]] = field(default_factory=list)
     stiffness: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)
     spread: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)  # of readings, one row a query touch
+    hidden: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)  # scores of the mask or the pose, one row an object
     timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0, "adapts": 0, "predicts": 0})
 
     def all(self) -> None:
@@ -126,7 +130,10 @@ class _Run:
         for touch in view.touches:
             near |= reached(points, view.probe, touch.mount_pose, q=touch.q)
         near &= view.truth.probe_stiffness > 0.0  # ratios are scored; a cone that met nothing has none
-        return _Subject(view, frozen_view(view.view), record(view, self.task), divide(view, self.task.protocol), near)
+        hidden = Hidden.of(self.dataset.recipe, view) if self.task.seeks else None
+        mask = Mask.of(hidden, view) if hidden is not None and self.task.seeks == "mask" else None
+        known = hidden.known_object() if hidden is not None and self.task.seeks == "pose" else None
+        return _Subject(view, frozen_view(view.view), record(view, self.task), divide(view, self.task.protocol), near, mask, known)
 
     def _trial(self, method: Method, subject: _Subject, label: str, seed: int) -> None:
         chosen = support(subject.record, subject.draw, label, seed, self.task.protocol)
@@ -145,6 +152,26 @@ class _Run:
             errors = touch_errors(prediction, subject.recording.clean[index], subject.recording.readings[index].valid)
             self.rows.append({"object": subject.record.name, "shot": label, "seed": seed, "touch": index, **errors})
         self._stiffness(method, subject, label, seed, where)
+        self._hidden(method, subject, label, seed, where)
+
+    def _hidden(self, method: Method, subject: _Subject, label: str, seed: int, where: str) -> None:
+        if subject.mask is not None and hasattr(method, "stiffness"):
+            points = subject.mask.points
+            with self._timed("predict_s", f"stiffness for {where}"):
+                stiffness = np.asarray(method.stiffness(points).mean, float)
+            if stiffness.shape != (len(points),) or not np.isfinite(stiffness).all():
+                raise MethodError(f"stiffness for {where} must be a finite mean a point, ({len(points)},); it has shape {stiffness.shape}.")
+            scores = subject.mask.scores(stiffness)
+        elif subject.known is not None and hasattr(method, "locate"):
+            vertices, triangles, truth = subject.known
+            with self._timed("predict_s", f"locate for {where}"):
+                pose = np.asarray(method.locate(vertices.copy(), triangles.copy()), float)
+            if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6):
+                raise MethodError(f"locate for {where} must be a rigid object-to-world transform (4, 4); it is {pose.tolist()}.")
+            scores = pose_scores(pose, truth)
+        else:
+            return
+        self.hidden.setdefault((label, seed), []).append({"object": subject.record.name, **scores})
 
     def _spread(self, method: Method, subject: _Subject, label: str, seed: int, actions: list[Action], answer: list[np.ndarray], names: list[str]) -> None:
         if not hasattr(method, "predict_std"):
@@ -177,9 +204,10 @@ class _Run:
         self.rows += [{**row, "seed": seed} for row in self.rows if row["object"] == subject.record.name and row["shot"] == label and row["seed"] == first]
         if (label, first) in self.stiffness:
             self.stiffness[label, seed] = self.stiffness[label, first]
-        mine = [row for row in self.spread.get((label, first), []) if row["object"] == subject.record.name]
-        if mine:
-            self.spread.setdefault((label, seed), []).extend(mine)
+        for table in (self.spread, self.hidden):
+            mine = [row for row in table.get((label, first), []) if row["object"] == subject.record.name]
+            if mine:
+                table.setdefault((label, seed), []).extend(mine)
 
     @contextmanager
     def _timed(self, key: str, what: str) -> Iterator[None]:
@@ -194,7 +222,14 @@ class _Run:
             self.timing[key] += time.perf_counter() - start
 
     def scores(self) -> dict[str, dict[str, Score]]:
-        return {**scores_of(self.rows, self.task.protocol.labels, self.seeds), **self._spread_scores(), **self._stiffness_scores()}
+        return {**scores_of(self.rows, self.task.protocol.labels, self.seeds), **self._spread_scores(), **self._stiffness_scores(), **self._hidden_scores()}
+
+    def _hidden_scores(self) -> dict[str, dict[str, Score]]:
+        out: dict[str, dict[str, Score]] = {}
+        for label in self.task.protocol.labels if self.hidden else ():
+            for metric in MASK_METRICS if self.task.seeks == "mask" else POSE_METRICS:
+                out.setdefault(metric, {})[label] = Score.of([float(np.mean([row[metric] for row in self.hidden[label, seed]])) for seed in self.seeds])
+        return out
 
     def _spread_scores(self) -> dict[str, dict[str, Score]]:
         out: dict[str, dict[str, Score]] = {}

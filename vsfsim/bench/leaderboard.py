@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from vsfsim.bench.hidden import HIDDEN_UNITS
 from vsfsim.bench.metrics import READING_METRICS
 from vsfsim.bench.result import Result, Score
 from vsfsim.bench.task import Task
@@ -64,7 +65,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     for path, result in results:
         mark = _mark(result, task, reference)
         (odd if mark else good).append((path, result, mark))
-    good.sort(key=lambda item: (item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
+    sign = -1.0 if task.higher_is_better else 1.0
+    good.sort(key=lambda item: (sign * item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
     rows = [Row(i, "", result, path) for i, (path, result, _) in enumerate(good, start=1)]
     rows += [Row(None, mark, result, path) for path, result, mark in odd]
     return Board(task, reference, tuple(rows))
@@ -105,17 +107,21 @@ def markdown(board: Board) -> str:
 def score_table(result: Result, metric: str) -> str:
     """One result for a terminal: every metric by shot."""
     head = [f"{result.method}", *(f"{label}-shot" for label in result.shots)]
-    order = [metric, *(m for m in result.scores if m != metric)]
+    # A method without the function that the task ranks by has no such row.
+    order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
     rows = []
     for name in order:
-        unit = f" [{result.unit}]" if name in READING_METRICS else ""
+        unit = f" [{result.unit}]" if name in READING_METRICS else f" [{HIDDEN_UNITS[name]}]" if name in HIDDEN_UNITS else ""
         rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
     return "\n".join(_aligned([head, *rows]))
 
 
 def _title(board: Board) -> str:
     task = board.task
-    return f"{task.primary} of {task.observation.name} [{task.observation.unit}], mean ± std over seeds, lower is better; ranked at {task.ranking_shot}-shot"
+    unit = HIDDEN_UNITS.get(task.primary, "-" if task.seeks else task.observation.unit)
+    what = f"from {task.observation.name}" if task.seeks else f"of {task.observation.name}"
+    better = "higher" if task.higher_is_better else "lower"
+    return f"{task.primary} {what} [{unit}], mean ± std over seeds, {better} is better; ranked at {task.ranking_shot}-shot"
 
 
 def _cells(board: Board) -> tuple[list[str], list[list[str]]]:

@@ -41,16 +41,28 @@ class Action:
 
 
 @dataclass(frozen=True)
+class Surface:
+    """What a sensor with a surface saw in a touch.
+
+    vertices: read-out vertices, world (T, N, 3) [m]. force: contact force of the object on each, world (T, N, 3) [N]; NaN in frames without a reading.
+    """
+
+    vertices: np.ndarray
+    force: np.ndarray
+
+
+@dataclass(frozen=True)
 class Reading:
     """A touch that was made: the action and what was read.
 
     action: what the robot did. value: readings (T, d) in the task's unit. valid: (T,) bool; where it is False there is no
-    reading (the simulator did not converge) and the value is NaN.
+    reading (the simulator did not converge) and the value is NaN. surface: where the sensor has one (a bubble); None for a rigid probe.
     """
 
     action: Action
     value: np.ndarray
     valid: np.ndarray
+    surface: Surface | None = None
 
 
 @dataclass(frozen=True)
@@ -78,8 +90,8 @@ class Method(Protocol):
     """An estimator of how an object answers touch.
 
     Optional besides: ``stiffness(points (k, 3)) -> Estimate`` and ``predict_std(touches) -> standard deviations (T, d) of the readings, one array
-    a touch`` after `adapt`; ``save(folder: Path)`` and
-    ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes keyword arguments only; if one is called
+    a touch`` after `adapt`; ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world transform (4, 4)`` of a stiff object of
+    known shape, closed meshes that may overlap, hidden in the one that was touched; ``save(folder: Path)`` and ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes keyword arguments only; if one is called
     ``seed``, the method is built and meta-fitted anew for every seed of the task.
     """
 

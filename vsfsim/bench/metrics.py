@@ -83,12 +83,19 @@ def stiff_points(truth: np.ndarray) -> np.ndarray:
 
 def best_f1(estimate: np.ndarray, positive: np.ndarray) -> float:
     """Largest F1 score of ``estimate >= threshold`` against ``positive`` (k,) bool over all thresholds; 0 if nothing is positive."""
+    return best_threshold(estimate, positive)[0]
+
+
+def best_threshold(estimate: np.ndarray, positive: np.ndarray) -> tuple[float, float]:
+    """That score and its threshold; (0, inf) if nothing is positive."""
     order = np.argsort(-estimate, kind="stable")
     hit = np.cumsum(positive[order])
     last = np.append(np.diff(estimate[order]) != 0.0, True)  # points of one value fall on one side together
     if not positive.any():
-        return 0.0
-    return float(np.max((2.0 * hit / (np.arange(1, len(hit) + 1) + positive.sum()))[last]))
+        return 0.0, float("inf")
+    scores = np.where(last, 2.0 * hit / (np.arange(1, len(hit) + 1) + positive.sum()), -1.0)
+    best = int(np.argmax(scores))
+    return float(scores[best]), float(estimate[order][best])
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:

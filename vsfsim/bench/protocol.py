@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.method import Action, Reading, Specimen, frozen, frozen_view
+from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
 from vsfsim.bench.noise import noisy_force
 from vsfsim.bench.noise_bubble import noisy_pressure
 from vsfsim.bench.noise_torque import noisy_torque
@@ -55,7 +55,10 @@ def record(view: ObjectView, task: Task) -> Recording:
         else:
             signal = force
             noisy = noisy_force(force, task.noise, time=touch.time, **which)
-        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged)))
+        surface = None
+        if touch.node_position is not None and touch.node_force is not None:
+            surface = Surface(frozen(touch.node_position), frozen(np.where(touch.converged[:, None, None], touch.node_force, np.nan)))
+        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged), surface))
         clean.append(task.observation.of(signal, touch.axis))
     return Recording(view.name, tuple(readings), tuple(clean))
 

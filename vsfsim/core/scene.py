@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from vsfsim.core.bubble import Bubble, parse_sensor
 from vsfsim.core.arm_spec import ArmSpec, parse_arm
+from vsfsim.core.bubble import Bubble, parse_sensor
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import (

@@ -5,8 +5,8 @@
 With x = K / sqrt(v), A = diag(1/s) W diag(sqrt(v)) and b = z / s it reads 1/2 |b - A x|^2 + 1/2 |x - x0|^2, x >= 0. Its
 dual has one unknown a reading: x = max(0, x0 + A^T y), and y solves F(y) = y + A max(0, x0 + A^T y) - b = 0, the
 gradient of a convex, piecewise quadratic function. Semi-smooth Newton with an exact line search ends after finitely
-many steps; the largest matrix is readings x readings, or touched particles squared if those are fewer. Where both are large (dense
-contact forces) no matrix is formed at all, see `projected_cg`.
+many steps; the largest matrix is readings x readings. Where touched particles are not much more than readings, their normal equations are cheaper, see
+`pivoting`. Where both are many (dense contact forces) no matrix is formed at all, see `projected_cg`.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.pivoting import pivoted
 from vsfsim.vsf.projected_cg import projected_cg
 
 # Largest eigenvalue of A A^T up to which the dual is trusted with the whole problem: beyond, the readings outweigh the
@@ -35,6 +36,8 @@ _PATIENCE = 12
 _GOOD = 1e-9
 # Smaller side beyond which no dense matrix is made (its factor would take 130 MB and seconds a step).
 _DENSE_LIMIT = 4000
+# Touched particles a reading up to which the particles' side is the cheaper one: it takes no detour over weaker readings.
+_SQUARE = 2
 # Columns of A that are dense at one time in `posterior_std`.
 _BLOCK = 1024
 
@@ -85,6 +88,12 @@ def map_estimate(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray |
         x, steps = projected_cg(a, b, x0, start=x0)
         out[touched] = scale[touched] * x
         return MapResult(out, steps, _kkt(a, b, x0, x, scale[touched]), int(np.count_nonzero(x > 0.0)))
+    if a.shape[1] <= _SQUARE * a.shape[0] and a.shape[1] <= _DENSE_LIMIT:
+        found = pivoted(a, b, x0)
+        residual = np.inf if found is None else _kkt(a, b, x0, found[0], scale[touched])
+        if found is not None and residual <= max(tolerance, _GOOD):
+            out[touched] = scale[touched] * found[0]
+            return MapResult(out, found[1], residual, int(np.count_nonzero(found[0] > 0.0)))
     if a.shape[1] < a.shape[0]:
         # More readings than unknowns: |b - A x| = |Q^T b - R x| + const, with R only touched x touched.
         q, r = linalg.qr(a.toarray(), mode="economic")

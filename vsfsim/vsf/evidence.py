@@ -7,8 +7,12 @@ For one object, with readings z, observation matrix W, noise S = diag(s^2) and t
 A, z and S never change while the prior is learned, so the readings are first divided by their noise and then turned: an orthogonal
 matrix from the left splits a touch's rows into r that depend on the stiffnesses (r = the rank of the rows: the way out of a
 press repeats the way in) and the rest, which is constant. Touches that share no particle are independent blocks of C but for
-the few shared components, which come in by Woodbury's identity. What remains are Cholesky factors of r x r blocks.
-The gradient is the closed form
+the few shared components, which come in by Woodbury's identity. What remains are Cholesky factors of r x r blocks, or, where a block
+has about as many rows as particles, of k x k ones: with G = A^T A, made once, and S = diag(sqrt(d)),
+
+    log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
+
+which needs no product with A but a few with single vectors. The gradient is the closed form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
@@ -29,17 +33,71 @@ from vsfsim.vsf.dynamics import VsfError
 # Singular values under this fraction of the largest are rounding: with a prior a million times the noise they would still add
 # only 1e-6 of the noise's variance.
 _RANK = 1e-9
+# A prior variance under this fraction of the largest: (1 - P^-1_jj) / d_j would be rounding over nothing.
+_TINY = 1e-10
+# Particles whose columns are worked on at one time: a copy of all of them would cost more in fresh memory than in arithmetic.
+_CHUNK = 1024
 
 
 @dataclass(frozen=True)
 class _Block:
     """Touches that share particles. particle: HE components they move (k,). rows: turned rows of W (r, k). value: turned readings (r,).
-    shared: turned rows of W G (r, s)."""
+    shared: turned rows of W G (r, s). gram: rows^T rows (k, k) where the particles' side is the cheaper one, else None."""
 
     particle: torch.Tensor
     rows: torch.Tensor
     value: torch.Tensor
     shared: torch.Tensor
+    gram: torch.Tensor | None
+
+    def solved(self, var: torch.Tensor, right: torch.Tensor) -> _Solved:
+        """C^-1 of this block on ``right`` (r, c), for the variances ``var`` (k,) of its particles."""
+        if self.gram is None:
+            spread = torch.eye(len(self.rows), dtype=var.dtype, device=var.device)
+            root, buffer = var.sqrt(), self.rows.new_empty((len(self.rows), min(_CHUNK, self.rows.shape[1])))
+            for start in range(0, self.rows.shape[1], _CHUNK):
+                part = slice(start, start + _CHUNK)
+                scaled = torch.mul(self.rows[:, part], root[part], out=buffer[:, :len(root[part])])
+                spread.addmm_(scaled, scaled.T)
+            factor = torch.linalg.cholesky(spread)
+            white = torch.linalg.solve_triangular(factor, right, upper=False)
+            return _Solved(2.0 * factor.diagonal().log().sum(), torch.linalg.solve_triangular(factor.T, white, upper=True), (white * white).sum(dim=0), factor)
+        s = var.sqrt()
+        precision = self.gram * s
+        precision *= s[:, None]
+        precision.diagonal().add_(1.0)
+        factor = torch.linalg.cholesky(precision)
+        y = torch.cholesky_solve(s[:, None] * (self.rows.T @ right), factor)
+        left = right - self.rows @ (s[:, None] * y)
+        # |e - A x|^2 + |x / sqrt(d)|^2: the same number as e^T C^-1 e, without taking two large ones from each other.
+        return _Solved(2.0 * factor.diagonal().log().sum(), left, (left * left).sum(dim=0) + (y * y).sum(dim=0), factor)
+
+    def sizes(self, var: torch.Tensor, found: _Solved) -> torch.Tensor:
+        """a_j^T C^-1 a_j of every particle (k,)."""
+        if self.gram is None:
+            out = torch.empty_like(var)
+            for start in range(0, self.rows.shape[1], _CHUNK):
+                part = slice(start, start + _CHUNK)
+                white = torch.linalg.solve_triangular(found.factor, self.rows[:, part], upper=False)
+                out[part] = (white * white).sum(dim=0)
+            return out
+        out = (1.0 - torch.cholesky_inverse(found.factor).diagonal()) / var.clamp_min(1e-300)
+        few = torch.nonzero(var <= _TINY * var.max())[:, 0]
+        if len(few):
+            cross = var.sqrt()[:, None] * self.gram[:, few]
+            white = torch.linalg.solve_triangular(found.factor, cross, upper=False)
+            out[few] = self.gram.diagonal()[few] - (white * white).sum(dim=0)
+        return out
+
+
+@dataclass(frozen=True)
+class _Solved:
+    """log_det: of C. inverse: C^-1 right (r, c). quadratic: right_j^T C^-1 right_j (c,). factor: lower Cholesky factor, of C or P."""
+
+    log_det: torch.Tensor
+    inverse: torch.Tensor
+    quadratic: torch.Tensor
+    factor: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -92,12 +150,13 @@ class Evidence:
         for rows in _groups(a, touch):
             parts = [_turned(a[part], ag[part], b[part], scale) for part in rows]
             constant += sum(part[-1] for part in parts)
-            block, extra = _joined([part[:-1] for part in parts], scale)
+            (columns, dense, shared, value), extra = _joined([part[:-1] for part in parts], scale)
             constant += extra
-            if block is not None:
-                columns, dense, shared, value = block
-                blocks.append(_Block(*(torch.as_tensor(x, device=device) for x in (place[columns],)),
-                                     *(torch.as_tensor(np.ascontiguousarray(x), dtype=dtype, device=device) for x in (dense, value, shared))))
+            if len(value):
+                by_particles = _particle_side(*dense.shape)
+                dense = torch.as_tensor(dense, dtype=dtype, device=device)
+                blocks.append(_Block(torch.as_tensor(place[columns], device=device), dense, torch.as_tensor(value, dtype=dtype, device=device),
+                                     torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device), dense.T @ dense if by_particles else None))
         return cls(touched, tuple(blocks), constant, m, g.shape[1])
 
     def nll(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor | None = None,
@@ -123,41 +182,33 @@ class _MarginalNll(torch.autograd.Function):
         value = torch.zeros((), dtype=mean.dtype, device=mean.device)
         s = len(group_mean)
         root = group_var.clamp_min(0.0).sqrt()
-        # C = blockdiag(L L^T) + U diag(group_var) U^T; white: L^-1 of each part.
-        small = torch.eye(s, dtype=mean.dtype, device=mean.device)
-        projected = torch.zeros(s, dtype=mean.dtype, device=mean.device)
+        # C = blockdiag(C_b) + U diag(group_var) U^T; inside: U^T blockdiag(C_b)^-1 U, across: U^T blockdiag(C_b)^-1 e.
+        inside = torch.zeros(s, s, dtype=mean.dtype, device=mean.device)
+        across = torch.zeros(s, dtype=mean.dtype, device=mean.device)
         kept = []
         for block in evidence.blocks:
-            d = var[block.particle]
-            c = (block.rows * d) @ block.rows.T
-            c.diagonal().add_(1.0)
-            factor = torch.linalg.cholesky(c)
             e = block.value - block.rows @ mean[block.particle] - block.shared @ group_mean
-            white_e = torch.linalg.solve_triangular(factor, e[:, None], upper=False)[:, 0]
-            white_u = torch.linalg.solve_triangular(factor, block.shared * root, upper=False)
-            value = value + 0.5 * (white_e @ white_e) + factor.diagonal().log().sum()
-            small = small + white_u.T @ white_u
-            projected = projected + white_u.T @ white_e
-            kept.append((block, factor, white_e, white_u))
+            found = block.solved(var[block.particle], torch.cat([e[:, None], block.shared], dim=1))
+            value = value + 0.5 * (found.quadratic[0] + found.log_det)
+            inside = inside + block.shared.T @ found.inverse[:, 1:]
+            across = across + block.shared.T @ found.inverse[:, 0]
+            kept.append((block, found))
         if s:
-            small_factor = torch.linalg.cholesky(small)
-            half = torch.linalg.solve_triangular(small_factor, projected[:, None], upper=False)
+            small = torch.eye(s, dtype=mean.dtype, device=mean.device) + root[:, None] * inside * root
+            small_factor = torch.linalg.cholesky(0.5 * (small + small.T))
+            half = torch.linalg.solve_triangular(small_factor, (root * across)[:, None], upper=False)
             value = value - 0.5 * (half * half).sum() + small_factor.diagonal().log().sum()
         if need:
             grad_mean, grad_var = torch.zeros_like(mean), torch.zeros_like(var)
             grad_group, grad_group_var = torch.zeros_like(group_mean), torch.zeros_like(group_var)
-            shift = torch.cholesky_solve(projected[:, None], small_factor)[:, 0] if s else projected
-            inside = torch.zeros(s, s, dtype=mean.dtype, device=mean.device)  # U^T blockdiag(C)^-1 U, without the root
+            shift = root * torch.cholesky_solve((root * across)[:, None], small_factor)[:, 0] if s else across
             pull = torch.zeros_like(group_mean)
-            for block, factor, white_e, white_u in kept:
-                alpha = torch.linalg.solve_triangular(factor.T, (white_e - white_u @ shift)[:, None], upper=True)[:, 0]
-                white = torch.linalg.solve_triangular(factor, block.rows, upper=False)
-                size = (white * white).sum(dim=0)
+            for block, found in kept:
+                alpha = found.inverse[:, 0] - found.inverse[:, 1:] @ shift
+                size = block.sizes(var[block.particle], found)
                 if s:
-                    cross = torch.linalg.solve_triangular(small_factor, white_u.T @ white, upper=False)
+                    cross = torch.linalg.solve_triangular(small_factor, root[:, None] * (found.inverse[:, 1:].T @ block.rows), upper=False)
                     size = size - (cross * cross).sum(dim=0)
-                    plain = torch.linalg.solve_triangular(factor, block.shared, upper=False)
-                    inside = inside + plain.T @ plain
                     pull = pull + block.shared.T @ alpha
                 along = block.rows.T @ alpha
                 grad_mean.index_add_(0, block.particle, -along)
@@ -196,18 +247,20 @@ def _turned(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray, scale: float) -
     return columns, size[keep, None] * right[keep], turn.T @ ag, value, 0.5 * max(float(b @ b - value @ value), 0.0)
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], scale: float) -> tuple[tuple | None, float]:
-    """One block of several touches; with more rows than particles it is turned once more."""
+def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], scale: float) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
+    """Several touches as one, like `_turned`; with many more rows than particles they are turned once more."""
     columns = np.unique(np.concatenate([part[0] for part in parts]))
-    count = sum(len(part[3]) for part in parts)
-    if count == 0:
-        return None, 0.0
-    dense, start = np.zeros((count, len(columns))), 0
+    dense, start = np.zeros((sum(len(part[3]) for part in parts), len(columns))), 0
     for own, rows, _, value in parts:
         dense[start:start + len(value), np.searchsorted(columns, own)] = rows
         start += len(value)
     shared, value = np.concatenate([part[2] for part in parts]), np.concatenate([part[3] for part in parts])
-    if count <= len(columns):
+    if len(dense) <= 2 * len(columns):
         return (columns, dense, shared, value), 0.0
     turned = _turned(sparse.csr_matrix(dense), shared, value, scale)
     return (columns[turned[0]], *turned[1:4]), turned[4]
+
+
+def _particle_side(rows: int, particles: int) -> bool:
+    """Whether a k x k factor and its inverse (k^3 operations) cost less than an r x r one and its product with the rows (3 r^2 k and r^3 / 3)."""
+    return particles**3 < 3 * rows**2 * particles + rows**3 // 3

@@ -40,7 +40,7 @@ class KnownObject:
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray, *, samples: int = 1500, seed: int = 0) -> KnownObject:
-        """From vertices (n, 3) [m] and triangles (m, 3), wound outwards and closed.
+        """From vertices (n, 3) [m] and triangles (m, 3), wound outwards and closed; closed parts may overlap.
 
         Raises:
             VsfError: no triangle, or a mesh that is not closed (its inside is not defined).
@@ -61,7 +61,10 @@ class KnownObject:
         axes = [np.arange(lo + 0.5 * cell, hi + 0.5 * cell, cell) for lo, hi in zip(low, high)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
         inside = _winding(points.reshape(-1, 3), corners) > 0.5
-        return cls(np.einsum("kj,kji->ki", weight, corners[pick]), low, cell, inside.reshape(points.shape[:3]))
+        surface = np.einsum("kj,kji->ki", weight, corners[pick])
+        # Closed parts may overlap: what lies just outside a triangle must be outside of all of them.
+        out = _winding(surface + 1e-4 * (high - low).max() * normal[pick] / size[pick, None], corners) < 0.5
+        return cls(surface[out], low, cell, inside.reshape(points.shape[:3]))
 
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Which points (k, 3) [m], in the object's frame, lie inside it (k,) bool; to half a cell."""

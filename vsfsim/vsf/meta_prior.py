@@ -18,6 +18,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import did_you_mean
+from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.composition import Composition, GaussianPrior
 from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.evidence import Evidence
@@ -144,7 +145,7 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
 
 def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], rate: float, epochs: int, patience: int, seed: int,
              rng: np.random.Generator, progress: Callable[[int, int, str], None] | None) -> Training:
-    optimiser = torch.optim.Adam(prior.parameters(), lr=rate)
+    optimiser = Adam(prior.parameters(), rate=rate)
     best, best_value, kept = 0, score(prior, validation) if validation else np.inf, _copy(prior)
     history, checked = [score(prior, tasks)], [best_value]
     with torch.random.fork_rng(devices=[]):
@@ -157,7 +158,7 @@ def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[M
                 loss = task.evidence.nll(*prior(task.features, task.shared))
                 if not torch.isfinite(loss):
                     raise VsfError(f"vsf.train: the likelihood is not finite at epoch {epoch}; lower the rate, or look for readings far out of range.")
-                optimiser.zero_grad(set_to_none=True)
+                optimiser.clear()
                 loss.backward()
                 optimiser.step()
                 total += float(loss.detach())

@@ -4,7 +4,7 @@ The force on a vertex that has come along its way v(tau) up to time t is a line 
 
     f(t) = sum_i -K(v(tau_i)) (v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
 
-with s its oriented area: linear in the values of K at known points. A field is fitted by minimising eq. 6, the sum of |f - f_hat| over a
+with s its oriented area: linear in the values of K at known points, see `swept`. A field is fitted by minimising eq. 6, the sum of |f - f_hat| over a
 batch of B observations plus a free-space term lambda * mean K at random points of the volume, with Adam.
 
 Two fields share all of this: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours: a sum of trilinear grids
@@ -22,8 +22,10 @@ import torch
 from torch import nn
 from torch.nn import functional
 
+from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.palpation import DenseTouch, oriented_areas
+from vsfsim.vsf.palpation import DenseTouch
+from vsfsim.vsf.swept import TotalForces, TotalTouch, VertexForces
 
 
 class NerfField(nn.Module):
@@ -86,69 +88,6 @@ FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridFi
 
 
 @dataclass(frozen=True)
-class Observations:
-    """All (touch, frame, vertex) of some touches, ready for batches. way: vertex positions (T, N, 3) of each touch; area: oriented (T, N, 3);
-    force: (T, N, 3). index: (touch, frame, vertex) of every observation (M, 3)."""
-
-    way: list[torch.Tensor]
-    area: list[torch.Tensor]
-    force: list[torch.Tensor]
-    index: torch.Tensor
-
-    @classmethod
-    def of(cls, touches: Sequence[DenseTouch], *, device: str = "cpu") -> Observations:
-        """From touches; frame 0 has no way behind it and is left out.
-
-        Raises:
-            VsfError: no touch, fewer than two frames, or values that are not finite.
-        """
-        if not touches:
-            raise VsfError("vsf.neural: there is no touch with contact forces on a surface; a rigid force sensor cannot be used here.")
-        index = []
-        for k, touch in enumerate(touches):
-            if not (np.isfinite(touch.vertices).all() and np.isfinite(touch.force).all()) or touch.vertices.shape != touch.force.shape or len(touch.force) < 2:
-                raise VsfError(f"vsf.neural: touch {k} has vertices {touch.vertices.shape} and forces {touch.force.shape}; both must be finite and (T, N, 3) with T of at least 2.")
-            frames, count = touch.force.shape[:2]
-            t, v = np.meshgrid(np.arange(1, frames), np.arange(count), indexing="ij")
-            index.append(np.stack([np.full(t.size, k), t.ravel(), v.ravel()], axis=1))
-
-        def tensor(x: np.ndarray) -> torch.Tensor:
-            return torch.as_tensor(np.asarray(x), dtype=torch.float32, device=device)
-
-        return cls([tensor(t.vertices) for t in touches], [tensor(oriented_areas(t.vertices, t.triangles)) for t in touches], [tensor(t.force) for t in touches],
-                   torch.as_tensor(np.concatenate(index), device=device))
-
-    def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Points (b, S, 3) [m], factors (b, S, 3) [m^4] and forces (b, 3) [N] of observations ``which``: f_hat = sum_S K(point) factor.
-
-        The way from frame 0 to t is cut into ``samples`` pieces of equal time; each is taken at its middle.
-        """
-        parts: list[tuple[torch.Tensor, ...]] = []
-        order = []
-        chosen = self.index[which]
-        for touch in torch.unique(chosen[:, 0]).tolist():
-            at = torch.nonzero(chosen[:, 0] == touch)[:, 0]
-            frame, vertex = chosen[at, 1], chosen[at, 2]
-            way, area = self.way[touch], self.area[touch]
-            grid = torch.linspace(0.0, 1.0, samples + 1, device=way.device)
-            ends = _along(way, frame[:, None] * grid, vertex)
-            points = 0.5 * (ends[:, 1:] + ends[:, :-1])
-            middle = _along(area, frame[:, None] * (0.5 * (grid[1:] + grid[:-1])), vertex)
-            volume = (middle * (ends[:, 1:] - ends[:, :-1])).sum(dim=2)
-            parts.append((points, -(ends[:, -1:] - points) * volume[..., None], self.force[touch][frame, vertex]))
-            order.append(at)
-        back = torch.argsort(torch.cat(order))
-        return tuple(torch.cat([part[k] for part in parts])[back] for k in range(3))
-
-
-def _along(values: torch.Tensor, time: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:
-    """Values (T, N, 3) of vertices (b,) at fractional frames (b, S): (b, S, 3)."""
-    low = time.floor().long().clamp(0, len(values) - 2)
-    part = (time - low)[..., None]
-    return (1.0 - part) * values[low, vertex[:, None]] + part * values[low + 1, vertex[:, None]]
-
-
-@dataclass(frozen=True)
 class Fitting:
     """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K over the field's unit. free_points: n_reg.
     seed: of initial weights and batches."""
@@ -162,13 +101,14 @@ class Fitting:
     seed: int = 0
 
 
-def fit(kind: str, touches: Sequence[DenseTouch], bounds: np.ndarray, settings: Fitting | None = None, *, device: str = "cpu",
+def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray, settings: Fitting | None = None, *, device: str = "cpu",
         progress: Callable[[int, int, str], None] | None = None, **field: object) -> nn.Module:
-    """Fit a stiffness field to dense contact forces.
+    """Fit a stiffness field to contact forces.
 
     Args:
-        kind: "nerf" or "grid". touches: at least one. bounds: corners of the volume (2, 3) [m]. settings: of the training.
-        device: torch device. progress: called with (iteration, of how many, loss). field: settings of the field's constructor.
+        kind: "nerf" or "grid". touches: at least one; with forces on the vertices, or with their total only. bounds: corners of the volume (2, 3) [m].
+        settings: of the training; with totals a batch holds as many vertices as with forces on them. device: torch device.
+        progress: called with (iteration, of how many, loss). field: settings of the field's constructor.
 
     Returns:
         The field, whose `unit` times its output is a stiffness density [N/m^4].
@@ -179,17 +119,18 @@ def fit(kind: str, touches: Sequence[DenseTouch], bounds: np.ndarray, settings: 
     if kind not in FIELDS:
         raise VsfError(f"vsf.neural: there is no field '{kind}'; allowed: {', '.join(FIELDS)}.")
     s = settings or Fitting()
-    seen = Observations.of(touches, device=device)
+    total = len(touches) > 0 and isinstance(touches[0], TotalTouch)
+    seen = TotalForces.of(touches, device=device) if total else VertexForces.of(touches, device=device)
+    size = max(1, s.batch // seen.cost())
     generator = torch.Generator().manual_seed(s.seed)
-    unit = _unit(seen, generator, s)
+    unit = _unit(seen, generator, size)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(s.seed)
         model = FIELDS[kind](bounds, unit, **field).to(device)
-    optimiser = torch.optim.Adam(model.parameters(), lr=s.rate)
+    optimiser = Adam(model.parameters(), rate=s.rate)
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
-    # The force that a field of 1 would make, so that the loss has the size of the relative error.
     for iteration in range(s.iterations):
-        which = torch.randint(len(seen.index), (s.batch,), generator=generator).to(device)
+        which = torch.randint(len(seen.index), (size,), generator=generator).to(device)
         points, factor, force = seen.rows(which, s.samples)
         free = corner[0] + torch.rand(s.free_points, 3, generator=generator).to(device) * (corner[1] - corner[0])
         value = model(torch.cat([points.reshape(-1, 3), free]))
@@ -199,12 +140,24 @@ def fit(kind: str, touches: Sequence[DenseTouch], bounds: np.ndarray, settings: 
         # A hair inside the root keeps the gradient of |f - f_hat| finite where both are 0.
         misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
         loss = misfit + s.free_space * value[-s.free_points:].mean()
-        optimiser.zero_grad(set_to_none=True)
+        optimiser.clear()
         loss.backward()
         optimiser.step()
         if progress is not None and iteration % 50 == 0:
-            progress(iteration, s.iterations, f"{float(misfit.detach()) / s.batch:.3g} N a vertex")
+            progress(iteration, s.iterations, f"{float(misfit.detach()) / size:.3g} N a reading")
     return model.eval()
+
+
+@torch.no_grad()
+def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.ndarray:
+    """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not looked at."""
+    device = model.bounds.device
+    asked = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))], device=str(device))
+    points, factor, _ = asked.rows(torch.arange(len(asked.index), device=device), samples)
+    inside = ((points >= model.bounds[0]) & (points <= model.bounds[1])).all(dim=2)
+    value = torch.cat([model(part) for part in points.reshape(-1, 3).split(200_000)]).reshape(inside.shape)
+    force = ((value * inside)[..., None] * factor * model.unit).sum(dim=(1, 2)).double().cpu().numpy()
+    return np.concatenate([[0.0], force])
 
 
 @torch.no_grad()
@@ -241,9 +194,9 @@ def load_field(path: str | Path) -> nn.Module:
     return model.eval()
 
 
-def _unit(seen: Observations, generator: torch.Generator, s: Fitting) -> float:
+def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:
     """The one stiffness density that explains the forces best, in the least squares sense [N/m^4]."""
-    which = torch.randint(len(seen.index), (20 * s.batch,), generator=generator).to(seen.index.device)
+    which = torch.randint(len(seen.index), (20 * size,), generator=generator).to(seen.index.device)
     _, factor, force = seen.rows(which, 20)
     total = factor.sum(dim=1)
     unit = float((total * force).sum()) / max(float((total * total).sum()), 1e-300)

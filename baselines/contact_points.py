@@ -1,0 +1,88 @@
+"""`contact-points`: what touches say without a stiffness (the contact-only baseline of Neural VSF section IV-C).
+
+A known object's outline is laid on the points where the force passed a limit. Asked for forces, it answers with those of the nearest touch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vsfsim.baselines.locating import Locating, locate
+from vsfsim.bench.method import Action, Reading, Specimen
+from vsfsim.core.errors import MethodError
+from vsfsim.core.shape import Sphere
+from vsfsim.data.records import View
+
+
+class ContactPoints:
+    """Learns nothing from training objects.
+
+    Args:
+        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the paper. seed: of the search.
+    """
+
+    def __init__(self, *, share: float = 0.5, seed: int = 0):
+        if not 0.0 < share < 1.0:
+            raise MethodError(f"contact-points: share is {share!r}; it must lie between 0 and 1.")
+        self.share, self.seed = share, seed
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Nothing to learn."""
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Keep the touches.
+
+        Raises:
+            MethodError: a reading marked valid is not finite.
+        """
+        self._view, self._support = view, list(support)
+        for index, reading in enumerate(support):
+            if not np.isfinite(reading.value[reading.valid]).all():
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, d) of the nearest touch of the support, at the same way past its start; 0 without touches."""
+        usable = [r for r in self._support if r.valid.any()]
+        if not usable:
+            return [np.zeros((len(action.time), action.size)) for action in touches]
+        ends = np.stack([r.action.poses[np.argmax(_way(r.action)), :3, 3] for r in usable])
+        out = []
+        for action in touches:
+            way = _way(action)
+            near = usable[int(np.argmin(np.linalg.norm(ends - action.poses[np.argmax(way), :3, 3], axis=1)))]
+            order = np.argsort(_way(near.action)[near.valid], kind="stable")
+            known, value = _way(near.action)[near.valid][order], near.value[near.valid][order]
+            out.append(np.stack([np.interp(way, known, value[:, k]) for k in range(action.size)], axis=1))
+        return out
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of an object of known shape: its outline laid on the contact points."""
+        points, size = self._contacts()
+        hard = size > self.share * size.max(initial=0.0)
+        # Contact or not is all that is told, as in the paper.
+        return locate(vertices, triangles, points, hard.astype(float), self._view, Locating(seed=self.seed))
+
+    def _contacts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and theirs."""
+        points, size = [np.zeros((0, 3))], [np.zeros(0)]
+        for reading in (r for r in self._support if r.valid.any()):
+            if reading.surface is not None:
+                force = np.linalg.norm(np.nan_to_num(reading.surface.force), axis=2)
+                last = int(np.argmax(force.sum(axis=1)))
+                points.append(reading.surface.vertices[last])
+                size.append(force[last])
+                continue
+            value = np.where(reading.valid, np.abs(np.nan_to_num(reading.value)).max(axis=1), 0.0)
+            last = int(np.argmax(value))
+            radius = reading.action.probe.radius if isinstance(reading.action.probe, Sphere) else 0.0
+            points.append(reading.action.poses[last:last + 1, :3, 3] + radius * reading.action.axis)
+            size.append(value[last:last + 1])
+        return np.concatenate(points), np.concatenate(size)
+
+
+def _way(action: Action) -> np.ndarray:
+    """How far the probe has come along the press since frame 0 (T,) [m]."""
+    return (action.poses[:, :3, 3] - action.poses[0, :3, 3]) @ action.axis
+

@@ -1,0 +1,89 @@
+"""Which features and noise SBML should take, from training objects alone: `vsfsim bench features`.
+
+Leave-some-out over the training split of a task's dataset: the prior is learned on the other folds and asked for the forces of touches of
+the objects left out, after 0 touches and after half of theirs. Test objects are never opened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.baselines.gaussian import GaussianAverage
+from vsfsim.baselines.sbml import Sbml
+from vsfsim.bench.metrics import touch_errors
+from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.task import Task
+from vsfsim.core.errors import MethodError
+from vsfsim.data.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Choice:
+    """One variant. zero, half: mean root mean square error over the touches asked, after 0 touches and after half of an object's [task's unit]; spread: standard error
+    of their difference to the first variant's, over objects, at zero and half."""
+
+    name: str
+    zero: float
+    half: float
+    spread: tuple[float, float]
+
+
+def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int, seeds: int = 1, epochs: int = 400,
+           progress: Callable[[str], None] | None = None) -> list[Choice]:
+    """Score variants of SBML, and the naive Gaussian prior, by cross-validation over the training objects.
+
+    Args:
+        task: what a reading is and its noise. dataset: its training split alone is read. features, noises: all pairs are tried.
+        folds: of the objects. seeds: of each training. epochs: at most. progress: called with what is going on.
+
+    Raises:
+        MethodError: fewer than two training objects, or fewer than two folds.
+    """
+    names = dataset.names(task.protocol.train)
+    folds = min(folds, len(names))
+    if folds < 2:
+        raise MethodError(f"bench features: {len(names)} training objects and {folds} folds; at least two of each are needed.")
+    views = [dataset.blind().load(name) for name in names]
+    specimens, recordings = [specimen(view, task) for view in views], [record(view, task) for view in views]
+    variants: list[tuple[str, Callable[[int], object]]] = [("gaussian", lambda seed: GaussianAverage())]
+    for feature in features:
+        for noise in noises:
+            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature, n=noise: Sbml(features=f, noise_std=n, seed=seed, epochs=epochs)))
+    errors = np.zeros((len(variants), len(views), 2))
+    for k, (name, make) in enumerate(variants):
+        for fold in range(folds):
+            if progress is not None:
+                progress(f"{name}, fold {fold + 1} of {folds}")
+            out = [i for i in range(len(views)) if i % folds == fold]
+            for seed in range(seeds):
+                method = make(seed)
+                method.meta_fit([s for i, s in enumerate(specimens) if i not in out])
+                for i in out:
+                    errors[k, i] += np.array(_asked(method, views[i].view, recordings[i])) / seeds
+    first = errors[1] if len(variants) > 1 else errors[0]
+    count = np.sqrt(len(views))
+    return [Choice(name, *(float(x) for x in e.mean(axis=0)), tuple(float(x) for x in (e - first).std(axis=0, ddof=1) / count)) for (name, _), e in zip(variants, errors)]
+
+
+def table(rows: Sequence[Choice], unit: str) -> str:
+    """For a terminal."""
+    width = max(len(row.name) for row in rows)
+    lines = [f"{f'error on training objects left out [{unit}]':<{width}}  0 touches  half of them", ""]
+    lines += [f"{row.name:<{width}}  {row.zero:9.3f}  {row.half:12.3f}   ± {row.spread[0]:.3f}, {row.spread[1]:.3f} (paired, against the first sbml)" for row in rows]
+    return "\n".join(lines)
+
+
+def _asked(method, view, recording) -> tuple[float, float]:
+    """Errors on every second touch: without any, and after the others."""
+    usable = [i for i, r in enumerate(recording.readings) if r.valid.any()]
+    support, query = usable[::2], usable[1::2]
+    out = []
+    for seen in ([], support):
+        method.adapt(view, [recording.readings[i] for i in seen])
+        answer = method.predict([recording.readings[i].action for i in query])
+        rows = [touch_errors(a, recording.clean[i], recording.readings[i].valid) for a, i in zip(answer, query)]
+        out.append(float(np.mean([np.sqrt(row["sse"] / row["n"]) for row in rows])))
+    return tuple(out)

@@ -1,0 +1,159 @@
+"""`neural-vsf` and `grid-vsf`: the continuous VSF, fitted to one object's touches (Neural VSF section III-D).
+
+Where the sensor has a surface the observations are the contact forces on its vertices (eq. 5 and 6). A rigid probe tells its total force only: its
+surface is then the sensor's, and the sum over it along the press is the observation, as in the papers' pressure-only baseline.
+`neural-vsf` is the papers' network, `grid-vsf` our fast field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from vsfsim.baselines.locating import Locating, locate, touched_points
+from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.errors import MethodError
+from vsfsim.core.shape import Sphere
+from vsfsim.data.records import View
+
+_RINGS = 4  # of the mesh of a ball's front: 61 vertices
+_SILENT = 1e-9  # readings under this, in the task's unit, are all zero
+
+
+class NeuralVsf:
+    """The papers' 8-layer network.
+
+    Args:
+        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.neural.Fitting`; iterations, batch 1,000, samples 100 and rate 2e-4 are
+            the paper's, which take minutes an object on a CPU.
+        margin: by which the box of the field is wider than the visible cloud [m]. table_height: z of the table [m].
+        depth: of the points that are asked where a hidden object lies [m]. seed: of weights and batches.
+        device: torch device.
+    """
+
+    _kind = "nerf"
+
+    def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
+                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+        from vsfsim.vsf.neural import Fitting
+
+        if min(iterations, batch, samples) < 1 or not rate > 0.0:
+            raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} must be at least 1 and rate {rate} greater than 0.")
+        self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, seed=seed)
+        self.margin, self.table_height, self.depth, self.seed, self.device = margin, table_height, depth, seed, device
+        self._field: dict[str, float] = {}
+        self._model = None
+
+    def meta_fit(self, specimens: Sequence[Specimen]) -> None:
+        """Nothing to learn."""
+
+    def adapt(self, view: View, support: Sequence[Reading]) -> None:
+        """Fit the field. Without touches, or where all readings are zero, there is no stiffness anywhere.
+
+        Raises:
+            MethodError: a reading marked valid is not finite, the view is empty, or the probe is not a ball and no surface was read.
+        """
+        from vsfsim.vsf.neural import fit
+
+        cloud = view.points()
+        if not len(cloud):
+            raise MethodError("the view shows no object: its mask is empty.")
+        bounds = np.stack([cloud.min(axis=0) - self.margin, cloud.max(axis=0) + self.margin])
+        bounds[0, 2], bounds[1, 2] = min(self.table_height, cloud[:, 2].min()), cloud[:, 2].max()
+        self._view, self._support, self._model = view, list(support), None
+        for index, reading in enumerate(support):
+            if not np.isfinite(reading.value[reading.valid]).all():
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+        if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
+            return
+        dense = all(r.surface is not None for r in support)
+        touches = [_dense(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        if not touches:
+            return
+        # Pushes of the noise alone, the other way, say: nothing stiff was met.
+        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field))
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, 1) of touches not made yet."""
+        from vsfsim.vsf.neural import predict_totals
+
+        if self._model is None:
+            return [np.zeros((len(action.time), 1)) for action in touches]
+        return [predict_totals(self._model, _surface_of(action, np.zeros(len(action.time))), samples=self._fitting.samples)[:, None] for action in touches]
+
+    def stiffness(self, points: np.ndarray) -> Estimate:
+        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
+        from vsfsim.vsf.neural import density
+
+        none = np.zeros(len(points))
+        return Estimate(none if self._model is None else density(self._model, points), none)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        points = touched_points(self._view, self._support, depth=self.depth)
+        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, Locating(seed=self.seed))
+
+
+class GridVsf(NeuralVsf):
+    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`; cell: edge of the finest grid's cells [m]."""
+
+    _kind = "grid"
+
+    def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1, free_space: float = 1e-2,
+                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+        if not cell > 0.0:
+            raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
+        super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, margin=margin, table_height=table_height,
+                         depth=depth, seed=seed, device=device)
+        self._field = {"cell": cell}
+
+
+def _fitted(work):
+    from vsfsim.vsf.dynamics import VsfError
+
+    try:
+        return work()
+    except VsfError as error:
+        if "all zero" in str(error):
+            return None
+        raise MethodError(str(error)) from error
+
+
+def _dense(reading: Reading):
+    """The touch with the forces on its vertices; the surface's triangles are those of its rim plane's Delaunay triangulation."""
+    from scipy.spatial import Delaunay
+
+    from vsfsim.vsf.palpation import DenseTouch
+
+    pose = reading.action.poses[0]
+    local = (reading.surface.vertices[0] - pose[:3, 3]) @ pose[:3, :3]
+    corners = Delaunay(local[:, :2]).simplices
+    a, b, c = (local[corners[:, k], :2] for k in range(3))
+    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
+    corners = np.where(turned[:, None], corners[:, ::-1], corners)
+    return DenseTouch(np.asarray(reading.surface.vertices, float), corners, np.asarray(reading.surface.force, float))
+
+
+def _total(reading: Reading):
+    if reading.value.shape[1:] != (1,):
+        raise MethodError(f"the readings have {reading.value.shape[1:]} numbers a frame; without a sensor's surface the field is fitted to one force a frame.")
+    return _surface_of(reading.action, np.where(reading.valid, reading.value[:, 0], np.nan))
+
+
+def _surface_of(action: Action, force: np.ndarray):
+    """The front half of a ball, on its way."""
+    from vsfsim.vsf.palpation import dome
+    from vsfsim.vsf.swept import TotalTouch
+
+    if not isinstance(action.probe, Sphere):
+        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball, or needs a sensor with contact forces on its vertices.")
+    if action.observation != "normal-force":
+        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
+    shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
+    shape = shape - [0.0, 0.0, action.probe.radius]
+    side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])
+    side /= np.linalg.norm(side)
+    # Its apex, at -z, points along the press.
+    turn = np.stack([side, np.cross(-action.axis, side), -action.axis], axis=1)
+    return TotalTouch(shape @ turn.T + action.poses[:, None, :3, 3], triangles, np.asarray(action.axis), force)

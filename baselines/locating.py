@@ -1,0 +1,71 @@
+"""Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings that all share.
+
+The papers register the object's surface to the stiff points (`vsfsim.vsf.localise`); on the training objects of localization-mini-v1 that tips over in
+most cases, while the outline of the stiff columns (`vsfsim.vsf.lying`) finds the angle to some degrees: docs/methods.md has both figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from vsfsim.bench.method import Reading
+from vsfsim.bench.reached import reached
+from vsfsim.data.records import View
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.localise import KnownObject
+from vsfsim.vsf.lying import lying_pose
+
+STEP = 0.003
+"""Edge of a column, and distance of the points at which a continuous field is asked [m]."""
+
+
+@dataclass(frozen=True)
+class Locating:
+    """Settings. cover: how deep the object's upper side is taken to lie under the touched surface [m], of which touch says little. refine: steps of the
+    random search. turned: the object may lie on its other face (the training objects do not). seed: of the search."""
+
+    cover: float = 0.004
+    turned: bool = False
+    refine: int = 400
+    seed: int = 0
+
+
+def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stiffness: np.ndarray, view: View, settings: Locating) -> np.ndarray:
+    """Object-to-world transform (4, 4) of a known object from the stiffness at touched points (n, 3) [m], (n,).
+
+    Where the points tell nothing (too few, or all of one stiffness) the object stands upright in the middle of what is seen.
+    """
+    cloud = view.points()
+    top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover
+    cell = np.floor(points[:, :2] / STEP).astype(int).reshape(-1, 2)
+    columns, index = np.unique(cell, axis=0, return_inverse=True)
+    index = index.ravel()
+    # The mean of a column: its largest value may be one that no force has seen.
+    mean = np.bincount(index, stiffness, len(columns)) / np.bincount(index, minlength=len(columns))
+    area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
+    try:
+        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, mean, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
+    except VsfError:
+        out = np.eye(4)
+        out[:3, 3] = cloud.mean(axis=0)
+        return out
+
+
+def touched_points(view: View, support: Sequence[Reading], *, depth: float) -> np.ndarray:
+    """Grid points (n, 3) [m] from the seen surface down to ``depth`` [m] where some touch of the support came near."""
+    cloud = view.points()
+    _, first = np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0, return_index=True)
+    top = cloud[first]
+    near = np.zeros(len(top), bool)
+    for reading in support:
+        if reading.surface is not None:
+            away, index = cKDTree(top).query(reading.surface.vertices[-1])
+            near[np.unique(index[away < 4.0 * STEP])] = True
+        else:
+            near |= reached(top, reading.action.probe, reading.action.poses, reach=STEP)
+    down = np.arange(0.5 * STEP, depth, STEP)
+    return (top[near, None] - down[:, None] * np.array([0.0, 0.0, 1.0])).reshape(-1, 3)

@@ -1,0 +1,91 @@
+"""What every method does where there is nothing to go on: an answer that is defined, or an error that says what to do."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.method import build_method, find_method
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.task import load_task
+from vsfsim.core.errors import MethodError, VsfsimError
+
+METHODS = {
+    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+    "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1}, "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
+    "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}}
+PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "sbml")
+
+
+@pytest.fixture(scope="module")
+def world():
+    task = load_task("fewshot-shoes-mini-v1")
+    train = [specimen(mock_view(i, split="train", touches=4), task) for i in range(2)]
+    view = mock_view(3, touches=6)
+    return train, view.view, record(view, task)
+
+
+def fitted(name, train, **more):
+    method = build_method(find_method(name), {**METHODS[name], **more})
+    method.meta_fit(train)
+    return method
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_no_touch_and_silent_touches_have_an_answer(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    silent = [dataclasses.replace(r, value=np.zeros_like(r.value)) for r in recording.readings[:3]]
+    lost = [dataclasses.replace(r, value=np.full_like(r.value, np.nan), valid=np.zeros_like(r.valid)) for r in recording.readings[:2]]
+    for support in ([], silent, lost):
+        method.adapt(view, support)
+        assert np.isfinite(method.predict([recording.readings[4].action])[0]).all()
+        if hasattr(method, "stiffness"):
+            estimate = method.stiffness(np.array([[0.0, 0.0, 0.028]]))
+            assert np.isfinite(estimate.mean).all() and (estimate.mean >= 0.0).all()
+    broken = dataclasses.replace(recording.readings[0], value=np.full_like(recording.readings[0].value, np.nan))
+    with pytest.raises(MethodError, match="not finite"):
+        method.adapt(view, [broken])
+    if name in PARTICLES:
+        # Zero force under a moved particle is a reading, too: it is soft there.
+        method.adapt(view, [])
+        before = method.predict([recording.readings[0].action])[0].max()
+        method.adapt(view, silent)
+        assert method.predict([recording.readings[0].action])[0].max() <= before
+
+
+@pytest.mark.parametrize("name", PARTICLES)
+def test_an_object_of_one_particle(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    model = method._shelf.get(view)
+    model.particles = model.particles[np.argmin(np.linalg.norm(model.particles - [0.0, 0.0, 0.03], axis=1))][None]
+    for kept in (model.rows, getattr(method, "_raw", {}), getattr(method, "_priors", {})):
+        kept.clear()  # mock objects look alike: the training objects were this model, too
+    method.adapt(view, [])
+    before = method.predict([recording.readings[4].action])[0]
+    method.adapt(view, recording.readings[:3])
+    after = method.predict([recording.readings[4].action])[0]
+    assert method._posterior.stiffness.shape == (1,) and np.isfinite(after).all() and (after >= before - 1e-9).all()
+    assert np.isfinite(method.stiffness(np.zeros((2, 3))).mean).all()
+
+
+@pytest.mark.parametrize("name", PARTICLES)
+def test_a_sensor_that_a_method_does_not_know_is_named(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    strange = dataclasses.replace(recording.readings[0], action=dataclasses.replace(recording.readings[0].action, observation="temperature"))
+    with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
+        method.adapt(view, [strange])
+    with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
+        method.adapt(view, [])
+        method.predict([strange.action])
+
+
+@pytest.mark.parametrize("name", ["sbml", "imaml-vision"])
+def test_missing_features_say_how_to_get_them(name, world, tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DINOV2", str(tmp_path))
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    with pytest.raises(VsfsimError, match="curl"):
+        fitted(name, world[0], features="dinov2-s")

@@ -1,0 +1,114 @@
+"""The continuous VSF and the contact points as methods: on mock objects, on a sensor with a surface, and where they must refuse or fall back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.baselines import field_vsf
+from vsfsim.baselines.contact_points import ContactPoints
+from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
+from vsfsim.baselines.locating import Locating, locate
+from vsfsim.bench.check import check
+from vsfsim.bench.hidden import Hidden, pose_scores
+from vsfsim.bench.method import Action, Reading, Surface
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import record
+from vsfsim.bench.task import load_task
+from vsfsim.core.errors import MethodError
+from vsfsim.core.material import Inclusion
+from vsfsim.core.shape import Box
+from vsfsim.vsf.palpation import palpate
+
+QUICK = {"iterations": 10, "batch": 200, "samples": 6}
+
+
+@pytest.fixture(scope="module")
+def seen():
+    view = mock_view(0, touches=10)
+    return view, record(view, load_task("fewshot-shoes-mini-v1"))
+
+
+@pytest.mark.parametrize("name, values", [("grid-vsf", QUICK), ("neural-vsf", {**QUICK, "iterations": 2}), ("contact-points", {})])
+def test_it_conforms(name, values):
+    failed = [f for f in check(name, parameters=values) if f.outcome == "failed"]
+    assert not failed, failed
+
+
+def test_the_grid_tells_stiff_from_soft_by_totals(seen):
+    view, recording = seen
+    method = GridVsf(iterations=60, batch=400, samples=12, rate=0.3)
+    method.adapt(view.view, recording.readings[:9])
+    points = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, 9), np.linspace(-0.02, 0.02, 9), [0.024, 0.026, 0.028], indexing="ij"), axis=-1).reshape(-1, 3)
+    stiffness = method.stiffness(points).mean
+    # The truth is 5; touches come from the middle 4 cm, and a ball of 15 mm feels both halves.
+    assert stiffness[points[:, 0] > 0.004].mean() > 1.8 * stiffness[points[:, 0] < -0.004].mean()
+    method.adapt(view.view, [])
+    assert not method.stiffness(points).mean.any() and not method.predict([recording.readings[0].action])[0].any()
+
+
+def test_forces_on_a_surface_are_used_where_there_are_any():
+    view = mock_view(0).view
+    top = 0.03
+    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5, extent=(0.04, 0.04), rings=4)
+    readings = []
+    for t in touches:
+        vertices = t.vertices + [0.0, 0.0, top]
+        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))  # +z out of the dome, towards the object
+        poses[:, :3, 3] = vertices.mean(axis=1)
+        action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), Box((0.1, 0.1, 0.1)), "normal-force", 1)
+        readings.append(Reading(action, t.force.sum(axis=1)[:, 2:], np.ones(5, bool), Surface(vertices, t.force)))
+    # A box as the probe would be refused: the surface alone is looked at.
+    method = GridVsf(iterations=60, batch=500, samples=16)
+    method.adapt(view, readings)
+    left, right = (method.stiffness(np.array([[x, 0.0, top - 0.004]])).mean[0] for x in (-0.015, 0.015))
+    assert right > 3.0 * left
+    with pytest.raises(MethodError, match="knows the surface of a ball"):
+        method.adapt(view, [dataclasses.replace(r, surface=None) for r in readings])
+    triangulated = field_vsf._dense(readings[0])
+    a, b, c = (triangulated.vertices[0][triangulated.triangles[:, k]] for k in range(3))
+    assert (np.cross(b - a, c - a)[:, 2] < 0.0).all(), "wound outwards, down to the object"
+
+
+def test_failures_are_clear_or_have_a_defined_answer(seen):
+    view, recording = seen
+    silent = [dataclasses.replace(r, value=np.zeros_like(r.value)) for r in recording.readings[:3]]
+    broken = dataclasses.replace(recording.readings[0], value=np.full_like(recording.readings[0].value, np.nan))
+    for method in (GridVsf(**QUICK), NeuralVsf(**{**QUICK, "iterations": 2}), ContactPoints()):
+        method.adapt(view.view, silent)
+        assert not any(p.any() for p in method.predict([recording.readings[4].action]))
+        assert method.locate(*Hidden((Inclusion("sphere", (0, 0, 0, 0.01), 1e6),), np.eye(3), np.zeros(3)).known_object()[:2]).shape == (4, 4)
+        with pytest.raises(MethodError, match="touch 0 of the support has a reading that is not finite"):
+            method.adapt(view.view, [broken])
+    empty = dataclasses.replace(view.view, mask=np.zeros_like(view.view.mask))
+    with pytest.raises(MethodError, match="mask is empty"):
+        GridVsf(**QUICK).adapt(empty, [])
+    with pytest.raises(MethodError, match="needs 'normal-force'"):
+        action = dataclasses.replace(recording.readings[0].action, observation="force-magnitude")
+        GridVsf(**QUICK).adapt(view.view, [dataclasses.replace(recording.readings[0], action=action)])
+    with pytest.raises(MethodError, match="share is 2"):
+        ContactPoints(share=2)
+
+
+@pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])
+def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
+    parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x, y in ((0.035, -0.02), (-0.025, 0.02)))
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]) @ (np.diag([1.0, -1.0, -1.0]) if over else np.eye(3))
+    there = Hidden(parts, turn, np.array([0.02, -0.01, 0.04 if over else 0.0]))
+    vertices, triangles, truth = there.known_object()
+    x = np.arange(-0.07, 0.07, 0.003)
+    points = np.stack(np.meshgrid(x, x, [0.02, 0.026], indexing="ij"), axis=-1).reshape(-1, 3)
+    # What lies in the object's outline is stiff, up to noise; the view shows a flat top at z = 0.032, 14 x 14 cm.
+    under = there.inside(points * [1, 1, 0] + [0, 0, 0.02])
+    stiffness = np.where(under, 50.0, 15.0) * np.random.default_rng(0).uniform(0.6, 1.4, len(points))
+    view = mock_view(0).view
+    view = dataclasses.replace(view, mask=np.ones_like(view.mask), depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
+                               intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
+    found = pose_scores(locate(vertices, triangles, points, stiffness, view, Locating(refine=200, turned=True)), truth)
+    assert found["translation_error"] < 4.0 and found["rotation_error"] < 8.0
+    if not over:
+        return
+    hard = pose_scores(locate(vertices, triangles, points, under.astype(float), view, Locating(refine=200, turned=True)), truth)
+    assert hard["translation_error"] < 4.0 and hard["rotation_error"] < 8.0
+    # Where all is of one stiffness the object stands in the middle of what is seen.
+    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, Locating())[:3, 3], view.points().mean(axis=0))

@@ -1,0 +1,146 @@
+"""Masks and poses of hidden inclusions: the ruler scores an oracle perfectly and knows an empty answer."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import hidden
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.hidden import Hidden, Mask, pose_scores
+from vsfsim.bench.leaderboard import collect, score_table, text
+from vsfsim.bench.method import Estimate
+from vsfsim.bench.mock import BLOCK, mock_view
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import MethodError, TaskError
+from vsfsim.core.material import Inclusion
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+SCENE = """
+name = "mock"
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+pose = [0.01, 0.0, 0.0]
+yaw = { uniform = [-3.0, 3.0] }
+[object.young_modulus]
+base = 1e5
+[object.young_modulus.inclusions]
+choice = [ [ { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 }, { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 } ] ]
+"""
+RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2}, device="cpu", tier="vsf",
+                precision="float64", renderer="warp")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", RECIPE, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
+
+
+def of(task_text, primary):
+    return parse_task(task_text.replace('primary = "rmse"', f'primary = "{primary}"'), "toy-v1.toml")
+
+
+class Answers:
+    """Knows where the inclusions are; ``blur`` makes it wrong."""
+
+    def __init__(self, *, blur=0.0):
+        self.blur = blur
+
+    def meta_fit(self, specimens):
+        self.seen = 0
+
+    def adapt(self, view, support):
+        pass
+
+    def predict(self, touches):
+        return [np.zeros((len(t.time), 1)) for t in touches]
+
+    def stiffness(self, points):
+        return Estimate(np.max([h.inside(points) for h in KNOWN], axis=0) * 1.0 + 1.0 if not self.blur else np.ones(len(points)), np.zeros(len(points)))
+
+    def locate(self, vertices, triangles):
+        assert len(vertices) > 20 and triangles.max() == len(vertices) - 1
+        pose = POSES[self.seen // 12 % 2].copy()  # 1 + 3 + 3 x ... adaptations; both objects are asked in turn
+        return pose if not self.blur else pose @ np.diag([-1.0, -1.0, 1.0, 1.0])
+
+
+KNOWN, POSES = [], []
+
+
+def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
+    view = dataset.load(dataset.names("test")[0])
+    found = Hidden.of(dataset.recipe, view)
+    angle = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0, 1))).uniform(-3.0, 3.0)
+    np.testing.assert_allclose(found.rotation[0], [np.cos(angle), -np.sin(angle), 0.0])
+    assert found.inside(np.array([[0.01, 0.0, 0.022], [0.01, 0.0, 0.010]])).tolist() == [True, False]
+    mask = Mask.of(found, view)
+    assert 0.02 < mask.stiff.mean() < 0.9 and (mask.points[:, 2] <= BLOCK[2]).all()
+    right, flat = mask.scores(mask.stiff[mask.pixel].astype(float)), mask.scores(np.ones(len(mask.points)))
+    assert right == {"mask_f1": 1.0, "mask_precision": 1.0, "mask_recall": 1.0}
+    share = mask.stiff.mean()
+    assert flat["mask_recall"] == 1.0 and flat["mask_precision"] == pytest.approx(share) and flat["mask_f1"] == pytest.approx(2 * share / (1 + share))
+
+
+def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path, monkeypatch):
+    task = of(task_text, "mask_f1")
+    assert task.seeks == "mask" and task.higher_is_better
+    KNOWN[:] = [Hidden.of(dataset.recipe, dataset.load(name)) for name in dataset.names("test")[:1]]
+    paths = []
+    for blur in (0.0, 1.0):
+        result = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": blur}, seeds=1)
+        paths.append(tmp_path / f"{blur}.json")
+        result.save(paths[-1])
+        assert "mask_f1" in score_table(result, "mask_f1").splitlines()[2]
+    board = collect(task, paths)
+    assert [row.result.parameters["blur"] for row in board.rows] == [0.0, 1.0]
+    assert "mask_f1 from normal-force [-]" in text(board) and "higher is better" in text(board)
+
+
+def test_a_pose_is_scored(dataset, task_text):
+    task = of(task_text, "rotation_error")
+    views = [dataset.load(name) for name in dataset.names("test")]
+    POSES[:] = [Hidden.of(dataset.recipe, view).known_object()[2] for view in views]
+    POSES[1] = POSES[0]
+    right = evaluate(f"{__name__}:Answers", task, dataset, seeds=1).scores
+    wrong = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": 1.0}, seeds=1).scores
+    between = pose_scores(POSES[0], Hidden.of(dataset.recipe, views[1]).known_object()[2])
+    assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"] / 2) and right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
+    assert wrong["rotation_error"]["all"].mean == pytest.approx((180.0 + abs(180.0 - between["rotation_error"])) / 2)
+    with pytest.raises(MethodError, match="must be a rigid"):
+        evaluate(f"{__name__}:Crooked", task, dataset, seeds=1)
+    assert "rotation_error" not in evaluate("toy_methods:Constant", task, dataset, parameters={"value": 1.0}, seeds=1).scores
+
+
+class Crooked(Answers):
+    def locate(self, vertices, triangles):
+        return 2.0 * np.eye(4)
+
+
+def test_pose_errors_by_hand():
+    turned = np.eye(4)
+    turned[:3, :3], turned[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.003, 0.004, 0.0]
+    assert pose_scores(np.eye(4), turned) == {"translation_error": pytest.approx(5.0), "rotation_error": pytest.approx(90.0)}
+
+
+@pytest.mark.parametrize("kind, numbers, volume", [
+    ("sphere", (0.0, 0.1, 0.0, 0.01), 4 / 3 * np.pi * 1e-6), ("box", (0.0, 0.0, 0.0, 0.01, -0.02, 0.03), 6e-6),
+    ("capsule", (0.0, 0.0, 0.0, 0.03, 0.0, 0.04, 0.01), np.pi * 1e-4 * 0.05 + 4 / 3 * np.pi * 1e-6)])
+def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume):
+    vertices, triangles = hidden._mesh(Inclusion(kind, numbers, 1e6))
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    np.testing.assert_allclose(np.cross(b - a, c - a).sum(axis=0), 0.0, atol=1e-12)
+    # Inscribed in the round parts: a 12-gon has 95 % of its circle's area.
+    assert 0.88 * volume < np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6 <= volume * (1 + 1e-9)
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    assert {tuple(e) for e in edges.tolist()} == {(b, a) for a, b in edges.tolist()}
+
+
+def test_a_scene_without_inclusions_is_refused(dataset):
+    plain = dataclasses.replace(RECIPE, scene_text=SCENE[:SCENE.index("[object.young")].replace("[object]", "[object]\nyoung_modulus = 1e5"))
+    with pytest.raises(TaskError, match="no inclusions"):
+        Hidden.of(plain, dataset.load(dataset.names("test")[0]))

@@ -1,0 +1,162 @@
+"""What lies hidden in an object, and how well a method found it: the mask of a stiff inclusion, and the pose of a known stiff object.
+
+mask_f1, mask_precision, mask_recall
+    Seen from above, a pixel of 3 mm is stiff if an inclusion lies within 15 mm under it (Neural VSF table I). A method's pixel is the largest
+    stiffness that it gives where the probe swept the column below; pixels that no touch swept do not count. The threshold is the one that is best
+    for the method on this object, as in the paper; precision and recall are at that threshold.
+translation_error [mm], rotation_error [deg]
+    Of the pose a method gives for the union of the inclusions, whose shape it knows (Neural VSF section IV-C): distance between centres, and
+    angle of the rotation that is left.
+
+The inclusions are those of the dataset's own scene text, drawn again with its seed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.bench.metrics import best_threshold
+from vsfsim.bench.reached import reached
+from vsfsim.core.errors import TaskError
+from vsfsim.core.material import Inclusion
+from vsfsim.core.scene import parse_scene
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.records import ObjectView
+
+MASK_METRICS = ("mask_f1", "mask_precision", "mask_recall")
+POSE_METRICS = ("translation_error", "rotation_error")
+HIDDEN_UNITS = {"translation_error": "mm", "rotation_error": "deg"}
+PIXEL = 0.003
+"""Edge of a pixel of the mask [m]."""
+STEP = 0.001
+"""Of the query points in depth [m]."""
+DEPTH = 0.015
+"""How deep a column of the mask reaches [m]."""
+
+_SCENE = 0  # first key of the stream that a scene's distributions are drawn from, see vsfsim.generate.run
+_SECTORS = 12  # of a capsule's mesh
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """The inclusions of one object. parts: in the object's frame. rotation (3, 3), shift (3,) [m]: from there to the world."""
+
+    parts: tuple[Inclusion, ...]
+    rotation: np.ndarray
+    shift: np.ndarray
+
+    @classmethod
+    def of(cls, recipe: Recipe, view: ObjectView) -> Hidden:
+        """Those of an object of a dataset.
+
+        Raises:
+            TaskError: the scene has no inclusions.
+        """
+        scene = parse_scene(recipe.scene_text, f"{recipe.scene}.toml").sample(np.random.SeedSequence(recipe.seed, spawn_key=(_SCENE, view.object_index)))
+        parts = scene.object.young_modulus.inclusions
+        if not parts:
+            raise TaskError(f"object view '{view.name}' has no inclusions, so that there is nothing hidden to find; use a scene with [object.young_modulus] inclusions.")
+        c, s = np.cos(scene.object.yaw), np.sin(scene.object.yaw)
+        return cls(parts, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(scene.object.pose))
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """Which points (k, 3) [m], world, lie in an inclusion (k,) bool."""
+        local = (points - self.shift) @ self.rotation
+        return np.min([part.distance(local) for part in self.parts], axis=0) <= 0.0
+
+    def known_object(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Vertices (n, 3) [m] and triangles (m, 3) of the union, closed parts that may overlap, around its centre; and its pose (4, 4)."""
+        vertices, triangles, count = [], [], 0
+        for part in self.parts:
+            v, t = _mesh(part)
+            vertices.append(v)
+            triangles.append(t + count)
+            count += len(v)
+        joined = np.concatenate(vertices)
+        centre = 0.5 * (joined.min(axis=0) + joined.max(axis=0))
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.rotation, self.rotation @ centre + self.shift
+        return joined - centre, np.concatenate(triangles), pose
+
+
+@dataclass(frozen=True)
+class Mask:
+    """What touches say about an object seen from above.
+
+    points: query points, world (q, 3) [m]: those that the probe swept. pixel: of each (q,) int. stiff: an inclusion lies under the pixel (p,) bool.
+    """
+
+    points: np.ndarray
+    pixel: np.ndarray
+    stiff: np.ndarray
+
+    @classmethod
+    def of(cls, hidden: Hidden, view: ObjectView) -> Mask:
+        """The mask of one object view, over the pixels that its touches swept.
+
+        Raises:
+            TaskError: no touch swept anything.
+        """
+        assert view.truth is not None
+        surface = view.truth.probe_points
+        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL) for low, high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0))]
+        plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
+        top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
+        columns = top[:, None] - np.arange(0.5 * STEP, DEPTH, STEP)[:, None] * np.array([0.0, 0.0, 1.0])
+        points = columns.reshape(-1, 3)
+        swept = np.zeros(len(points), bool)
+        for touch in view.touches:
+            swept |= reached(points, view.probe, touch.mount_pose, reach=0.0)
+        pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[swept], return_inverse=True)
+        if not len(pixel):
+            raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; generate touches that go deeper.")
+        return cls(points[swept], index, hidden.inside(points).reshape(columns.shape[:2]).any(axis=1)[pixel])
+
+    def scores(self, stiffness: np.ndarray) -> dict[str, float]:
+        """Of a method's stiffness at the query points (q,)."""
+        value = np.full(len(self.stiff), -np.inf)
+        np.maximum.at(value, self.pixel, stiffness)
+        f1, threshold = best_threshold(value, self.stiff)
+        found = value >= threshold
+        hit = float((found & self.stiff).sum())
+        return {"mask_f1": f1, "mask_precision": hit / max(int(found.sum()), 1), "mask_recall": hit / max(int(self.stiff.sum()), 1)}
+
+
+def pose_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
+    """Of a pose (4, 4) against the true one."""
+    cosine = 0.5 * (np.trace(estimate[:3, :3].T @ truth[:3, :3]) - 1.0)
+    return {"translation_error": 1e3 * float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3])), "rotation_error": float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))}
+
+
+def _mesh(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:
+    """A closed mesh, wound outwards: vertices (n, 3) [m], triangles (m, 3)."""
+    n = np.asarray(part.numbers)
+    if part.kind == "box":
+        low, high = np.minimum(n[:3], n[3:]), np.maximum(n[:3], n[3:])
+        corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+        faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+        return low + corners * (high - low), np.array([t for a, b, c, d in faces for t in ((a, b, c), (a, c, d))])
+    start, end, radius = (n[:3], n[:3], n[3]) if part.kind == "sphere" else (n[:3], n[3:6], n[6])
+    along = end - start
+    length = float(np.linalg.norm(along))
+    axis = along / length if length > 0.0 else np.array([0.0, 0.0, 1.0])
+    side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+    side /= np.linalg.norm(side)
+    frame = np.stack([side, np.cross(axis, side), axis], axis=1)
+    # Rings from the lower pole to the upper one; the equator comes twice, once at each end of the axis.
+    angle = np.linspace(-0.5 * np.pi, 0.0, _SECTORS // 2 + 1)[1:]
+    rings = [(radius * np.cos(a), radius * np.sin(a)) for a in angle] + [(radius * np.cos(a), radius * np.sin(-a) + length) for a in angle[::-1]]
+    turn = 2.0 * np.pi * np.arange(_SECTORS) / _SECTORS
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    local = [np.array([[0.0, 0.0, -radius]]), *(np.concatenate([r * circle, np.full((_SECTORS, 1), h)], axis=1) for r, h in rings), np.array([[0.0, 0.0, length + radius]])]
+    triangles, last = [], 1 + _SECTORS * len(rings)
+    for j in range(_SECTORS):
+        k = (j + 1) % _SECTORS
+        triangles += [(0, 1 + k, 1 + j), (last, last - _SECTORS + j, last - _SECTORS + k)]
+        for ring in range(len(rings) - 1):
+            a, b = 1 + ring * _SECTORS, 1 + (ring + 1) * _SECTORS
+            triangles += [(a + j, a + k, b + k), (a + j, b + k, b + j)]
+    return start + np.concatenate(local) @ frame.T, np.array(triangles)
