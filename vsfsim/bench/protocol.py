@@ -13,7 +13,7 @@ import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
 from vsfsim.bench.noise import noisy_force
-from vsfsim.bench.noise_bubble import noisy_pressure
+from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure
 from vsfsim.bench.noise_torque import noisy_torque
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.errors import TaskError
@@ -57,7 +57,12 @@ def record(view: ObjectView, task: Task) -> Recording:
             noisy = noisy_force(force, task.noise, time=touch.time, **which)
         surface = None
         if touch.node_position is not None and touch.node_force is not None:
-            surface = Surface(frozen(touch.node_position), frozen(np.where(touch.converged[:, None, None], touch.node_force, np.nan)))
+            noise = task.noise
+            nodes = touch.node_position
+            if noise.depth_std or noise.depth_quantum or noise.image_lag:
+                nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
+            pushed = noisy_node_force(np.where(touch.converged[:, None, None], touch.node_force, np.nan), touch.time, noise, **which)
+            surface = Surface(frozen(nodes), frozen(pushed))
         readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged), surface))
         clean.append(task.observation.of(signal, touch.axis))
     return Recording(view.name, tuple(readings), tuple(clean))
