@@ -24,6 +24,12 @@ from vsfsim.physics.pair_links import Compliance, LinkBlock, Links, LinkStiffnes
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
 _BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
+_SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly: less is an edge, and stays one
+_BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+_SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along two of its edges, at its six nodes
+    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1 else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
+              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
+              -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
 _SECOND = 0.02  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
 # a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
@@ -39,6 +45,7 @@ class _Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
 
     first: int
@@ -49,6 +56,8 @@ class _Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
+    around: torch.Tensor
+    smooth: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -61,6 +70,27 @@ class _Contact:
     across: list[Links]
     push: torch.Tensor
     drag: torch.Tensor
+
+
+def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
+    """Corners that share each corner's node, itself among them (B, F n, most), -1 pads; faces (B, F, n) of which the first ``count`` (B,) are in use."""
+    batch, width, nodes = faces.shape
+    tables = []
+    for b in range(batch):
+        if b and np.array_equal(faces[b], faces[b - 1]) and count[b] == count[b - 1]:
+            tables.append(tables[-1])
+            continue
+        flat = faces[b, :count[b]].ravel()
+        order = np.argsort(flat, kind="stable")
+        valence = np.bincount(flat, minlength=1) if len(flat) else np.zeros(1, int)
+        start = np.concatenate([[0], np.cumsum(valence)])
+        table = np.full((width * nodes, max(1, int(valence.max()))), -1)
+        for slot in range(table.shape[1]):
+            has = valence[flat] > slot
+            table[:len(flat)][has, slot] = order[start[flat[has]] + slot]
+        tables.append(table)
+    most = max(t.shape[1] for t in tables)
+    return torch.as_tensor(np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables]), device=device)
 
 
 class PairTouching:
@@ -197,7 +227,8 @@ class PairTouching:
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        return _Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory)
+        return _Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory,
+                     _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device))
 
     # ------------------------------------------------------------------------------------------ poses and history
 
@@ -242,10 +273,27 @@ class PairTouching:
             wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
                 columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
                 wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
+            side.smooth.copy_(self._blend(side))
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
                 side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
                 wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
         self._make_patch()
+
+    def _blend(self, side: _Side) -> torch.Tensor:
+        """Normals at the nodes of the other surface's faces (B, F, n, 3), blended over the faces around a node that meet smoothly there."""
+        batch, faces, nodes = side.faces.shape
+        at = torch.arange(batch, device=self.device)[:, None, None]
+        x = self._x[at, side.faces.long()]  # (B, F, n, 3)
+        first, second = x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]
+        if nodes == 3:
+            own = torch.linalg.cross(first, second)[:, :, None].expand(-1, -1, 3, -1)
+        else:
+            slope = torch.as_tensor(_SLOPES, device=self.device)  # (2, 6 places, 6 nodes)
+            own = torch.linalg.cross(*(torch.einsum("pn,bfnc->bfpc", s, x) for s in slope))
+        own = torch.nn.functional.normalize(own, dim=3).reshape(batch, faces * nodes, 3)
+        others = own[at, side.around.clamp(min=0)]  # (B, F n, most, 3)
+        counts = (side.around >= 0) & ((others * own[:, :, None]).sum(dim=3) > _SMOOTH)
+        return torch.nn.functional.normalize((others * counts[..., None]).sum(dim=2), dim=2).view(batch, faces, nodes, 3)
 
     def _make_patch(self) -> None:
         width = self._width
@@ -340,7 +388,7 @@ class PairTouching:
             s, m, size = side.state, side.memory, side.stiffness.shape
             wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
                 *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
-                wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
+                wp.from_torch(side.smooth, dtype=k.vec3), wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
                 wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
                 wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
                 wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["way"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),

@@ -7,7 +7,8 @@ Both surfaces push: every node of the sensor against the object's quadratic tria
 triangles, so that neither a bump of the one nor an edge of the other gets through between nodes; w_q is the node's share of its faces' area times
 a pressure for each metre. At the nearest point
 the way along the surface costs nothing, so the force on x_q is -w_q g n and the one on the other surface is its opposite, shared out by the
-shape functions at c: forces and moments balance exactly. The change of n with the deformation is left out of the stiffness (where points
+shape functions at c: forces balance exactly. n is not the normal of the one face at c, which jumps where a node rolls from face to face and would
+never let the forces settle, but blended from those of the faces around (where they meet smoothly), as they were when the step began. The change of n with the deformation is left out of the stiffness (where points
 stick, as they do on rubber, its part vanishes).
 Positions and forces are in the world; `pair` turns the sensor's into its own frame.
 """
@@ -317,6 +318,7 @@ def kernels() -> Any:
         facet: wp.array3d(dtype=wp.int32),
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
+        smooth: wp.array3d(dtype=vec3),
         softening: wp.array(dtype=real),
         stick: real,
         # state in
@@ -358,6 +360,10 @@ def kernels() -> Any:
             p = x_in[b, first + q]
             if candidates_in[b, q, 0] >= 0:
                 face, shape, gap, n = meet(p, b, q, nodes, candidates_in, faces, x_in)
+                n = vec3()
+                for i in range(nodes):
+                    n += shape[i] * smooth[b, face, i]
+                n = wp.normalize(n)
                 if gap < real(0.0):
                     y0 = x_in[b, facet[b, q, 0]]
                     own = wp.normalize(wp.cross(x_in[b, facet[b, q, 1]] - y0, x_in[b, facet[b, q, 2]] - y0))
