@@ -31,7 +31,7 @@ _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along 
               4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
               -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
-_SECOND = 0.02  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
+_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
 # a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
 _TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 _FOUND = 1e-9  # m: a gap that changes by more when the faces are looked up anew was wrong
