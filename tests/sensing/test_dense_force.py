@@ -291,6 +291,10 @@ def test_a_touch_of_a_dataset_in_the_world(toy, calibration, presses):
     local = DenseForceEstimator(calibration, method="membrane").estimate(position[converged], pressure[converged])
     assert found.force[converged] == pytest.approx(local.force @ turn.T, abs=1e-6)
     assert np.isnan(found.force[1]).all() and found.converged.tolist() == [True, False, True, True]
+    # nothing converged: nothing is said, and nothing falls over
+    for method in METHODS:
+        none = estimate_forces(replace(touch, converged=np.zeros(frames, bool)), stiffness=680.0, method=method)
+        assert np.isnan(none.force).all() and not none.converged.any()
     with pytest.raises(SensorError, match="no node positions"):
         estimate_forces(mock, stiffness=680.0)
     with pytest.raises(SensorError, match="the touch has"):

@@ -171,6 +171,8 @@ class DenseForceEstimator:
             raise SensorError(f"dense force: positions {position.shape} and pressures {pressure.shape}; give (T, {len(self.rest)}, 3) and (T,).")
         if not (np.isfinite(position).all() and np.isfinite(pressure).all()):
             raise SensorError("dense force: a measured position or pressure is not finite; leave out frames that were not read.")
+        if not len(position):  # no frame was read
+            return DenseForce(np.zeros(position.shape), position.copy(), np.zeros(0), np.zeros(0, bool))
         seen = np.broadcast_to(self.rest, position.shape).copy()
         seen[:, self.inner] = position[:, self.inner]
         measured = (seen - self.rest).reshape(len(seen), -1)[:, self.free].T  # (3 n, T)
