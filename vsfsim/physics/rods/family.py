@@ -11,6 +11,7 @@ from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Family
 from vsfsim.core.shelf import families
 
+
 def grow(shape: Family, rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
     """The plant of a family, as object ``number`` of its dataset.
 
