@@ -8,6 +8,8 @@ import json
 import mujoco
 import numpy as np
 import pytest
+from stems import crossing
+from stems import touch as push
 
 from vsfsim.bench.protocol import record
 from vsfsim.bench.reached import reached
@@ -19,6 +21,7 @@ from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.generate.bench_plants import bench, table
+from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
 from vsfsim.generate.plants import make_views, prepare_job
 from vsfsim.generate.run import jobs_of, make_recipe
@@ -242,3 +245,48 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
         prepare_job(jobs_of(recipe, scene.path, None, scene.path.parent, None)[0], device="cpu")
     with pytest.raises(SceneError, match="no \\[arm\\]"):
         make_recipe(load_scene(find_scene("shoes-mini")), seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64", renderer="warp", arm="gen3")
+
+
+@pytest.mark.slow
+def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
+    """The way of a GPU: prepared and finished by other processes, solved in one batch."""
+    recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device, precision="float64", renderer="warp")
+    jobs = jobs_of(recipe, scene_file.path, None, tmp_path, None)
+    assert sum(frames for frames, _ in make_all(jobs, device=device, workers=2)) > 0
+    for job in jobs:
+        together, alone = read_view(job.file), make_views([job], device=device)[0]
+        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a, b in zip(together.touches, alone.touches, strict=True))
+
+
+@pytest.mark.slow
+def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_lag(scene_file, tmp_path):
+    """The same wrenches on both: the dynamic arm's readings differ by inertia, the friction that its sensors see and the way it gives: less than its friction."""
+    made = {}
+    for mode in ("kinematic", "dynamic"):
+        scene = parse_scene(scene_file.text.replace('mode = "kinematic"', f'mode = "{mode}"'), scene_file.path)
+        recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64", renderer="warp")
+        made[mode] = make_views(jobs_of(recipe, scene.path, None, tmp_path, None), device="cpu")[0].touches[0]
+    a, b = made["kinematic"], made["dynamic"]
+    assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05
+    gap = np.abs(a.torque - b.torque).max()
+    print(f"largest difference {gap:.3f} N m of {np.abs(a.torque).max():.3f} N m")
+    assert 0.0 < gap < 3.5  # Coulomb friction of a large joint
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("step", [0.0001, 0.02])
+def test_a_sweep_through_the_whole_crown(step, device):
+    """Four links drive through all of a plant, a reading every 0.1 mm or every 20 mm: converged or marked, finite, nothing left bent when the arm is past."""
+    plant = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
+    travel = np.arange(0.0, 0.9 if step > 0.001 else 0.03, step)
+    height = plant.nodes[:, 2].max()
+    start = plant.nodes[:, 0].min() - (0.2 if step > 0.001 else 0.035)
+    poses = np.concatenate([crossing(travel, height=h * height, start=start) for h in (0.55, 0.7, 0.85, 1.0)], axis=2)
+    frames = push(plant, poses, radius=0.03, length=0.8, friction=0.4, device=device)
+    solved = int(frames.frames[0])
+    assert solved == len(travel) and np.isfinite(frames.force).all() and np.isfinite(frames.nodes).all()
+    assert ((frames.reason[:, 0] > 0) == ~frames.converged[:, 0]).all()
+    print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
+    assert frames.converged.mean() > 0.8 and frames.contacts.max() >= (4 if step > 0.001 else 1)
+    if step > 0.001:
+        assert frames.converged[-1, 0] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9

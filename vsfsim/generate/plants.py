@@ -32,6 +32,7 @@ from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
+JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
 BATCH = 1200  # touches that are solved together, views whole; on a CPU one thread does them one after the other, and the bits are the same
 
 
@@ -213,6 +214,7 @@ def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> T
     postures = type(at)(at.links[:n], at.tool[:n], at.anchors[:n], at.axes[:n])
     time_, q = times(n), a.q[:n]
     if spec.mode == "dynamic" and n > 1:
+        time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
         motion = simulate(arm, q, time_, series(time_, force, moment), drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
         q, torque = motion.q, motion.torque
     else:
