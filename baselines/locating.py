@@ -43,12 +43,11 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover
     cell = np.floor(points[:, :2] / STEP).astype(int).reshape(-1, 2)
     columns, index = np.unique(cell, axis=0, return_inverse=True)
-    index = index.ravel()
-    # The mean of a column: its largest value may be one that no force has seen.
-    mean = np.bincount(index, stiffness, len(columns)) / np.bincount(index, minlength=len(columns))
+    stiffest = np.zeros(len(columns))
+    np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, mean, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
+        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
     except VsfError:
         out = np.eye(4)
         out[:3, 3] = cloud.mean(axis=0)

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import sparse
+from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
 from vsfsim.vsf.dynamics import VsfError
@@ -81,7 +81,7 @@ class _Block:
                 white = torch.linalg.solve_triangular(found.factor, self.rows[:, part], upper=False)
                 out[part] = (white * white).sum(dim=0)
             return out
-        out = (1.0 - torch.cholesky_inverse(found.factor).diagonal()) / var.clamp_min(1e-300)
+        out = (1.0 - _inverse_diagonal(found.factor)) / var.clamp_min(1e-300)
         few = torch.nonzero(var <= _TINY * var.max())[:, 0]
         if len(few):
             cross = var.sqrt()[:, None] * self.gram[:, few]
@@ -171,6 +171,16 @@ class Evidence:
         none = torch.zeros(0, dtype=like.dtype, device=like.device)
         given = [mean, var, none if group_mean is None else group_mean, none if group_var is None else group_var]
         return _MarginalNll.apply(self, *(x.to(dtype=like.dtype, device=like.device) for x in given)) + self.constant
+
+
+def _inverse_diagonal(factor: torch.Tensor) -> torch.Tensor:
+    """Diagonal of (L L^T)^-1 (k,): the squares of L^-1's columns, so that the inverse itself, twice the work, is not made on a CPU."""
+    if factor.device.type != "cpu":
+        return torch.cholesky_inverse(factor).diagonal()
+    upper = factor.numpy().T  # in Fortran's order as it lies
+    (invert,) = linalg.get_lapack_funcs(("trtri",), (upper,))
+    inverse = invert(upper, lower=0)[0]
+    return torch.as_tensor(np.einsum("ij,ij->i", inverse, inverse))
 
 
 class _MarginalNll(torch.autograd.Function):
