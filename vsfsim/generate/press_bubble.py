@@ -116,9 +116,12 @@ class BubblePress:
 
 @dataclass(frozen=True)
 class _Run:
-    """What a solver gave. gap: way of the mount to first contact [m]. node, push: positions of the membrane's nodes and contact forces on them in the mount frame
-    (T, n, 3) [m], [N]. pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. force, reaction: on the sensor, and of what holds the other side,
-    in the world (T, 3) [N]. body_force: on each body (T, K, 3) [N]. edge: what penetration is measured by [m]. object: tetrahedra and tier, or None."""
+    """What a solver gave.
+
+    gap: way of the mount to first contact [m]. node: positions of the membrane's nodes in the mount frame (T, n, 3) [m]; push: contact forces on them (T, n, 3) [N].
+    pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. reaction: of what holds the other side, in the world (T, 3) [N].
+    body_force: on each body (T, K, 3) [N]. friction: Coulomb coefficient of each (K,) [-]. tolerance: of the residual [-].
+    """
 
     frames: Frames
     gap: float

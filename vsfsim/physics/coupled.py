@@ -13,12 +13,14 @@ import numpy as np
 import torch
 import warp as wp
 
+from vsfsim.core.errors import SceneError
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.equilibrium import State
 from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.pair import PairTouching
+from vsfsim.physics.pair_surfaces import SENSOR_NODES
 from vsfsim.physics.solver import Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
@@ -51,6 +53,8 @@ class Both:
     """Two bodies as one model for `Solver`; fields as `Model`.
 
     object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node numbers after the object's.
+    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. young_modulus: the object's (m, 4) [Pa].
+    element_size: the smaller one [m]. factor: of both at rest.
     """
 
     object: Model
@@ -106,6 +110,8 @@ class CoupledSolver(Solver):
     def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu", precision: str = "float64",
                  options: SolverOptions | None = None):
         self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
+        if len(sensor.mesh.points) > SENSOR_NODES:
+            raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} are allowed, since its compliance is kept whole. Give fewer nodes.")
         self.object, self.sensor = model, sensor
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height

@@ -40,7 +40,7 @@ _MODEL_NOISE, _WIDTH = 0.02, 20.0
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One method. f1: of the mask [-]. seconds: of the fit [s], without `stick` for points; simulated: with it [s]. kilobytes: on disk.
+    """One method. f1: of the mask [-]. seconds: of the fit [s], without `stick` for points; simulated: with it [s]. kilobytes: on disk [kB].
     mib: of memory on the device, or of the process beyond what it held before [MiB]. settings: in words."""
 
     name: str
@@ -141,7 +141,10 @@ def table(rows: Sequence[FieldRow]) -> str:
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Query points (q, 3) [m] that some vertex came by, the pixel of each (q,), and whether the rope lies under a pixel (p,)."""
+    """Query points of the mask.
+
+    points: that some vertex came by (q, 3) [m]. pixel: of each (q,) [-]. stiff: whether the rope lies under a pixel (p,) [-].
+    """
 
     points: np.ndarray
     pixel: np.ndarray

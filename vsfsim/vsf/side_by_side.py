@@ -89,8 +89,11 @@ class Workload:
 
 @dataclass(frozen=True)
 class Estimator:
-    """One estimator in both forms. ours, literal: (workload, device) -> (seconds, answer). matrix: which rows it reads. needs: (rows, touched particles, particles
-    moved at once, rows of a frame) -> bytes and operations of the literal form."""
+    """One estimator in both forms.
+
+    ours, literal: (workload, device) -> (seconds [s], answer). matrix: name of the rows it reads.
+    needs: (rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the literal form.
+    """
 
     name: str
     ours: Callable[[Workload, str], tuple[float, np.ndarray]]
@@ -220,7 +223,7 @@ class Comparison:
     """One estimator. rows: of its matrix. particles: touched. seconds: ours [s]. mib: ours [MiB].
     part: touches of the workload that both were run on for the comparison (all of them where the literal form takes them), 0 without one.
     ours_on_part, literal_seconds: there [s]. literal_mib: its memory there [MiB]. difference: of the answers, over the largest value [-].
-    literal_bytes: that it would take on the whole; literal_whole: seconds that it would, from its number of operations."""
+    literal_bytes: that it would take on the whole [B]. literal_whole: time that it would, from its number of operations [s]."""
 
     name: str
     rows: int

@@ -1,0 +1,108 @@
+"""A bubble pressed on soft things: one equilibrium of both, forces that balance, and the rigid limit."""
+
+import numpy as np
+import pytest
+import torch
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene
+from vsfsim.physics import complementarity, tiers
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.physics.coupled import CoupledSolver, free_way
+
+BLOCK = """
+name = "block"
+gravity = [0, 0, 0]
+[object]
+shape = {{ box = [0.10, 0.10, 0.04] }}
+tier = "fem-coarse"
+resolution = 0.02
+poisson_ratio = 0.3
+young_modulus = {{ base = {modulus} }}
+"""
+
+
+@pytest.fixture(scope="module")
+def bubble():
+    return build_bubble(Bubble(nodes=200))
+
+
+@pytest.fixture
+def block(tmp_path):
+    def make(modulus):
+        path = tmp_path / f"{modulus:g}.toml"
+        path.write_text(BLOCK.format(modulus=modulus))
+        return tiers.build(load_scene(path).sample(0), "fem-coarse")
+
+    return make
+
+
+def down(height, depths, x=0.004, y=0.003):
+    """Poses (T, 1, 4, 4) of a sensor that looks down at a top 40 mm high, its apex ``depths`` below it."""
+    poses = np.zeros((len(depths), 1, 4, 4))
+    for t, depth in enumerate(depths):
+        poses[t, 0] = np.diag([1.0, -1.0, -1.0, 1.0])
+        poses[t, 0, :3, 3] = x, y, 0.04 + height - depth
+    return poses
+
+
+def press(model, bubble, depths, friction, device):
+    solver = CoupledSolver(model, bubble, friction=friction, device=device, options=tiers.options("fem"))
+    frames = solver.run(down(bubble.mesh.points[:, 2].max(), depths), keep=True)
+    return solver, frames
+
+
+def test_both_bodies_balance_and_the_gas_is_squeezed(bubble, block, device):
+    solver, frames = press(block(1e5), bubble, [0.001, 0.003, 0.005], 2.0, device)
+    assert frames.converged.all()
+    force = frames.force[:, 0]
+    assert (np.diff(force[:, 2]) > 0.0).all(), "the object pushes the sensor up, the more the deeper"
+    # what the object's support carries is what the sensor feels, and what its nodes feel adds up to it
+    assert np.abs(frames.reaction[:, 0] - force).max() < 1e-3 * force[-1, 2]
+    assert np.allclose(np.stack(solver.sensor_force)[..., 0].sum(axis=1), force, atol=1e-9)
+    assert (np.diff(np.stack(solver.pressure)[:, 0]) > 0.0).all()
+    law = (np.stack(solver.pressure)[:, 0] + 101325.0) * (np.stack(solver.volume)[:, 0] + bubble.dead_volume) ** 1.4
+    assert np.ptp(law) < 1e-6 * law[0]
+    # 1 % of an element
+    assert frames.penetration.max() < 0.01 * bubble.element_size
+
+
+def test_a_stiff_block_is_a_rigid_plane(bubble, block, device):
+    from vsfsim.core.shape import Plane
+    from vsfsim.physics.solver import Solver
+
+    depths = [0.002, 0.004]
+    _, soft = press(block(1e9), bubble, depths, 0.0, device)
+    plane = np.zeros((2, 1, 4, 4))
+    for t, depth in enumerate(depths):
+        # in the mount frame the plane looks down at the dome
+        plane[t, 0] = np.diag([1.0, -1.0, -1.0, 1.0])
+        plane[t, 0, 2, 3] = bubble.mesh.points[:, 2].max() - depth
+    rigid = Solver(bubble, Plane(), device=device, options=tiers.options("fem")).run(plane)
+    assert soft.converged.all() and rigid.converged.all()
+    # nodes here, Gauss points there: half a per cent of the mesh's own error of some per cent
+    assert np.allclose(soft.force[:, 0, 2], rigid.body_force[:, 0, 0, 2], rtol=0.03)
+
+
+def test_the_way_to_first_contact(bubble, block):
+    pose = down(bubble.mesh.points[:, 2].max(), [-0.007])[0, 0]
+    assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == pytest.approx(0.007, abs=1e-9)
+    pose[0, 3] = 1.0
+    assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == np.inf
+
+
+def test_too_fine_a_sensor_is_refused(bubble, block, monkeypatch):
+    monkeypatch.setattr("vsfsim.physics.coupled.SENSOR_NODES", 100)
+    with pytest.raises(SceneError, match="200 nodes"):
+        CoupledSolver(block(1e5), bubble)
+
+
+def test_complementarity_against_enumeration():
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        a = rng.standard_normal((6, 6))
+        matrix, offset = a @ a.T + 0.1 * np.eye(6), rng.standard_normal(6)
+        z = complementarity.solve(torch.as_tensor(matrix)[None], torch.as_tensor(offset)[None], torch.zeros((1, 6), dtype=torch.bool))[0].numpy()
+        y = matrix @ z + offset
+        assert (z >= 0.0).all() and (y > -1e-9).all() and abs(z @ y) < 1e-9

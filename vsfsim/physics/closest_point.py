@@ -1,0 +1,166 @@
+"""The nearest point of a surface triangle, flat or quadratic: Warp functions that a kernel module takes in."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+
+def functions(real: type, module: str) -> Any:
+    """``on_triangle`` (barycentric coordinates on a flat triangle) and ``nearest`` (on a face of three or six nodes) for one scalar type and module."""
+    vec3 = wp.types.vector(length=3, dtype=real)
+    vec6 = wp.types.vector(length=6, dtype=real)
+
+    @wp.func(module=module)
+    def on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
+        # barycentric coordinates of the nearest point of a flat triangle, by Voronoi regions of its corners, edges and face
+        ab = b - a
+        ac = c - a
+        ap = p - a
+        d1 = wp.dot(ab, ap)
+        d2 = wp.dot(ac, ap)
+        out = vec3(real(1.0), real(0.0), real(0.0))
+        if d1 <= real(0.0) and d2 <= real(0.0):
+            return out
+        bp = p - b
+        d3 = wp.dot(ab, bp)
+        d4 = wp.dot(ac, bp)
+        if d3 >= real(0.0) and d4 <= d3:
+            return vec3(real(0.0), real(1.0), real(0.0))
+        vc = d1 * d4 - d3 * d2
+        if vc <= real(0.0) and d1 >= real(0.0) and d3 <= real(0.0):
+            v = d1 / (d1 - d3)
+            return vec3(real(1.0) - v, v, real(0.0))
+        cp = p - c
+        d5 = wp.dot(ab, cp)
+        d6 = wp.dot(ac, cp)
+        if d6 >= real(0.0) and d5 <= d6:
+            return vec3(real(0.0), real(0.0), real(1.0))
+        vb = d5 * d2 - d1 * d6
+        if vb <= real(0.0) and d2 >= real(0.0) and d6 <= real(0.0):
+            w = d2 / (d2 - d6)
+            return vec3(real(1.0) - w, real(0.0), w)
+        va = d3 * d6 - d5 * d4
+        if va <= real(0.0) and d4 - d3 >= real(0.0) and d5 - d6 >= real(0.0):
+            w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
+            return vec3(real(0.0), real(1.0) - w, w)
+        scale = real(1.0) / (va + vb + vc)
+        return vec3(va * scale, vb * scale, vc * scale)
+
+    @wp.func(module=module)
+    def quadratic(l: vec3):  # noqa: E741
+        # shape functions of the six nodes at barycentric coordinates
+        two = real(2.0)
+        four = real(4.0)
+        one = real(1.0)
+        return vec6(l[0] * (two * l[0] - one), l[1] * (two * l[1] - one), l[2] * (two * l[2] - one),
+                    four * l[0] * l[1], four * l[1] * l[2], four * l[2] * l[0])
+
+    @wp.func(module=module)
+    def sub_triangle(part: int, i: int):
+        # node i of the four flat triangles between the six nodes
+        if part == 3:
+            return 3 + i
+        if i == part:
+            return part
+        if i == (part + 1) % 3:
+            return 3 + part
+        return 3 + (part + 2) % 3
+
+    @wp.func(module=module)
+    def corner(node: int):
+        # barycentric coordinates of node 0..5
+        half = real(0.5)
+        nought = real(0.0)
+        if node < 3:
+            out = vec3()
+            out[node] = real(1.0)
+            return out
+        if node == 3:
+            return vec3(half, half, nought)
+        if node == 4:
+            return vec3(nought, half, half)
+        return vec3(half, nought, half)
+
+    @wp.func(module=module)
+    def nearest(p: vec3, b: int, face: int, nodes: int, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # nearest point of one face: shape values of its six nodes (three if flat), the point, and the face's outward normal there
+        x0 = x[b, faces[b, face, 0]]
+        x1 = x[b, faces[b, face, 1]]
+        x2 = x[b, faces[b, face, 2]]
+        if nodes == 3:
+            l = on_triangle(p, x0, x1, x2)  # noqa: E741
+            normal = wp.normalize(wp.cross(x1 - x0, x2 - x0))
+            return vec6(l[0], l[1], l[2], real(0.0), real(0.0), real(0.0)), l[0] * x0 + l[1] * x1 + l[2] * x2, normal
+        x3 = x[b, faces[b, face, 3]]
+        x4 = x[b, faces[b, face, 4]]
+        x5 = x[b, faces[b, face, 5]]
+        # begin on the nearest of the four flat triangles between the nodes
+        at = vec3()
+        least = real(1e300)
+        for part in range(4):
+            i0 = sub_triangle(part, 0)
+            i1 = sub_triangle(part, 1)
+            i2 = sub_triangle(part, 2)
+            y0 = x[b, faces[b, face, i0]]
+            y1 = x[b, faces[b, face, i1]]
+            y2 = x[b, faces[b, face, i2]]
+            m = on_triangle(p, y0, y1, y2)
+            far = wp.length_sq(p - (m[0] * y0 + m[1] * y1 + m[2] * y2))
+            if far < least:
+                least = far
+                at = m[0] * corner(i0) + m[1] * corner(i1) + m[2] * corner(i2)
+        # Gauss and Newton's method for the curved one, held inside the triangle
+        four = real(4.0)
+        one = real(1.0)
+        tu = vec3()
+        tv = vec3()
+        for _ in range(4):
+            n = quadratic(at)
+            c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
+            # derivatives by the coordinates 1 and 2, coordinate 0 being what is left
+            tu = (one - four * at[0]) * x0 + (four * at[1] - one) * x1 + four * ((at[0] - at[1]) * x3 + at[2] * x4 - at[2] * x5)
+            tv = (one - four * at[0]) * x0 + (four * at[2] - one) * x2 + four * (at[1] * x4 - at[1] * x3 + (at[0] - at[2]) * x5)
+            r = p - c
+            a11 = wp.dot(tu, tu)
+            a12 = wp.dot(tu, tv)
+            a22 = wp.dot(tv, tv)
+            b1 = wp.dot(tu, r)
+            b2 = wp.dot(tv, r)
+            det = wp.max(a11 * a22 - a12 * a12, real(1e-300))
+            u = at[1] + (a22 * b1 - a12 * b2) / det
+            v = at[2] + (a11 * b2 - a12 * b1) / det
+            if u < real(0.0) or v < real(0.0) or u + v > one:
+                # the best of the three edges, each in its own linear model
+                best = real(1e300)
+                for edge in range(3):
+                    # from the present point to a start on the edge, then along its direction
+                    su = real(0.0)
+                    sv = real(0.0)
+                    eu = real(0.0)
+                    ev = one
+                    if edge == 1:
+                        eu = one
+                        ev = real(0.0)
+                    if edge == 2:
+                        su = one
+                        eu = -one
+                    du = su - at[1]
+                    dv = sv - at[2]
+                    along = eu * eu * a11 + real(2.0) * eu * ev * a12 + ev * ev * a22
+                    rest1 = b1 - a11 * du - a12 * dv
+                    rest2 = b2 - a12 * du - a22 * dv
+                    t = wp.clamp((eu * rest1 + ev * rest2) / wp.max(along, real(1e-300)), real(0.0), one)
+                    fu = du + t * eu
+                    fv = dv + t * ev
+                    value = a11 * fu * fu + real(2.0) * a12 * fu * fv + a22 * fv * fv - real(2.0) * (b1 * fu + b2 * fv)
+                    if value < best:
+                        best = value
+                        u = at[1] + fu
+                        v = at[2] + fv
+            at = vec3(one - u - v, u, v)
+        n = quadratic(at)
+        c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
+        return n, c, wp.normalize(wp.cross(tu, tv))
+
+    return SimpleNamespace(on_triangle=on_triangle, nearest=nearest)

@@ -1,0 +1,336 @@
+"""The two surfaces of a pair: positions, blended normals, candidates, the patch of a step, and the rest-state answer on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.physics import contact, pair_contact
+from vsfsim.physics.factor import Response, response
+from vsfsim.physics.model import Model
+from vsfsim.physics.pair_links import Compliance
+
+_MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
+_BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
+_SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly: less is an edge, and stays one
+_BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+_SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along two of its edges, at its six nodes
+    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1 else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
+              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
+              -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
+_SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
+_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
+# a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
+_TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
+SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
+
+
+@dataclass
+class Side:
+    """The nodes of one surface (Q of them) and the faces of the other one, numbers local to the touch; tensors on the device.
+
+    first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
+    faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
+    this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
+    """
+
+    first: int
+    facet: torch.Tensor
+    stiffness: torch.Tensor
+    faces: torch.Tensor
+    count: torch.Tensor
+    candidates: torch.Tensor
+    state: dict[str, torch.Tensor]
+    memory: dict[str, torch.Tensor]
+    around: torch.Tensor
+    smooth: torch.Tensor
+
+
+def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
+    """Corners that share each corner's node, itself among them (B, F n, most), -1 pads; faces (B, F, n) of which the first ``count`` (B,) are in use."""
+    batch, width, nodes = faces.shape
+    tables = []
+    for b in range(batch):
+        if b and np.array_equal(faces[b], faces[b - 1]) and count[b] == count[b - 1]:
+            tables.append(tables[-1])
+            continue
+        flat = faces[b, :count[b]].ravel()
+        order = np.argsort(flat, kind="stable")
+        valence = np.bincount(flat, minlength=1) if len(flat) else np.zeros(1, int)
+        start = np.concatenate([[0], np.cumsum(valence)])
+        table = np.full((width * nodes, max(1, int(valence.max()))), -1)
+        for slot in range(table.shape[1]):
+            has = valence[flat] > slot
+            table[:len(flat)][has, slot] = order[start[flat[has]] + slot]
+        tables.append(table)
+    most = max(t.shape[1] for t in tables)
+    return torch.as_tensor(np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables]), device=device)
+
+
+class PairSurfaces:
+    """Both surfaces of B touches on the device: who may meet whom in a step, and how both bodies at rest answer forces on the patch that this makes.
+
+    Arguments and attributes as `pair.PairTouching`.
+    """
+
+    rubs: bool
+
+    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
+        self.model, self.sensor, self.device = model, sensor, device
+        self._margin = _MARGIN * stride
+        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
+        self.kernels = pair_contact.kernels()
+        self.rubs, self._friction = friction > 0.0, float(friction)
+        self.stick = contact.STICK
+        self.batch = poses.shape[1]
+        self._count = len(model.mesh.points)
+        self._every = torch.arange(self.batch, device=device)
+        self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
+        inverse = sensor.factor.solve(np.diag(sensor.free))
+        self._sensor_compliance = torch.as_tensor(0.5 * (inverse + inverse.T), device=device)
+        self._upload(self._reachable(poses))
+
+    # ------------------------------------------------------------------------------------------ set-up
+
+    def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
+        """Boundary triangles of the object that each touch's sensor may meet: inside the box that the sensor sweeps, made wider."""
+        own = self.sensor.mesh.points
+        margin = _BULGE * float(np.ptp(own[:, 2]))
+        low, high = own.min(axis=0) - margin, own.max(axis=0) + margin
+        at = self.model.mesh.points
+        faces = self.model.mesh.faces
+        out = []
+        for b in range(self.batch):
+            met = np.zeros(len(at), bool)
+            for pose in poses[:, b]:
+                local = (at - pose[:3, 3]) @ pose[:3, :3]
+                met |= ((local > low) & (local < high)).all(axis=1)
+            corners = at[faces[:, :3]]
+            out.append(np.flatnonzero(met[faces].any(axis=1) | self._crossed(corners, poses[:, b], low, high)))
+        return out
+
+    @staticmethod
+    def _crossed(corners: np.ndarray, poses: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+        """Faces (f,) larger than the sensor may have no node in its box: their own boxes are compared too."""
+        out = np.zeros(len(corners), bool)
+        size = (corners.max(axis=1) - corners.min(axis=1)).max(axis=1)
+        large = np.flatnonzero(size > 0.5 * (high - low).min())
+        if len(large):
+            for pose in poses:
+                local = (corners[large] - pose[:3, 3]) @ pose[:3, :3]
+                out[large] |= ((local.max(axis=1) > low) & (local.min(axis=1) < high)).all(axis=1)
+        return out
+
+    def _upload(self, reach: list[np.ndarray]) -> None:
+        mesh, own = self.model.mesh, self.sensor.mesh
+        batch, m = self.batch, len(own.points)
+        nodes = [np.unique(mesh.faces[f]) for f in reach]
+        width = max(1, max(len(n) for n in nodes))
+        most = max(1, max(len(f) for f in reach))
+        listed = np.full((batch, width), -1, np.int64)
+        faces = np.zeros((batch, most, 6), np.int32)
+        normal_of = np.zeros((batch, width, 3), np.int32)
+        tied = np.zeros((batch, width))
+        area, modulus = mesh.face_area(), self.model.surface_modulus
+        own_area, own_modulus = own.face_area(), self.sensor.surface_modulus
+        soft = float(np.median(own_modulus))
+        for b, (f, n) in enumerate(zip(reach, nodes, strict=True)):
+            listed[b, :len(n)] = n
+            if not len(f):
+                continue
+            local = np.searchsorted(n, mesh.faces[f])
+            faces[b, :len(f)] = local
+            # a node stands for a share of its faces; the softer body bounds the pressure, so it sets the stiffness
+            w = contact.PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
+            np.add.at(tied[b], local, _SECOND * w[:, None])
+            normal_of[b, local] = local[:, None, :3]
+        # the same for the sensor's nodes; against what is far softer than it a softer penalty will do
+        corners = own.faces.shape[1]
+        object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
+        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], _SOFTEST * own_modulus[None, :])) * np.sqrt(own_area)
+        carried_stiffness = np.zeros((batch, m))
+        for b in range(batch):
+            np.add.at(carried_stiffness[b], own.faces, pressed[b][:, None] / corners)
+        carried_normal = np.zeros((m, 3), np.int64)
+        carried_normal[own.faces] = own.faces[:, None, :3]
+        at = own.faces + width
+
+        def real(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(np.array(values), dtype=torch.float64, device=self.device)
+
+        def whole(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(np.array(values), dtype=torch.int32, device=self.device)
+
+        def many(values: np.ndarray) -> np.ndarray:
+            return np.broadcast_to(values, (batch, *values.shape))
+
+        self._sides = [
+            self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces), whole(np.array([len(f) for f in reach]))),
+            self._side(0, whole(normal_of), real(tied), whole(many(at)), whole(np.full(batch, len(at)))),
+        ]
+        self._width = width
+        # degrees of freedom and rest positions of all surface nodes: the object's in reach, then the sensor's
+        rest = np.zeros((batch, width, 3))
+        for b, n in enumerate(nodes):
+            rest[b, :len(n)] = mesh.points[n]
+        carried = 3 * (self._count + np.arange(m))[:, None] + np.arange(3)
+        objects = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
+        self._dof = torch.as_tensor(np.concatenate([objects, many(carried)], axis=1), device=self.device)  # (B, S, 3)
+        self._rest = real(np.concatenate([rest, many(own.points)], axis=1))
+        free = np.concatenate([self.model.free, self.sensor.free])
+        self._free = real(np.where(self._dof.cpu().numpy() >= 0, free[np.maximum(self._dof.cpu().numpy(), 0)], 0.0))
+        self._object: Response = response(self.model.factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
+        self._object_compliance = self._object.compliance()
+        self._x = self._rest.clone()
+        self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
+        self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
+        self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
+
+    def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor, count: torch.Tensor) -> Side:
+        size = tuple(stiffness.shape)
+
+        def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+            return torch.zeros((*size, *more), dtype=dtype, device=self.device)
+
+        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
+                 "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
+        memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        return Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory,
+                     _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device))
+
+    # ------------------------------------------------------------------------------------------ poses and history
+
+    def _positions(self, u: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
+        """World positions (B, S, 3) [m] of all surface nodes for displacements u (3 N, B) and the sensor at ``pose`` (B, 4, 4)."""
+        index = self._dof.clamp(min=0).reshape(self.batch, -1)
+        moved = u.gather(0, index.T).T.reshape(self._rest.shape).to(torch.float64) * (self._dof >= 0)
+        out = self._rest + moved
+        out[:, self._width:] = self._to_world(out[:, self._width:], pose)
+        return out
+
+    def _to_world(self, x: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
+        at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
+        return x @ at[:, :3, :3].mT + at[:, None, :3, 3]
+
+    def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
+        self._u_before, self._pose_before = u.clone(), before[:, 0]
+        self._x_before.copy_(self._positions(u, before[:, 0]))
+
+    def move(self, pose: np.ndarray) -> None:
+        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up."""
+        pose = pose[:, 0]
+        if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
+            return
+        self._moved_to = (pose.copy(), self._u_before)
+        self._pose, self._blended = pose, False
+        self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
+        self._x_swept.copy_(self._positions(self._u_before, pose))
+        self._x.copy_(self._x_swept)
+        way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
+        self._look_up(float(way.max()) + self._margin)
+
+    def _look_up(self, within: float, *, blend: bool = True) -> None:
+        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make; ``blend``: new normals too."""
+        k = self.kernels
+        columns = wp.from_torch(self._every.to(torch.int32))
+        x = wp.from_torch(self._x, dtype=k.vec3)
+        self._near.zero_()
+        for side in self._sides:
+            size = side.stiffness.shape
+            wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
+                columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
+                wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
+            if blend:
+                side.smooth.copy_(self._blend(side))
+            wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
+                side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
+                wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
+        self._make_patch()
+
+    def _blend(self, side: Side) -> torch.Tensor:
+        """Normals at the nodes of the other surface's faces (B, F, n, 3), blended over the faces around a node that meet smoothly there."""
+        batch, faces, nodes = side.faces.shape
+        at = torch.arange(batch, device=self.device)[:, None, None]
+        x = self._x[at, side.faces.long()]  # (B, F, n, 3)
+        first, second = x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]
+        if nodes == 3:
+            own = torch.linalg.cross(first, second)[:, :, None].expand(-1, -1, 3, -1)
+        else:
+            slope = torch.as_tensor(_SLOPES, device=self.device)  # (2, 6 places, 6 nodes)
+            own = torch.linalg.cross(*(torch.einsum("pn,bfnc->bfpc", s, x) for s in slope))
+        own = torch.nn.functional.normalize(own, dim=3).reshape(batch, faces * nodes, 3)
+        others = own[at, side.around.clamp(min=0)]  # (B, F n, most, 3)
+        counts = (side.around >= 0) & ((others * own[:, :, None]).sum(dim=3) > _SMOOTH)
+        return torch.nn.functional.normalize((others * counts[..., None]).sum(dim=2), dim=2).view(batch, faces, nodes, 3)
+
+    def _make_patch(self) -> None:
+        width = self._width
+        chosen = []
+        for start, stop in ((0, width), (width, self._near.shape[1])):
+            near = self._near[:, start:stop]
+            most = max(1, int(near.sum(dim=1).amax()))
+            on, order = torch.sort(near, dim=1, descending=True, stable=True)
+            chosen.append((order[:, :most] + start, on[:, :most] > 0))
+        self._split = chosen[0][0].shape[1]
+        nodes, on = torch.cat([c[0] for c in chosen], dim=1), torch.cat([c[1] for c in chosen], dim=1)
+        self._nodes, self._on = nodes, on
+        place = torch.full(self._near.shape, 0, dtype=torch.int64, device=self.device)
+        self._place = place.scatter_(1, nodes, torch.arange(nodes.shape[1], device=self.device).expand_as(nodes).contiguous())
+        index = nodes[:, :, None].expand(-1, -1, 3)
+        dof = torch.where(on[:, :, None], self._dof.gather(1, index), -1)
+        self.dof = dof.flatten(1)
+        self._index = self.dof.clamp(min=0)
+        self.real = (self.dof >= 0).to(torch.float64)
+        self.free = self._free.gather(1, index).flatten(1) * self.real
+        self.rest = self._rest.gather(1, index).flatten(1) * self.real
+        self.compliance = self._answers()
+        self.response: Response = self
+        self._contact: Any = None
+
+    def _answers(self) -> Compliance:
+        split, width = self._split, self._width
+        three = torch.arange(3, device=self.device)
+        a = (3 * self._nodes[:, :split, None] + three).flatten(1)
+        rows = torch.arange(self.batch, device=self.device)[:, None, None]
+        own = self._object_compliance[rows, a[:, :, None], a[:, None, :]] * self.real[:, :3 * split, None] * self.real[:, None, :3 * split]
+        return Compliance(own, self._sensor_compliance, (3 * (self._nodes[:, split:, None] - width) + three).flatten(1), self.free)
+
+    def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them, both bodies at rest."""
+        split = 3 * self._split
+        force = force * self.free[columns]
+        on_object = (self.compliance.on_object[columns] @ force[:, :split, None])[:, :, 0]
+        dof = self.compliance.dof[columns]
+        on_sensor = torch.zeros((len(columns), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, dof, force[:, split:])
+        return torch.cat([on_object, self._sensor_solve(on_sensor.T).T.gather(1, dof)], dim=1) * self.free[columns]
+
+    # ------------------------------------------------------------------------------------------ the rest-state answer
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 N, k) [m] of both bodies at rest under forces (3 N, k) [N] that are 0 where held."""
+        n = 3 * self._count
+        return torch.cat([self._object.solve(right[:n].contiguous()), self._sensor_solve(right[n:])])
+
+    def _sensor_solve(self, right: torch.Tensor) -> torch.Tensor:
+        if self.device == "cpu" and len(right) > _TABLE:
+            return torch.as_tensor(self.sensor.factor.solve(right.contiguous().numpy()))
+        return self._sensor_compliance @ right
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
+        split = 3 * self._split
+        three = torch.arange(3, device=self.device)
+        force = force * self.real[touches]
+        a = (3 * self._nodes[touches, :self._split, None] + three).flatten(1)
+        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, a, force[:, :split])
+        c = (3 * (self._nodes[touches, self._split:, None] - self._width) + three).flatten(1)
+        size = len(self._sensor_compliance)
+        on_sensor = torch.zeros((len(touches), size), dtype=force.dtype, device=self.device).scatter_add_(1, c, force[:, split:])
+        return torch.cat([self._object.patch(touches, on_object), self._sensor_solve(on_sensor.T)])
+
