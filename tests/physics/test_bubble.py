@@ -170,7 +170,8 @@ def test_a_press_at_45_degrees_sticks_and_both_sides_are_alike(cache, side):
     model = build_bubble(COARSE, cache=cache)
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.006, 3, tilt=side * 0.25 * np.pi, at=-side * 0.03))
     sound(frames, model)
-    assert frames.slipping.max() < 0.5 and side * frames.force[-1, 0, 0] > 0.1
+    # at full depth; in the first frame four points touch, and two of them may still slip
+    assert frames.slipping[-1].max() < 0.5 and side * frames.force[-1, 0, 0] > 0.1
     assert abs(frames.force[-1, 0, 1]) < 1e-3 * abs(frames.force[-1, 0, 2])
 
 
