@@ -23,6 +23,7 @@ from vsfsim.physics.pair import PairTouching
 from vsfsim.physics.pair_surfaces import SENSOR_NODES
 from vsfsim.physics.solver import Rows, Solver
 
+_HARD = 100.0  # unbalanced over acting force at the start of a step, from which on softer contact leads the way
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
 _TRIES = 60
@@ -175,6 +176,15 @@ class CoupledSolver(Solver):
                     out[b] = True
                     break
         return out
+
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
+        super()._start(columns, before, pose)
+        if bool(self.touching.touches(columns).any()):
+            self.touching.foresee(self._balance.u)
+
+    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
+        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
+        return measure > _HARD
 
     def _keep(self) -> None:
         every, touching = self._balance.every, self.touching

@@ -208,7 +208,7 @@ class Equilibrium:
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < 0.05)
+            shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < self.touching.near_balance)
             good = (falls | shrinks) & (new["astray"] <= astray[pending])
             done = pending[good]
             for key in state:

@@ -228,26 +228,27 @@ class PairSurfaces:
         if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
             return
         self._moved_to = (pose.copy(), self._u_before)
-        self._pose, self._blended = pose, False
+        self._pose, self._blended = pose, torch.zeros(self.batch, dtype=torch.bool, device=self.device)
         self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
         self._x_swept.copy_(self._positions(self._u_before, pose))
         self._x.copy_(self._x_swept)
         way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
-        self._look_up(float(way.max()) + self._margin)
+        self._look_up(float(way.max()) + self._margin, blend=torch.ones_like(self._blended))
 
-    def _look_up(self, within: float, *, blend: bool = True) -> None:
-        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make; ``blend``: new normals too."""
+    def _look_up(self, within: float, *, blend: torch.Tensor) -> None:
+        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make; ``blend``: who gets new normals, too (B,) bool."""
         k = self.kernels
         columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
         self._near.zero_()
+        anew = bool(blend.any())
         for side in self._sides:
             size = side.stiffness.shape
             wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
                 columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
                 wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
-            if blend:
-                side.smooth.copy_(self._blend(side))
+            if anew:
+                side.smooth[blend] = self._blend(side)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
                 side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
                 wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
@@ -289,26 +290,20 @@ class PairSurfaces:
         self.real = (self.dof >= 0).to(torch.float64)
         self.free = self._free.gather(1, index).flatten(1) * self.real
         self.rest = self._rest.gather(1, index).flatten(1) * self.real
+        three = torch.arange(3, device=self.device)
+        self._on_object = (3 * nodes[:, :self._split, None] + three).flatten(1)  # degrees of freedom among the object's surface nodes in reach
+        self._on_sensor = (3 * (nodes[:, self._split:, None] - width) + three).flatten(1)  # among all of the sensor's
         self.compliance = self._answers()
         self.response: Response = self
         self._contact: Any = None
 
     def _answers(self) -> Compliance:
-        split, width = self._split, self._width
-        three = torch.arange(3, device=self.device)
-        a = (3 * self._nodes[:, :split, None] + three).flatten(1)
-        rows = torch.arange(self.batch, device=self.device)[:, None, None]
-        own = self._object_compliance[rows, a[:, :, None], a[:, None, :]] * self.real[:, :3 * split, None] * self.real[:, None, :3 * split]
-        return Compliance(own, self._sensor_compliance, (3 * (self._nodes[:, split:, None] - width) + three).flatten(1), self.free)
-
-    def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them, both bodies at rest."""
         split = 3 * self._split
-        force = force * self.free[columns]
-        on_object = (self.compliance.on_object[columns] @ force[:, :split, None])[:, :, 0]
-        dof = self.compliance.dof[columns]
-        on_sensor = torch.zeros((len(columns), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, dof, force[:, split:])
-        return torch.cat([on_object, self._sensor_solve(on_sensor.T).T.gather(1, dof)], dim=1) * self.free[columns]
+        rows = torch.arange(self.batch, device=self.device)[:, None, None]
+        a, c = self._on_object, self._on_sensor
+        free = self.free
+        return Compliance(self._object_compliance[rows, a[:, :, None], a[:, None, :]] * free[:, :split, None] * free[:, None, :split],
+                          self._sensor_compliance[c[:, :, None], c[:, None, :]] * free[:, split:, None] * free[:, None, split:])
 
     # ------------------------------------------------------------------------------------------ the rest-state answer
 
@@ -325,12 +320,7 @@ class PairSurfaces:
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
         split = 3 * self._split
-        three = torch.arange(3, device=self.device)
         force = force * self.real[touches]
-        a = (3 * self._nodes[touches, :self._split, None] + three).flatten(1)
-        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, a, force[:, :split])
-        c = (3 * (self._nodes[touches, self._split:, None] - self._width) + three).flatten(1)
-        size = len(self._sensor_compliance)
-        on_sensor = torch.zeros((len(touches), size), dtype=force.dtype, device=self.device).scatter_add_(1, c, force[:, split:])
+        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_object[touches], force[:, :split])
+        on_sensor = torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_sensor[touches], force[:, split:])
         return torch.cat([self._object.patch(touches, on_object), self._sensor_solve(on_sensor.T)])
-

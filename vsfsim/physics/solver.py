@@ -256,7 +256,7 @@ class Solver:
         balance, touching = self._balance, self.touching
         state = balance.evaluate(columns)
         # a body that went deep into a soft wall in one frame: come to it through softer contact
-        hard = columns[((state["measure"] - 1.0).abs() < 0.03) | (state["measure"] > _HARD)]
+        hard = columns[self._hard(state["measure"])]
         if len(hard):
             balance.u[:, hard] = begin[:, hard]
             for softening in _SOFTENINGS:
@@ -279,6 +279,10 @@ class Solver:
             if not grown:
                 return
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
+
+    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
+        """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead the way (k,) bool."""
+        return ((measure - 1.0).abs() < 0.03) | (measure > _HARD)
 
     # ------------------------------------------------------------------------------------------ the linear tier
 

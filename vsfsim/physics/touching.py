@@ -36,6 +36,8 @@ class Touching:
         exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
+    near_balance = 0.05  # measure under which a step that halves it is good whatever the potential says, which rounding hides
+
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  exact: bool = True):
         self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
