@@ -182,6 +182,10 @@ class CoupledSolver(Solver):
         if bool(self.touching.touches(columns).any()):
             self.touching.foresee(self._balance.u)
 
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one
+        return super()._guesses(now, last, pose)[-1:]
+
     def _hard(self, measure: torch.Tensor) -> torch.Tensor:
         # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
         return measure > _HARD

@@ -55,7 +55,7 @@ class _Chosen:
 
     def anchor(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Where friction holds them: a face (k, a) and shape values (k, a, 6)."""
-        return self.side.memory["face"][self.at], self.side.memory["shape"][self.at]
+        return self.side.memory["anchor_face"][self.at], self.side.memory["anchor_shape"][self.at]
 
 
 class PairTouching(PairSurfaces):
@@ -78,12 +78,10 @@ class PairTouching(PairSurfaces):
         """Displacements (B, 3 s) [m] of the patches out of u (3 N, B), the sensor's in its frame."""
         return u.gather(0, self._index.T).T.to(torch.float64) * self.real
 
-    def _common(self, side: Side, columns: torch.Tensor) -> list[Any]:
-        return [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
-
-    def _anchors(self, side: Side) -> list[Any]:
-        k, m = self.kernels, side.memory
-        return [wp.from_torch(m["anchored"]), wp.from_torch(m["face"]), wp.from_torch(m["shape"], dtype=k.vec6)]
+    def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
+        """Run a kernel over the nodes of a side of the touches ``columns`` (k,); its first three arguments are those that all have."""
+        common = [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
+        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device, inputs=[*common, *inputs])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their patches."""
@@ -96,15 +94,11 @@ class PairTouching(PairSurfaces):
         old = self._x[columns]
         index = nodes[:, :, None].expand(-1, -1, 3)
         self._x[columns] = old.scatter(1, index, torch.where(keep, x, old.gather(1, index)))
+        here, softening = wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(self.softening)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
-                wp.from_torch(side.smooth, dtype=k.vec3), wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
-                wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
-                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
-                wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["way"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
-                wp.from_torch(s["slips"]), wp.from_torch(s["astray"]), wp.from_torch(s["energy"])])
+            self._launch(k.evaluate, side, columns, [
+                *side.arrays("facet stiffness faces smooth"), softening, self.stick, here, *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
+                *side.arrays("gap face shape normal push drag way rows slips astray energy")])
         self._contact = None
 
     def lag(self, columns: torch.Tensor) -> None:
@@ -112,25 +106,21 @@ class PairTouching(PairSurfaces):
         if not self.rubs:
             return
         k = self.kernels
+        softening, before, swept = wp.from_torch(self.softening), wp.from_torch(self._x_before, dtype=k.vec3), wp.from_torch(self._x_swept, dtype=k.vec3)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.lag, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), wp.from_torch(self.softening), self._friction,
-                wp.from_torch(side.candidates), wp.from_torch(self._x_before, dtype=k.vec3), wp.from_torch(self._x_swept, dtype=k.vec3),
-                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
-                *self._anchors(side), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3)])
+            self._launch(k.lag, side, columns, [
+                *side.arrays("stiffness faces"), softening, self._friction, *side.arrays("candidates"), before, swept,
+                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across")])
 
     def settle(self, columns: torch.Tensor) -> None:
         """The step is done: let slipping points drag their anchors, and forget those that left."""
         if not self.rubs or not len(columns):
             return
         k = self.kernels
+        here = wp.from_torch(self._x, dtype=k.vec3)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.settle, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), contact.STICK, wp.from_torch(self._x, dtype=k.vec3),
-                wp.from_torch(side.candidates), wp.from_torch(s["gap"]), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
-                *self._anchors(side)])
+            self._launch(k.settle, side, columns, [
+                *side.arrays("stiffness faces"), contact.STICK, here, *side.arrays("candidates gap limit across anchored anchor_face anchor_shape")])
 
     def memory(self) -> list[dict[str, torch.Tensor]]:
         """Friction's memory, to return to if a step fails; see `restore`."""

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from vsfsim.physics.pair import PairTouching
 
 _MOST = 8  # iterations: what has not converged then goes round in a circle of facets
-_TIGHT = 1e-2  # of the tolerance: what is left of a gap must be small beside the penetration, not beside the displacement
+_TIGHT = 1e-5  # of the displacement, at the most: what is left of a gap must be small beside the penetration, which is a thousandth of it
 _STALLED = 0.5  # an error that shrinks by less is as small as the facets let it be
 _CLOSE = 0.2  # of the margin of a step: nearer nodes are asked whether they touch
 
@@ -42,7 +42,7 @@ def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pus
         better, stuck = off < error, off > _STALLED * error
         best = torch.where(better[:, None], q, best)
         error = torch.where(better, off, error)
-        if bool(((error < _TIGHT * tolerance) | (stuck & (error < tolerance))).all()):
+        if bool(((error < _TIGHT) | (stuck & (error < tolerance))).all()):
             break
         asked = touching.near(columns, _CLOSE, asked)
         normal, gap, give, held = touching.meeting(columns, asked)

@@ -36,6 +36,7 @@ class Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
     around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
 
@@ -49,6 +50,11 @@ class Side:
     memory: dict[str, torch.Tensor]
     around: torch.Tensor
     smooth: torch.Tensor
+    views: dict[str, wp.array]
+
+    def arrays(self, names: str) -> list[wp.array]:
+        """Views by their names, with spaces between them."""
+        return [self.views[name] for name in names.split()]
 
 
 def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
@@ -199,9 +205,15 @@ class PairSurfaces:
 
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
-        memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        return Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory,
-                     _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device))
+        memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
+        smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
+        k = self.kernels
+        types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33, **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
+        facet, faces = facet.contiguous(), faces.contiguous()
+        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory}
+        return Side(first, facet, stiffness, faces, count, candidates, state, memory, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
+                    {name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()})
 
     # ------------------------------------------------------------------------------------------ poses and history
 
@@ -244,14 +256,12 @@ class PairSurfaces:
         anew = bool(blend.any())
         for side in self._sides:
             size = side.stiffness.shape
-            wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
-                columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
-                wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
+            wp.launch(k.search, dim=(size[1], size[0]), device=self.device,
+                      inputs=[columns, within, side.first, *side.arrays("stiffness faces count"), x, *side.arrays("candidates")])
             if anew:
                 side.smooth[blend] = self._blend(side)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
-                side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
-                wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
+                side.faces.shape[2], columns, side.first, *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self._near)])
         self._make_patch()
 
     def _blend(self, side: Side) -> torch.Tensor:

@@ -200,11 +200,7 @@ class Solver:
         if not len(meets):
             return
         now = balance.u.clone()
-        guesses = [(now, last)]
-        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
-            (p1, u1, f1), (p0, u0, f0) = ((p, u, touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
-            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
-            guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        guesses = self._guesses(now, last, pose)
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
         astray = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
         chosen = now.clone()
@@ -222,6 +218,15 @@ class Solver:
         stay = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] <= best))
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
+
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """What a step may begin from: the last equilibrium, and the last two drawn on. Displacements (3 n, B) [m] and forces on the patches (B, 3 s) [N]."""
+        out = [(now, last)]
+        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
+            (p1, u1, f1), (p0, u0, f0) = ((p, u, self.touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
+            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
+            out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        return out
 
     def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
                  halvings: int) -> None:
