@@ -23,8 +23,7 @@ _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along 
               4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
               -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
-_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
-# a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
+_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them
 _TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
 
@@ -55,6 +54,11 @@ class Side:
     def arrays(self, names: str) -> list[wp.array]:
         """Views by their names, with spaces between them."""
         return [self.views[name] for name in names.split()]
+
+
+def farthest(sensor: Model) -> float:
+    """How far the sensor's surface reaches from the origin of its frame [m]."""
+    return float(np.linalg.norm(sensor.mesh.points, axis=1).max())
 
 
 def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
@@ -89,7 +93,7 @@ class PairSurfaces:
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         self.model, self.sensor, self.device = model, sensor, device
         self._margin = _MARGIN * stride
-        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
+        self._reach = farthest(sensor)
         self.kernels = pair_contact.kernels()
         self.rubs, self._friction = friction > 0.0, float(friction)
         self.stick = contact.STICK
@@ -188,8 +192,8 @@ class PairSurfaces:
         objects = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
         self._dof = torch.as_tensor(np.concatenate([objects, many(carried)], axis=1), device=self.device)  # (B, S, 3)
         self._rest = real(np.concatenate([rest, many(own.points)], axis=1))
-        free = np.concatenate([self.model.free, self.sensor.free])
-        self._free = real(np.where(self._dof.cpu().numpy() >= 0, free[np.maximum(self._dof.cpu().numpy(), 0)], 0.0))
+        free = real(np.concatenate([self.model.free, self.sensor.free]))
+        self._free = free[self._dof.clamp(min=0)] * (self._dof >= 0)
         self._object: Response = response(self.model.factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
         self._object_compliance = self._object.compliance()
         self._x = self._rest.clone()
@@ -228,6 +232,11 @@ class PairSurfaces:
     def _to_world(self, x: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
         at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
         return x @ at[:, :3, :3].mT + at[:, None, :3, 3]
+
+    def carried(self, vectors: torch.Tensor, *, place: bool) -> torch.Tensor:
+        """Vectors (m, 3, B) of the sensor's frame in the world, or points of it if ``place``, at the present pose."""
+        out = torch.einsum("bij,mjb->mib", self._turn, vectors)
+        return out + torch.as_tensor(self._pose[:, :3, 3].T, device=self.device) if place else out
 
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
         """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
