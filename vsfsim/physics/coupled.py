@@ -142,7 +142,7 @@ class CoupledSolver(Solver):
         step = _BACK * self.bodies.reach(0)
         for _ in range(_TRIES):
             touching.begin(out, u)
-            touching.move(out)
+            touching.move(out, every)
             touching.evaluate(every, touching.gather(u))
             inside = (touching.touches(every) | (touching.astray(every) > 0)).cpu().numpy() | self._within_sensor(out)
             if not inside.any():
@@ -165,7 +165,7 @@ class CoupledSolver(Solver):
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         super()._start(columns, before, pose)
         if bool(self.touching.touches(columns).any()):
-            self.touching.foresee(self._balance.u)
+            self.touching.foresee(columns, self._balance.u)
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
         # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one

@@ -71,6 +71,7 @@ class PairTouching(PairSurfaces):
     """
 
     near_balance = 1.0  # see `Touching`: with blended normals the forces are not quite those of a potential
+    patience = 8  # see `Touching`: from flat facets a step may go round in a circle, and half of it ends elsewhere
 
     # ------------------------------------------------------------------------------------------ evaluation
 
@@ -110,7 +111,11 @@ class PairTouching(PairSurfaces):
         for side in self._sides:
             self._launch(k.lag, side, columns, [
                 *side.arrays("stiffness faces"), softening, self._friction, *side.arrays("candidates"), before, swept,
-                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across")])
+                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across damping change miss")])
+
+    def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
+        """By how much friction's limits miss Coulomb's (k,) [N]: what damping has held back of their last change."""
+        return sum(side.iteration["miss"][columns].sum(dim=1) for side in self._sides)
 
     def settle(self, columns: torch.Tensor) -> None:
         """The step is done: let slipping points drag their anchors, and forget those that left."""
@@ -307,21 +312,20 @@ class PairTouching(PairSurfaces):
         """Remembered forces of a touch that has none."""
         return torch.zeros((3 * (self._count + len(self.sensor.mesh.points)), self.batch), dtype=torch.float64, device=self.device)
 
-    def foresee(self, u: torch.Tensor) -> None:
+    def foresee(self, columns: torch.Tensor, u: torch.Tensor) -> None:
         """Look up who may meet whom anew, with normals as they are at the predicted displacements u (3 N, B)."""
-        self._x.copy_(self._positions(u, self._pose))
-        self._look_up(self._margin, blend=torch.ones_like(self._blended))
+        self._x[columns] = self._positions(u, self._pose)[columns]
+        self._look_up(self._margin, columns, blend=columns)
 
     def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
         """Look up who may meet whom anew, from where the surfaces are now; True if that finds contact that was not seen, or normals that have turned."""
         seen = [side.state["gap"][columns].clamp(max=0.0) for side in self._sides]
-        self._x.copy_(self._positions(u, self._pose))
-        turned = self._turned() & ~self._blended
-        turned[~torch.isin(self._every, columns)] = False
-        self._blended |= turned  # once in a step: more would chase the last digit
-        self._look_up(self._margin, blend=turned)
+        self._x[columns] = self._positions(u, self._pose)[columns]
+        turned = columns[(self._turned() & ~self._blended)[columns]]
+        self._blended[turned] = True  # once in a step: more would chase the last digit
+        self._look_up(self._margin, columns, blend=turned)
         self.evaluate(columns, self.gather(u)[columns])
-        return bool(turned.any()) or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _FOUND).any()) for side, old in zip(self._sides, seen, strict=True))
+        return len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _FOUND).any()) for side, old in zip(self._sides, seen, strict=True))
 
     def _turned(self) -> torch.Tensor:
         """Whose normals have turned where they touch since they were blended (B,) bool."""

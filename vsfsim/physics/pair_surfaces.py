@@ -35,6 +35,7 @@ class Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    iteration: of friction's limit in this step: damping of its changes, the last change, and what is missing of it (B, Q).
     views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
     around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
@@ -47,6 +48,7 @@ class Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
+    iteration: dict[str, torch.Tensor]
     around: torch.Tensor
     smooth: torch.Tensor
     views: dict[str, wp.array]
@@ -200,6 +202,7 @@ class PairSurfaces:
         self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
         self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
+        self._blended = torch.zeros(batch, dtype=torch.bool, device=self.device)  # whose normals were blended once more in this step
 
     def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor, count: torch.Tensor) -> Side:
         size = tuple(stiffness.shape)
@@ -210,13 +213,14 @@ class PairSurfaces:
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        iteration = {"damping": zeros() + 1.0, "change": zeros(), "miss": zeros()}
         candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
         smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
         k = self.kernels
         types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33, **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
         facet, faces = facet.contiguous(), faces.contiguous()
-        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory}
-        return Side(first, facet, stiffness, faces, count, candidates, state, memory, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
+        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory, **iteration}
+        return Side(first, facet, stiffness, faces, count, candidates, state, memory, iteration, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
                     {name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()})
 
     # ------------------------------------------------------------------------------------------ poses and history
@@ -241,36 +245,41 @@ class PairSurfaces:
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
         """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
         self._u_before, self._pose_before = u.clone(), before[:, 0]
+        for side in self._sides:
+            for name, value in side.iteration.items():
+                value.fill_(1.0 if name == "damping" else 0.0)
         self._x_before.copy_(self._positions(u, before[:, 0]))
 
-    def move(self, pose: np.ndarray) -> None:
-        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up."""
+    def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
+        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up for the touches ``columns`` (k,); of the others
+        nothing moves."""
         pose = pose[:, 0]
         if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
             return
         self._moved_to = (pose.copy(), self._u_before)
-        self._pose, self._blended = pose, torch.zeros(self.batch, dtype=torch.bool, device=self.device)
+        self._pose = pose
         self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
         self._x_swept.copy_(self._positions(self._u_before, pose))
-        self._x.copy_(self._x_swept)
+        self._x[columns] = self._x_swept[columns]
+        self._blended[columns] = False
         way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
-        self._look_up(float(way.max()) + self._margin, blend=torch.ones_like(self._blended))
+        self._look_up(float(way.max()) + self._margin, columns, blend=columns)
 
-    def _look_up(self, within: float, *, blend: torch.Tensor) -> None:
-        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make; ``blend``: who gets new normals, too (B,) bool."""
+    def _look_up(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
+        """Candidates no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions, and the patch that they make;
+        ``blend``: which of them get new normals, too (j,)."""
         k = self.kernels
-        columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
+        every, some = (wp.from_torch(which.to(torch.int32)) for which in (self._every, columns))
         self._near.zero_()
-        anew = bool(blend.any())
         for side in self._sides:
             size = side.stiffness.shape
-            wp.launch(k.search, dim=(size[1], size[0]), device=self.device,
-                      inputs=[columns, within, side.first, *side.arrays("stiffness faces count"), x, *side.arrays("candidates")])
-            if anew:
+            wp.launch(k.search, dim=(size[1], len(columns)), device=self.device,
+                      inputs=[some, within, side.first, *side.arrays("stiffness faces count"), x, *side.arrays("candidates")])
+            if len(blend):
                 side.smooth[blend] = self._blend(side)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
-                side.faces.shape[2], columns, side.first, *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self._near)])
+                side.faces.shape[2], every, side.first, *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self._near)])
         self._make_patch()
 
     def _blend(self, side: Side) -> torch.Tensor:

@@ -116,10 +116,12 @@ class Solver:
                     begin = self._balance.u.clone()
                     self._start(every, previous, pose)
                     self._advance(every, previous, pose, begin, deadline, self.options.halvings)
+                    state = self._balance.evaluate(every)
+                    self._remember(pose, self.touching.remember(every))
+                    # only then do the anchors move on: as they were, the forces balance
+                    out = self._report(state)
                     self.touching.settle(every)
                     previous = pose
-                    self._remember(pose, self.touching.remember(every))
-                out = self._report(self._balance.evaluate(every))
             previous = poses[t]
             if keep:
                 self._keep()
@@ -163,7 +165,7 @@ class Solver:
         deadline = time.perf_counter() + self.options.seconds
         first, whole = balance.every[:1], balance.load
         touching.begin(pose, balance.u)
-        touching.move(pose)
+        touching.move(pose, balance.every)
         touching.softening[:] = 0.0  # nothing touches yet
         balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
         linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
@@ -188,7 +190,7 @@ class Solver:
         """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
         balance, touching = self._balance, self.touching
         touching.begin(before, balance.u)
-        touching.move(pose)
+        touching.move(pose, columns)
         if not touching.rubs:
             for seen, u, _ in reversed(self._known):
                 if np.array_equal(seen, pose):
@@ -236,7 +238,7 @@ class Solver:
         """
         balance, touching = self._balance, self.touching
         touching.begin(before, begin)
-        touching.move(pose)
+        touching.move(pose, columns)
         memory = touching.memory()
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
@@ -296,7 +298,7 @@ class Solver:
         balance, touching = self._balance, self.touching
         every = balance.every
         touching.begin(before, balance.u)
-        touching.move(pose)
+        touching.move(pose, every)
         start = self._guess(pose)
         for _ in range(4):
             with clock.measure("contact"):
