@@ -12,6 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
+from vsfsim.baselines.seen import seen_cloud
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -56,9 +57,7 @@ class NeuralVsf:
         """
         from vsfsim.vsf.neural import fit
 
-        cloud = view.points()
-        if not len(cloud):
-            raise MethodError("the view shows no object: its mask is empty.")
+        cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - self.margin, cloud.max(axis=0) + self.margin])
         bounds[0, 2], bounds[1, 2] = min(self.table_height, cloud[:, 2].min()), cloud[:, 2].max()
         self._view, self._support, self._model = view, list(support), None
@@ -75,12 +74,17 @@ class NeuralVsf:
         self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field))
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, 1) of touches not made yet."""
+        """Readings (T, 1) of touches not made yet.
+
+        Raises:
+            MethodError: the probe is not a ball, or its readings are not forces along the press.
+        """
         from vsfsim.vsf.neural import predict_totals
 
+        asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, _surface_of(action, np.zeros(len(action.time))), samples=self._fitting.samples)[:, None] for action in touches]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] for touch in asked]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""

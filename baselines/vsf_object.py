@@ -15,6 +15,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vsfsim.baselines.locating import Locating, locate
+from vsfsim.baselines.seen import seen_cloud
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
@@ -60,15 +61,20 @@ class VsfObject:
 
     @classmethod
     def behind(cls, view: View, settings: VsfSettings) -> VsfObject:
-        """Particles in the visible surface and the volume it hides (SBML appendix B.2)."""
-        cloud = view.points()
-        if not len(cloud):
-            raise MethodError("the view shows no object: its mask is empty.")
+        """Particles in the visible surface and the volume it hides (SBML appendix B.2).
+
+        Raises:
+            MethodError: the view shows no object, or none of the particles lies in it.
+        """
+        cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - settings.margin, cloud.max(axis=0) + settings.margin])
         bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
         # Half a cell before the surface still belongs to it; else the first layer would lie up to a cell deep, and a shallow
         # press would meet nothing.
         particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device, tolerance=0.5 * settings.spacing)
+        if not len(particles):
+            raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
+                              f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller spacing.")
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:

@@ -18,8 +18,8 @@ from scipy import sparse
 from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.evidence import Evidence
-from vsfsim.vsf.meta_prior import MetaPrior, Spread
 from vsfsim.vsf.memory import held_memory, peak_memory
+from vsfsim.vsf.meta_prior import MetaPrior, Spread
 
 # (particles, presses, frames of each): the paper's upper end, and the size that `bench methods` has.
 PAPER, MINI = (20_000, 200, 50), (2000, 100, 20)
