@@ -15,7 +15,6 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
 
-
 FORCES = ("normal-force", "force-magnitude")
 
 
