@@ -13,6 +13,7 @@ import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.baselines.seen import seen_cloud
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -67,7 +68,7 @@ class NeuralVsf:
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
         dense = all(r.surface is not None for r in support)
-        touches = [_dense(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        touches = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.
@@ -122,21 +123,6 @@ def _fitted(work):
         if "all zero" in str(error):
             return None
         raise MethodError(str(error)) from error
-
-
-def _dense(reading: Reading):
-    """The touch with the forces on its vertices; the surface's triangles are those of its rim plane's Delaunay triangulation."""
-    from scipy.spatial import Delaunay
-
-    from vsfsim.vsf.palpation import DenseTouch
-
-    pose = reading.action.poses[0]
-    local = (reading.surface.vertices[0] - pose[:3, 3]) @ pose[:3, :3]
-    corners = Delaunay(local[:, :2]).simplices
-    a, b, c = (local[corners[:, k], :2] for k in range(3))
-    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    corners = np.where(turned[:, None], corners[:, ::-1], corners)
-    return DenseTouch(np.asarray(reading.surface.vertices, float), corners, np.asarray(reading.surface.force, float))
 
 
 def _total(reading: Reading):

@@ -12,10 +12,10 @@ from vsfsim.bench.task import load_task
 from vsfsim.core.errors import MethodError, VsfsimError
 
 METHODS = {
-    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "dense-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
     "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1}, "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
     "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}}
-PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "sbml")
+PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "dense-vsf", "sbml")
 
 
 @pytest.fixture(scope="module")
