@@ -15,6 +15,8 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
 
+FORCES = ("normal-force", "force-magnitude")
+
 
 class ContactPoints:
     """Learns nothing from training objects.
@@ -58,7 +60,14 @@ class ContactPoints:
         return out
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Object-to-world transform (4, 4) of an object of known shape: its outline laid on the contact points."""
+        """Object-to-world transform (4, 4) of an object of known shape: its outline laid on the contact points.
+
+        Raises:
+            MethodError: the readings are not forces, or the view shows no object.
+        """
+        strange = next((r.action.observation for r in self._support if r.surface is None and r.action.observation not in FORCES), None)
+        if strange is not None:
+            raise MethodError(f"contact-points: a contact is where the force passes a limit, and the readings are '{strange}'; it knows {' and '.join(FORCES)}, or a sensor's surface.")
         points, size = self._contacts()
         hard = size > self.share * size.max(initial=0.0)
         # Contact or not is all that is told, as in the paper.

@@ -12,6 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
+from vsfsim.baselines.seen import seen_cloud
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -56,9 +58,7 @@ class NeuralVsf:
         """
         from vsfsim.vsf.neural import fit
 
-        cloud = view.points()
-        if not len(cloud):
-            raise MethodError("the view shows no object: its mask is empty.")
+        cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - self.margin, cloud.max(axis=0) + self.margin])
         bounds[0, 2], bounds[1, 2] = min(self.table_height, cloud[:, 2].min()), cloud[:, 2].max()
         self._view, self._support, self._model = view, list(support), None
@@ -68,19 +68,24 @@ class NeuralVsf:
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
         dense = all(r.surface is not None for r in support)
-        touches = [_dense(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        touches = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.
         self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field))
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, 1) of touches not made yet."""
+        """Readings (T, 1) of touches not made yet.
+
+        Raises:
+            MethodError: the probe is not a ball, or its readings are not forces along the press.
+        """
         from vsfsim.vsf.neural import predict_totals
 
+        asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, _surface_of(action, np.zeros(len(action.time))), samples=self._fitting.samples)[:, None] for action in touches]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] for touch in asked]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
@@ -118,21 +123,6 @@ def _fitted(work):
         if "all zero" in str(error):
             return None
         raise MethodError(str(error)) from error
-
-
-def _dense(reading: Reading):
-    """The touch with the forces on its vertices; the surface's triangles are those of its rim plane's Delaunay triangulation."""
-    from scipy.spatial import Delaunay
-
-    from vsfsim.vsf.palpation import DenseTouch
-
-    pose = reading.action.poses[0]
-    local = (reading.surface.vertices[0] - pose[:3, 3]) @ pose[:3, :3]
-    corners = Delaunay(local[:, :2]).simplices
-    a, b, c = (local[corners[:, k], :2] for k in range(3))
-    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    corners = np.where(turned[:, None], corners[:, ::-1], corners)
-    return DenseTouch(np.asarray(reading.surface.vertices, float), corners, np.asarray(reading.surface.force, float))
 
 
 def _total(reading: Reading):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.baselines.seen import seen_cloud
 from vsfsim.bench.method import Reading
 from vsfsim.bench.reached import reached
 from vsfsim.data.records import View
@@ -38,8 +39,11 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     """Object-to-world transform (4, 4) of a known object from the stiffness at touched points (n, 3) [m], (n,).
 
     Where the points tell nothing (too few, or all of one stiffness) the object stands upright in the middle of what is seen.
+
+    Raises:
+        MethodError: the view shows no object.
     """
-    cloud = view.points()
+    cloud = seen_cloud(view)
     top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover
     cell = np.floor(points[:, :2] / STEP).astype(int).reshape(-1, 2)
     columns, index = np.unique(cell, axis=0, return_inverse=True)
@@ -56,7 +60,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
 
 def touched_points(view: View, support: Sequence[Reading], *, depth: float) -> np.ndarray:
     """Grid points (n, 3) [m] from the seen surface down to ``depth`` [m] where some touch of the support came near."""
-    cloud = view.points()
+    cloud = seen_cloud(view)
     _, first = np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0, return_index=True)
     top = cloud[first]
     near = np.zeros(len(top), bool)

@@ -1,4 +1,5 @@
-"""`point-vsf`: the volumetric stiffness field without an informed prior (SBML tables 1 and 2, row "VSF all-shot").
+"""`point-vsf`: the volumetric stiffness field without an informed prior (SBML tables 1 and 2, row "VSF all-shot"); `dense-vsf`: the same from the forces on a
+soft sensor's skin.
 
 Independent springs on particles (SBML appendix A), their constants by MAP with K >= 0 (eq. 16) under a zero mean and a variance
 so large that the data alone decide. The papers give it all touches; here it also runs at every shot, where it shows what
@@ -13,6 +14,7 @@ import numpy as np
 
 from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfSettings
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
@@ -58,3 +60,19 @@ class PointVsf:
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
         return self._posterior.locate(vertices, triangles, self._view)
+
+
+class DenseVsf(PointVsf):
+    """The point VSF from dense contact forces (Neural VSF section III-C): where a soft sensor tells the force on each vertex of its skin, those are the
+    observations. Without a skin it is `point-vsf`, which is the paper's pressure-only baseline.
+
+    Args:
+        skin_std: noise of a component of the force on a vertex [N], the sensor's and the model's. The rest as `PointVsf`.
+    """
+
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, skin_std: float = 0.05, prior_std: float = 1000.0,
+                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+        if not skin_std > 0.0:
+            raise MethodError(f"dense-vsf: skin_std is {skin_std!r}; it must be greater than 0, in newtons.")
+        super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin, table_height=table_height, device=device)
+        self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std))

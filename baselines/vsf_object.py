@@ -15,6 +15,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vsfsim.baselines.locating import Locating, locate
+from vsfsim.baselines.seen import seen_cloud
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
@@ -22,8 +24,9 @@ from vsfsim.data.records import View
 from vsfsim.vsf.arm_rows import arm_torque_rows
 from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
+from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
+from vsfsim.vsf.sticking import stick
 from vsfsim.vsf.structured import reading_std, structured_map, structured_std
 
 
@@ -37,6 +40,7 @@ class VsfSettings:
     margin: by how much the box around the visible cloud is widened sideways [m].
     table_height: z of the table, down to which the hidden volume is filled [m].
     device: Warp device, "cpu" or "cuda:0".
+    skin_std: noise of a component of the force on a vertex of a soft sensor's skin [N]; None: only the readings are looked at, and the skin is not.
     """
 
     spacing: float
@@ -45,30 +49,42 @@ class VsfSettings:
     margin: float
     table_height: float
     device: str
+    skin_std: float | None = None
+
+
+BASE_AREA = 7.18e-3
+"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML eq. 8)."""
 
 
 @dataclass
 class VsfObject:
     """The particles of one object.
 
-    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action, filled on demand.
+    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action; skins: rows and values of
+    touches with a skin. Both are filled on demand.
     """
 
     particles: np.ndarray
     settings: VsfSettings
     rows: dict[bytes, sparse.csr_matrix] = field(default_factory=dict)
+    skins: dict[bytes, tuple[sparse.csr_matrix, np.ndarray]] = field(default_factory=dict)
 
     @classmethod
     def behind(cls, view: View, settings: VsfSettings) -> VsfObject:
-        """Particles in the visible surface and the volume it hides (SBML appendix B.2)."""
-        cloud = view.points()
-        if not len(cloud):
-            raise MethodError("the view shows no object: its mask is empty.")
+        """Particles in the visible surface and the volume it hides (SBML appendix B.2).
+
+        Raises:
+            MethodError: the view shows no object, or none of the particles lies in it.
+        """
+        cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - settings.margin, cloud.max(axis=0) + settings.margin])
         bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
         # Half a cell before the surface still belongs to it; else the first layer would lie up to a cell deep, and a shallow
         # press would meet nothing.
         particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device, tolerance=0.5 * settings.spacing)
+        if not len(particles):
+            raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
+                              f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller spacing.")
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:
@@ -82,8 +98,10 @@ class VsfObject:
                 self.rows[key] = normal_force_rows(moved, len(self.particles), action.axis)
             elif action.observation == "force-magnitude":
                 self.rows[key] = force_sum_rows(moved, len(self.particles))
+            elif action.observation == "pressure":
+                self.rows[key] = force_sum_rows(moved, len(self.particles)) / BASE_AREA
             else:
-                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force, force-magnitude and joint-torque.")
+                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force, force-magnitude, pressure and joint-torque.")
         return self.rows[key]
 
     def _torque_rows(self, action: Action) -> sparse.csr_matrix:
@@ -96,7 +114,7 @@ class VsfObject:
         return self.rows[key]
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
-        """All valid rows of some touches: W (m, n) and z (m,).
+        """All valid rows of some touches: W (m, n) and z (m,), in units in which each has the noise of `VsfSettings.noise_std`.
 
         Raises:
             MethodError: a reading marked valid is not finite.
@@ -108,9 +126,41 @@ class VsfObject:
                 raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; its action says {reading.action.size}.")
             if not np.isfinite(value).all():
                 raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
-            blocks.append(self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid, reading.action.size))])
-            values.append(value.ravel())
+            if self.settings.skin_std is not None and reading.surface is not None:
+                rows, seen = self._skin_rows(reading)
+                weight = self.settings.noise_std / self.settings.skin_std
+            else:
+                rows, seen = self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid, reading.action.size))], value.ravel()
+                weight = noise_unit(reading.action)
+            blocks.append(weight * rows)
+            values.append(weight * seen)
         return sparse.csr_matrix(sparse.vstack(blocks)), np.concatenate(values)
+
+    def _skin_rows(self, reading: Reading) -> tuple[sparse.csr_matrix, np.ndarray]:
+        """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural VSF eq. 3): with W^T W = V s V^T
+        they are sqrt(s) V^T and V^T W^T z / sqrt(s), as many as particles were moved at most, where W has three a vertex and frame."""
+        assert reading.surface is not None
+        key = _digest(reading.surface.vertices, reading.surface.force, reading.valid)
+        if key not in self.skins:
+            touch = skin_touch(reading)
+            known = ~np.isnan(touch.force).all(axis=(1, 2))
+            if not np.isfinite(touch.force[known]).all():
+                raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the whole frame out.")
+            w = dense_force_rows(stick(self.particles, touch.vertices, touch.triangles), len(self.particles), touch.triangles, touch.vertices.shape[1])
+            w = w[np.flatnonzero(np.repeat(known, touch.force[0].size))]
+            moved = np.unique(w.indices)
+            part = w[:, moved]
+            size, turn = np.linalg.eigh((part.T @ part).toarray()) if len(moved) else (np.zeros(0), np.zeros((0, 0)))
+            keep = size > 1e-12 * max(float(size[-1]) if len(size) else 0.0, 1e-300)
+            root = np.sqrt(size[keep])
+            rows = sparse.csr_matrix(((root[:, None] * turn[:, keep].T).ravel(), np.tile(moved, len(root)), np.arange(len(root) + 1) * len(moved)), shape=(len(root), w.shape[1]))
+            self.skins[key] = rows, (turn[:, keep].T @ (part.T @ touch.force[known].ravel())) / root
+        return self.skins[key]
+
+
+def noise_unit(action: Action) -> float:
+    """Factor from a reading to the unit of `VsfSettings.noise_std`: a pressure becomes a force, all else stays."""
+    return BASE_AREA if action.observation == "pressure" else 1.0
 
 
 @dataclass
@@ -152,7 +202,7 @@ class Posterior:
         out = []
         for action in actions:
             std = reading_std(self.rows, self.model.observe(action), noise_std=self.model.settings.noise_std, prior=self.prior)
-            out.append(np.hypot(std, self.model.settings.noise_std).reshape(-1, action.size))
+            out.append(np.hypot(std, self.model.settings.noise_std / noise_unit(action)).reshape(-1, action.size))
         return out
 
     def density(self, points: np.ndarray) -> Estimate:

@@ -6,7 +6,7 @@ stiffer), chosen so that the parts span 1e4 to 1e7 Pa as SBML reports for its sh
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,35 +55,66 @@ CLASSES: dict[str, MaterialClass] = {
 }
 
 
-def draw_modulus(name: str, rng: np.random.Generator) -> float:
-    """Young's modulus [Pa] of a piece of class ``name``."""
-    low, high = CLASSES[name].young_modulus
+# A shoe is sold in many colours, and all of one shoe has about one: in these classes the colour says nothing of the material, and the texture does. The
+# softer, the coarser its relief, as from a loose knit to moulded plastic.
+COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20), (0.74, 0.60, 0.14),
+              (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
+SOLE_MATERIAL = "ribbed-rubber"
+TEXTURED: dict[str, MaterialClass] = {
+    "knit": MaterialClass((4e4, 1.2e5), COLOURWAYS, "weave", (0.008, 0.013), (0.80, 0.95)),
+    "fleece": MaterialClass((1.2e5, 4e5), COLOURWAYS, "noise", (0.009, 0.014), (0.65, 0.85)),
+    "felt": MaterialClass((4e5, 1.2e6), COLOURWAYS, "noise", (0.009, 0.014), (0.25, 0.35)),
+    "leather": MaterialClass((1.2e6, 4e6), COLOURWAYS, "grain", (0.008, 0.014), (0.10, 0.18)),
+    "plastic": MaterialClass((4e6, 1e7), COLOURWAYS, "plain", (0.010, 0.020), (0.00, 0.02)),
+    SOLE_MATERIAL: MaterialClass((2e6, 1e7), COLOURWAYS, "stripes", (0.016, 0.024), (0.20, 0.30)),
+}
+
+
+def draw_modulus(name: str, rng: np.random.Generator, *, table: Mapping[str, MaterialClass] = CLASSES) -> float:
+    """Young's modulus [Pa] of a piece of class ``name`` of ``table``."""
+    low, high = table[name].young_modulus
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float,
-                    rng: np.random.Generator) -> Appearance:
-    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely.
+def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float, rng: np.random.Generator, *,
+                    table: Mapping[str, MaterialClass] = CLASSES) -> Appearance:
+    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely. Of another table than `CLASSES`, see `_one_colour`.
 
     Args:
         names: material class of each region, R of them.
         young_modulus: of each region (R,) [Pa].
         informative: probability that a region looks like its own class; else like one drawn from all.
         rng: stream; the number of draws does not depend on the outcome.
+        table: of the classes.
     """
-    every = tuple(CLASSES)
+    if table is not CLASSES:
+        return _one_colour(names, informative, rng, table)
+    every, rho = tuple(table), _BRIGHTNESS_CORRELATION
     albedo, texture, scale, contrast = [], [], [], []
     for name, modulus in zip(names, young_modulus):
         keeps, other = rng.uniform() < informative, every[int(rng.integers(len(every)))]
-        look = CLASSES[name if keeps else other]
+        look = table[name if keeps else other]
         base = np.array(look.colours[int(rng.integers(len(look.colours)))])
-        low, high = np.log(CLASSES[name].young_modulus)
+        low, high = np.log(table[name].young_modulus)
         # -1 at the soft end of the class, +1 at the stiff end.
         place = np.clip(2.0 * (np.log(modulus) - low) / (high - low) - 1.0, -1.0, 1.0)
         chance = rng.uniform(-1.0, 1.0)
-        rho = _BRIGHTNESS_CORRELATION
         brightness = np.exp(-_BRIGHTNESS_SPREAD * (rho * place + np.sqrt(1.0 - rho**2) * chance))
         albedo.append(np.clip(base * brightness * np.exp(rng.normal(0.0, 0.08, 3)), 0.01, 0.95))
+        texture.append(look.texture)
+        scale.append(rng.uniform(*look.texture_scale))
+        contrast.append(rng.uniform(*look.texture_contrast))
+    return Appearance(np.array(albedo), tuple(texture), np.array(scale), np.array(contrast))
+
+
+def _one_colour(names: Sequence[str], informative: float, rng: np.random.Generator, table: Mapping[str, MaterialClass]) -> Appearance:
+    """One colour for all regions, give or take a tenth, and the texture of each one's material, but not surely."""
+    every, colour = tuple(table), np.array(COLOURWAYS[int(rng.integers(len(COLOURWAYS)))])
+    albedo, texture, scale, contrast = [], [], [], []
+    for name in names:
+        keeps, other = rng.uniform() < informative, every[int(rng.integers(len(every)))]
+        look = table[name if keeps else other]
+        albedo.append(np.clip(colour * np.exp(rng.normal(0.0, 0.1)), 0.01, 0.95))
         texture.append(look.texture)
         scale.append(rng.uniform(*look.texture_scale))
         contrast.append(rng.uniform(*look.texture_contrast))

@@ -85,12 +85,15 @@ class ShoeOptions:
 
     variation: form values the scene does not give are drawn within this fraction of the style's.
     appearance_informative: probability that a region looks like what it is made of.
+    materials: "style", the style's own, whose colours and textures tell them; or "any", every part but the sole of any class of
+    `_materials.TEXTURED` in any colour, so that the texture alone tells it.
     """
 
     style: str
     side: str
     variation: float
     appearance_informative: float
+    materials: str
 
 
 def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, where: str) -> tuple[ShoeForm, ShoeOptions]:
@@ -108,6 +111,7 @@ def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, whe
         _word(parameters, "side", "right", ("left", "right"), where),
         _number(parameters, "variation", 0.05, 0.0, 0.3, where),
         _number(parameters, "appearance_informative", 0.8, 0.0, 1.0, where),
+        _word(parameters, "materials", "style", ("style", "any"), where),
     )
     usual = STYLES[options.style].form
     form = {}

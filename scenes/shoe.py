@@ -20,7 +20,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.solid import Solid
 from vsfsim.scenes._diagonals import improve_rank
-from vsfsim.scenes._materials import draw_appearance, draw_modulus
+from vsfsim.scenes._materials import CLASSES, SOLE_MATERIAL, TEXTURED, draw_appearance, draw_modulus
 from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
@@ -56,8 +56,9 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     # Left and right differ in the bend only; mirroring the grid would turn its cells inside out.
     vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
     tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
-    young_modulus, classes = _moduli(STYLES[options.style].materials, rng)
-    look = draw_appearance(classes, young_modulus, options.appearance_informative, rng)
+    table = CLASSES if options.materials == "style" else TEXTURED
+    young_modulus, classes = _moduli(STYLES[options.style].materials if table is CLASSES else None, rng)
+    look = draw_appearance(classes, young_modulus, options.appearance_informative, rng, table=table)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices -= [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]
     made_of = ", ".join(f"{region} {material}" for region, material in zip(REGIONS, classes))
@@ -65,12 +66,17 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
                  (f"{options.style}, {options.side}: {made_of}.",))
 
 
-def _moduli(materials: Mapping[str, tuple[str, ...]], rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
+def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
+    """Young's modulus [Pa] and class of every region; without ``materials`` any part but the sole is of any textured class."""
+    table = CLASSES if materials else TEXTURED
+    upper = tuple(name for name in TEXTURED if name != SOLE_MATERIAL)
     classes, values = [], []
     for region in REGIONS:
-        allowed = materials[region]
+        allowed = materials[region] if materials else (SOLE_MATERIAL,) if region == "sole" else upper
         classes.append(allowed[int(rng.integers(len(allowed)))])
-        values.append(draw_modulus(classes[-1], rng))
+        values.append(draw_modulus(classes[-1], rng, table=table))
+    if not materials:
+        return np.array(values), classes
     # A toe cap and a heel counter are there to stiffen the upper.
     values[TOE_CAP] = max(values[TOE_CAP], 1.5 * values[UPPER])
     values[HEEL_COUNTER] = max(values[HEEL_COUNTER], 1.2 * values[UPPER])

@@ -239,9 +239,10 @@ def tasks() -> None:
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
-    for name in shelf.tasks():
+    names = list(shelf.tasks())
+    for name in names:
         task = load_task(name)
-        print(f"{name:<28}{task.description}" + (f" Superseded by {task.superseded_by}." if task.superseded_by else ""))
+        print(f"{name:<{2 + max(map(len, names))}}{task.description}" + (f" Superseded by {task.superseded_by}." if task.superseded_by else ""))
 
 
 @app.command()

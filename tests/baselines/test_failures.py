@@ -12,10 +12,10 @@ from vsfsim.bench.task import load_task
 from vsfsim.core.errors import MethodError, VsfsimError
 
 METHODS = {
-    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "dense-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
     "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1}, "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
     "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}}
-PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "sbml")
+PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "dense-vsf", "sbml")
 
 
 @pytest.fixture(scope="module")
@@ -81,6 +81,59 @@ def test_a_sensor_that_a_method_does_not_know_is_named(name, world):
     with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
         method.adapt(view, [])
         method.predict([strange.action])
+
+
+@pytest.mark.parametrize("name", ["neural-vsf", "grid-vsf"])
+def test_a_field_needs_forces_with_and_without_touches(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    strange = dataclasses.replace(recording.readings[0].action, observation="temperature")
+    for support in ([], recording.readings[:2]):
+        method.adapt(view, support)
+        with pytest.raises(MethodError, match="needs 'normal-force'"):
+            method.predict([strange])
+
+
+def test_contact_points_are_of_forces(world):
+    train, view, recording = world
+    method = fitted("contact-points", train)
+    method.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, observation="temperature")) for r in recording.readings[:3]])
+    with pytest.raises(MethodError, match="readings are 'temperature'"):
+        method.locate(np.eye(3), np.array([[0, 1, 2]]))
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_a_view_that_shows_nothing_is_said(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    empty = dataclasses.replace(view, mask=np.zeros_like(view.mask))
+    hole = dataclasses.replace(view, depth=np.where(np.arange(view.depth.shape[1]) % 7 == 0, 0.0, view.depth).astype(view.depth.dtype))
+    blind = name in ("imaml", "contact-points")  # they predict forces without looking
+    for broken, words in ((empty, "mask is empty"), (hole, "depth is 0 or not a number")):
+        if blind or (name == "imaml-vision" and broken is hole):
+            method.adapt(broken, recording.readings[:2])
+            assert np.isfinite(method.predict([recording.readings[4].action])[0]).all()
+        else:
+            with pytest.raises(VsfsimError, match=words):
+                method.adapt(broken, recording.readings[:2])
+        if name == "contact-points":
+            with pytest.raises(MethodError, match=words):
+                method.locate(np.eye(3), np.array([[0, 1, 2]]))
+
+
+@pytest.mark.parametrize("name", PARTICLES)
+def test_an_object_between_the_particles_is_said(name, world):
+    train, view, recording = world
+    method = fitted(name, train)
+    # One pixel on the object and a grid of 20 cm: no ray through the mask meets a particle.
+    row, column = np.argwhere(view.mask)[0]
+    mask = np.zeros_like(view.mask)
+    mask[row, column] = True
+    speck = dataclasses.replace(view, mask=mask)
+    method._settings = dataclasses.replace(method._shelf.settings, spacing=0.2)
+    method._shelf.settings = method._settings
+    with pytest.raises(MethodError, match="no particle lies in or behind what the camera sees"):
+        method.adapt(speck, recording.readings[:2])
 
 
 @pytest.mark.parametrize("name", ["sbml", "imaml-vision"])

@@ -4,11 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import sparse
 
-from vsfsim.baselines import field_vsf
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.locating import Locating, locate
+from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
+from vsfsim.baselines.skin import skin_touch
+from vsfsim.baselines.vsf_object import BASE_AREA
 from vsfsim.bench.check import check
 from vsfsim.bench.hidden import Hidden, pose_scores
 from vsfsim.bench.method import Action, Reading, Surface
@@ -17,8 +20,11 @@ from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task
 from vsfsim.core.errors import MethodError
 from vsfsim.core.material import Inclusion
-from vsfsim.core.shape import Box
+from vsfsim.core.shape import Box, Sphere
+from vsfsim.vsf.estimate import map_estimate
+from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.palpation import palpate
+from vsfsim.vsf.sticking import stick
 
 QUICK = {"iterations": 10, "batch": 200, "samples": 6}
 
@@ -65,9 +71,64 @@ def test_forces_on_a_surface_are_used_where_there_are_any():
     assert right > 3.0 * left
     with pytest.raises(MethodError, match="knows the surface of a ball"):
         method.adapt(view, [dataclasses.replace(r, surface=None) for r in readings])
-    triangulated = field_vsf._dense(readings[0])
+    triangulated = skin_touch(readings[0])
     a, b, c = (triangulated.vertices[0][triangulated.triangles[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] < 0.0).all(), "wound outwards, down to the object"
+
+
+def pressed(noise=0.0, touches=8):
+    """Touches of a soft dome on a ground that is stiff where x > 0, as a sensor with a skin reads them, and their total force."""
+    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5, extent=(0.04, 0.04), rings=4, noise=noise)
+    readings = []
+    for t in ground:
+        vertices = t.vertices + [0.0, 0.0, 0.03]
+        poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (5, 1, 1))
+        poses[:, :3, 3] = vertices.mean(axis=1)
+        action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), Sphere(0.03), "normal-force", 1)
+        readings.append(Reading(action, t.force.sum(axis=1)[:, 2:], np.ones(5, bool), Surface(vertices, t.force)))
+    return readings
+
+
+def test_points_read_the_skin_exactly_as_eq_3_has_it():
+    view, readings = mock_view(0).view, pressed(noise=0.002)
+    method = DenseVsf(skin_std=0.02)
+    method.adapt(view, readings)
+    left, right = (method.stiffness(np.array([[x, 0.0, 0.026]])).mean[0] for x in (-0.012, 0.012))
+    assert right > 3.0 * left
+    model = method._shelf.get(view)
+    rows, values = [], []
+    for r in readings:
+        touch = skin_touch(r)
+        rows.append(dense_force_rows(stick(model.particles, touch.vertices, touch.triangles), len(model.particles), touch.triangles, touch.vertices.shape[1]))
+        values.append(r.surface.force.ravel())
+    whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02, prior_mean=0.0, prior_var=1000.0**2)
+    # The few rows say what the many do, but for directions under 1e-6 of the strongest, which are left out.
+    np.testing.assert_allclose(method._posterior.stiffness, whole.mean, atol=1e-5 * whole.mean.max())
+    assert method._posterior.rows.shape[0] < 0.2 * sum(len(z) for z in values), "at most as many a touch as particles it moved"
+    plain = PointVsf()
+    plain.adapt(view, readings)
+    assert plain._posterior.rows.shape[0] == sum(len(r.value) for r in readings)
+    # A frame that was not read, of the skin or of all, is left out.
+    part = [dataclasses.replace(r, valid=np.array([True, True, False, True, True])) for r in readings]
+    method.adapt(view, part)
+    assert np.isfinite(method.predict([readings[0].action])[0]).all()
+    lost = np.where(np.arange(5)[:, None, None] == 3, np.nan, readings[0].surface.vertices)
+    method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost, np.where(np.isnan(lost), np.nan, readings[0].surface.force)))])
+    blind = dataclasses.replace(readings[0], surface=Surface(np.full_like(lost, np.nan), lost))
+    with pytest.raises(MethodError, match="seen in 0 of 5 frames"):
+        method.adapt(view, [blind])
+
+
+def test_a_pressure_is_a_force_over_the_base():
+    view, readings = mock_view(0).view, pressed()
+    as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action, observation="force-magnitude")) for r in readings]
+    as_pressure = [dataclasses.replace(r, value=r.value / BASE_AREA, action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
+    force, pressure = PointVsf(), PointVsf()
+    force.adapt(view, as_force)
+    pressure.adapt(view, as_pressure)
+    np.testing.assert_allclose(force._posterior.stiffness, pressure._posterior.stiffness, rtol=1e-6, atol=1e-9)
+    for name in ("predict", "predict_std"):
+        np.testing.assert_allclose(getattr(pressure, name)([as_pressure[0].action])[0], getattr(force, name)([as_force[0].action])[0] / BASE_AREA, rtol=1e-6)
 
 
 def test_failures_are_clear_or_have_a_defined_answer(seen):

@@ -20,12 +20,21 @@ def test_every_shipped_task_loads():
         assert task.dataset.touches >= task.protocol.query + max(task.protocol.shots)
 
 
+def test_a_task_that_is_superseded_keeps_its_identity():
+    text = shelf.find_task("inclusion-mini-v1").read_text()
+    mended = load_task(load_task("inclusion-mini-v1").superseded_by)
+    assert mended.name == "inclusion-mini-v2" and mended.superseded_by == ""
+    without = text.replace('superseded_by = "inclusion-mini-v2"\n', "")
+    assert parse_task(text, "t").sha256 == parse_task(without, "t").sha256 != parse_task(without.replace("query = 10", "query = 9"), "t").sha256
+    assert "superseded_by" not in without
+
+
 @pytest.mark.parametrize("name", list(shelf.tasks()))
 def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
-    """So `vsfsim generate SCENE --out FOLDER` is enough; the longer command that the error prints makes the same."""
+    """So `vsfsim generate SCENE --out FOLDER` is enough, with `--seed` for a second version on fresh objects; the longer command that the error prints makes the same."""
     wanted = load_task(name).dataset
     scene = load_scene(shelf.find_scene(wanted.scene))
-    recipe = make_recipe(scene, seed=0, objects=None, views=None, touches=None, tier=None, device="cpu", precision="float64", renderer="warp")
+    recipe = make_recipe(scene, seed=wanted.seed, objects=None, views=None, touches=None, tier=None, device="cpu", precision="float64", renderer="warp")
     assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
         (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
 

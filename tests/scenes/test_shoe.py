@@ -13,7 +13,7 @@ from vsfsim.core.quality import worst_angle
 from vsfsim.core.solid import TEXTURES, Solid, tet_volumes
 from vsfsim.physics.manifold import body_of_each_tet, pinched_vertices
 from vsfsim.scenes import shoe
-from vsfsim.scenes._materials import CLASSES, draw_appearance
+from vsfsim.scenes._materials import CLASSES, SOLE_MATERIAL, TEXTURED, draw_appearance
 from vsfsim.scenes._shoe_styles import RANGES, REGIONS, STYLES
 
 # Degrees. 200 draws over the full range of every parameter gave 5.7 at least, the styles' own forms 10.6.
@@ -164,6 +164,27 @@ def test_appearance_goes_with_the_material_but_not_perfectly() -> None:
     assert -0.6 < correlation < -0.1
     sure = draw_appearance(names, modulus, 1.0, np.random.default_rng(0))
     assert set(sure.texture) == {"grain"}
+
+
+def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
+    moduli, bright, contrast = [], [], []
+    for seed in range(150):
+        solid = make(seed, resolution=0.03, materials="any", appearance_informative=1.0)
+        look = solid.appearance
+        for region, modulus in enumerate(solid.young_modulus):
+            (name,) = {c for c, m in TEXTURED.items() if m.young_modulus[0] <= modulus <= m.young_modulus[1] and (c == SOLE_MATERIAL) == (REGIONS[region] == "sole")}
+            assert look.texture[region] == TEXTURED[name].texture
+        moduli.append(np.log(solid.young_modulus[1:]))
+        bright.append(np.log(look.albedo.mean(axis=1))[1:])
+        contrast.append(look.texture_contrast[1:])
+        # One colour a shoe, give or take a tenth.
+        assert np.ptp(np.log(look.albedo), axis=0).max() < 0.8
+    moduli, bright, contrast = (np.array(x) for x in (moduli, bright, contrast))
+    # Four sigma of 150 shoes, whose parts are drawn alone.
+    assert abs(np.corrcoef(moduli.ravel(), bright.ravel())[0, 1]) < 4.0 / math.sqrt(150.0)
+    assert np.abs(moduli.mean(axis=0) - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(150.0), "no part is softer than another"
+    assert np.corrcoef(moduli.ravel(), contrast.ravel())[0, 1] < -0.8
+    assert np.corrcoef(moduli[:, 0], moduli[:, 1])[0, 1] < 4.0 / math.sqrt(150.0)
 
 
 def test_refusals() -> None:

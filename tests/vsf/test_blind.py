@@ -6,8 +6,9 @@ import torch
 from scipy import sparse
 from test_localise import pose, wedge
 
+from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate import map_estimate
-from vsfsim.vsf.localise import KnownObject, contact_pose, pose_errors, stiffness_pose
+from vsfsim.vsf.localise import KnownObject, contact_pose, stiffness_pose
 from vsfsim.vsf.neural import Fitting, density, fit
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.palpation import palpate

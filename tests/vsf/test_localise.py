@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.localise import KnownObject, contact_pose, pose_errors, register, stiffness_pose
+from vsfsim.vsf.localise import KnownObject, contact_pose, register, stiffness_pose
 
 
 def box(low, high):

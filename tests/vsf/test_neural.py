@@ -178,3 +178,16 @@ def test_adam_takes_the_steps_of_the_published_rule():
         ours.step()
     torch.testing.assert_close(p.detach(), reference, rtol=1e-5, atol=1e-7)
     assert still.tolist() == [1.0, 1.0]
+
+
+def test_steps_counted_on_the_device_are_the_same():
+    start = torch.tensor([[1.0, -2.0], [0.5, 3.0]], dtype=torch.float64)
+    here, there = (start.clone().requires_grad_(True) for _ in range(2))
+    plain, counted = Adam([here], rate=0.05), Adam([there], rate=0.05, counted_there=True)
+    for _ in range(20):
+        plain.clear()
+        (here**4).sum().backward()
+        plain.step()
+        counted.along(torch.autograd.grad((there**4).sum(), [there]))
+    torch.testing.assert_close(here, there, rtol=1e-12, atol=1e-12)
+    assert (here - start).abs().min() > 0.1

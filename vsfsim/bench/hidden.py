@@ -21,6 +21,7 @@ from vsfsim.bench.metrics import best_threshold
 from vsfsim.bench.reached import reached
 from vsfsim.core.errors import TaskError
 from vsfsim.core.material import Inclusion
+from vsfsim.core.rotation import pose_errors
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
@@ -127,8 +128,8 @@ class Mask:
 
 def pose_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
     """Of a pose (4, 4) against the true one."""
-    cosine = 0.5 * (np.trace(estimate[:3, :3].T @ truth[:3, :3]) - 1.0)
-    return {"translation_error": 1e3 * float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3])), "rotation_error": float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))}
+    shift, turn = pose_errors(estimate, truth)
+    return {"translation_error": 1e3 * shift, "rotation_error": float(np.degrees(turn))}
 
 
 def _mesh(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,8 @@ PRIMARY = (*READING_METRICS, *MASK_METRICS, *POSE_METRICS)
 ALL = "all"
 """The shot that means every touch which is not a query."""
 
+_SUPERSEDED = re.compile(r"(?m)^superseded_by *=.*\n")
+
 
 @dataclass(frozen=True)
 class DatasetWanted:
@@ -96,7 +98,7 @@ class Task:
 
     name: with its version. description: one sentence. superseded_by: name of the task that mends this one, or "".
     observation: what a reading is. primary: the metric that ranks. ranking_shot: at which shot ("5").
-    paper: rows of the literature. sha256: of the task file's text. The rest: see their classes.
+    paper: rows of the literature. sha256: of the task file's text, but for the line of `superseded_by`: what was scored stays scored. The rest: see their classes.
     """
 
     name: str
@@ -163,7 +165,7 @@ def parse_task(text: str, path: str | Path) -> Task:
         raise TaskError(f"{path}: paper is {rows!r}; give [[paper]] tables.")
     paper = tuple(_paper(_Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values")), protocol) for i, row in enumerate(rows))
     return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, protocol,
-                observation(o.text("kind"), o.where), noise, primary, ranking, paper, text_sha256(text))
+                observation(o.text("kind"), o.where), noise, primary, ranking, paper, text_sha256(_SUPERSEDED.sub("", text)))
 
 
 def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:

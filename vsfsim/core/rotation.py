@@ -37,3 +37,9 @@ def rotation_vector(matrix: np.ndarray) -> np.ndarray:
 def between(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
     """The rotation (3, 3) at ``share`` (0..1) of the shortest way from ``first`` to ``last`` (3, 3), at constant angular velocity."""
     return first @ rotation_matrix(share * rotation_vector(first.T @ last))
+
+
+def pose_errors(estimate: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
+    """Distance between the origins [m] and angle of the relative rotation [rad] of two transforms (4, 4)."""
+    turn = estimate[:3, :3].T @ truth[:3, :3]
+    return float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3])), float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))

@@ -8,7 +8,7 @@ step, which takes seconds and needs packages that an estimator has no use for.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import torch
 
@@ -20,10 +20,15 @@ class Adam:
 
     Args:
         parameters: tensors with `requires_grad`; those without a gradient stay. rate: of learning.
+        counted_there: the number of steps is kept on the parameters' device, so that a step may be recorded (`recorded`). The same steps but
+            for rounding.
     """
 
-    def __init__(self, parameters: Iterable[torch.Tensor], *, rate: float):
+    def __init__(self, parameters: Iterable[torch.Tensor], *, rate: float, counted_there: bool = False):
         self.parameters, self.rate, self.steps = list(parameters), rate, 0
+        # beta_1^t and beta_2^t
+        self._powers = torch.ones(2, dtype=torch.float64, device=self.parameters[0].device) if counted_there else None
+        self._factors = torch.tensor([_MEAN, _SQUARE], dtype=torch.float64, device=self.parameters[0].device) if counted_there else None
         self._mean = [torch.zeros_like(p) for p in self.parameters]
         self._square = [torch.zeros_like(p) for p in self.parameters]
 
@@ -31,6 +36,22 @@ class Adam:
         """Forget the gradients."""
         for p in self.parameters:
             p.grad = None
+
+    @torch.no_grad()
+    def along(self, gradients: Sequence[torch.Tensor]) -> None:
+        """Move all parameters along given gradients, without a look at the host; wants `counted_there`."""
+        assert self._powers is not None and self._factors is not None
+        self._powers.mul_(self._factors)
+        left = (1.0 - self._powers).to(self.parameters[0].dtype)
+        torch._foreach_lerp_(self._mean, gradients, 1.0 - _MEAN)
+        torch._foreach_mul_(self._square, _SQUARE)
+        torch._foreach_addcmul_(self._square, gradients, gradients, 1.0 - _SQUARE)
+        root = torch._foreach_sqrt(self._square)
+        torch._foreach_mul_(root, left[1].rsqrt())
+        torch._foreach_add_(root, _FLOOR)
+        move = torch._foreach_div(self._mean, root)
+        torch._foreach_mul_(move, -self.rate / left[0])
+        torch._foreach_add_(self.parameters, move)
 
     @torch.no_grad()
     def step(self) -> None:

@@ -70,7 +70,7 @@ def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: 
         device: torch device of the DINOv2 extractors.
 
     Raises:
-        VsfError: unknown name, no particle, an empty mask, or weights that are missing or do not fit.
+        VsfError: unknown name, no particle, an empty mask, particles of which the camera sees none, or weights that are missing or do not fit.
     """
     extractor = _extractor(name, weights, device)
     particles = np.asarray(particles, np.float64)
@@ -112,7 +112,9 @@ def see(view: View, particles: np.ndarray, spacing: float) -> Geometry:
     visible = hit & (np.abs(behind) <= spacing)
     if not visible.any():
         # A grid so coarse, or a mask so thin, that no particle is near the surface: the least deep ones stand for it.
-        nearest = np.abs(behind) if hit.any() else np.linalg.norm(particles - view.points().mean(axis=0), axis=1)
+        if not hit.any():
+            raise VsfError(f"vsf.features: none of the {len(particles)} particles lies on a ray through the view's mask, so that none has a feature; are they of this view?")
+        nearest = np.abs(behind)
         visible = nearest <= nearest.min()
     return Geometry(particles, pixel, behind, visible, spacing)
 

@@ -130,12 +130,6 @@ def contact_pose(known: KnownObject, contacts: np.ndarray, *, tries: int = 10, s
     return Pose(transform, error)
 
 
-def pose_errors(estimate: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
-    """Distance between the origins [m] and angle of the relative rotation [rad] of two transforms (4, 4)."""
-    turn = estimate[:3, :3].T @ truth[:3, :3]
-    return float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3])), float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
-
-
 def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: int = 0) -> tuple[np.ndarray, float]:
     """Object-to-world transform (4, 4) that lays ``cloud`` (n, 3) on ``surface`` (s, 3), and the root mean square distance [m]."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))

@@ -25,6 +25,7 @@ from torch.nn import functional
 from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.palpation import DenseTouch
+from vsfsim.vsf.recorded import Recorded
 from vsfsim.vsf.swept import TotalForces, TotalTouch, VertexForces
 
 
@@ -84,6 +85,9 @@ class GridField(nn.Module):
         return functional.softplus(total)
 
 
+_PACK = 50
+"""Iterations whose batches are drawn together."""
+
 FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridField}
 
 
@@ -127,24 +131,37 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(s.seed)
         model = FIELDS[kind](bounds, unit, **field).to(device)
-    optimiser = Adam(model.parameters(), rate=s.rate)
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
-    for iteration in range(s.iterations):
-        which = torch.randint(len(seen.index), (size,), generator=generator).to(device)
+    on_host = torch.device(device).type == "cpu"
+    optimiser = Adam(model.parameters(), rate=s.rate, counted_there=not on_host)
+    draws = _Draws(len(seen.index), size, s.free_points, generator, device)
+
+    def step() -> torch.Tensor:
+        which, free = draws.next()
         points, factor, force = seen.rows(which, s.samples)
-        free = corner[0] + torch.rand(s.free_points, 3, generator=generator).to(device) * (corner[1] - corner[0])
-        value = model(torch.cat([points.reshape(-1, 3), free]))
+        value = model(torch.cat([points.reshape(-1, 3), corner[0] + free * (corner[1] - corner[0])]))
         # Off its samples' box a field is not defined: what lies outside the volume has no stiffness.
         inside = ((points >= corner[0]) & (points <= corner[1])).all(dim=2)
         predicted = ((value[:-s.free_points].reshape(inside.shape) * inside)[..., None] * factor * unit).sum(dim=1)
         # A hair inside the root keeps the gradient of |f - f_hat| finite where both are 0.
         misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
         loss = misfit + s.free_space * value[-s.free_points:].mean()
-        optimiser.clear()
-        loss.backward()
-        optimiser.step()
+        if on_host:
+            optimiser.clear()
+            loss.backward()
+            optimiser.step()
+        else:
+            optimiser.along(torch.autograd.grad(loss, optimiser.parameters))
+        return misfit.detach()
+
+    recorded = Recorded(step, device=device)
+    for iteration in range(s.iterations):
+        draws.fill(iteration, s.iterations)
+        misfit = recorded()
         if progress is not None and iteration % 50 == 0:
-            progress(iteration, s.iterations, f"{float(misfit.detach()) / size:.3g} N a reading")
+            progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
+    if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
+        raise VsfError(f"vsf.neural: the {kind} field diverged: its weights are no longer finite. Lower the rate, {s.rate:g} now.")
     return model.eval()
 
 
@@ -192,6 +209,36 @@ def load_field(path: str | Path) -> nn.Module:
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise VsfError(f"vsf.neural: no field can be read from '{path}': {error}. Give a file that `save_field` wrote.") from error
     return model.eval()
+
+
+class _Draws:
+    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that a step waits for no host.
+
+    observations: to draw from. size: of a batch. free: points an iteration, as fractions of the volume's edges.
+    """
+
+    def __init__(self, observations: int, size: int, free: int, generator: torch.Generator, device: str):
+        self.observations, self.generator = observations, generator
+        self.which = torch.zeros(_PACK, size, dtype=torch.int64, device=device)
+        self.free = torch.zeros(_PACK, free, 3, device=device)
+        self.at = torch.zeros(1, dtype=torch.int64, device=device)
+
+    def fill(self, iteration: int, of: int) -> None:
+        """Draw the next pack, if ``iteration`` is the first of one."""
+        if iteration % _PACK:
+            return
+        count = min(_PACK, of - iteration)
+        pairs = [(torch.randint(self.observations, self.which.shape[1:], generator=self.generator), torch.rand(self.free.shape[1:], generator=self.generator))
+                 for _ in range(count)]
+        for buffer, column in ((self.which, 0), (self.free, 1)):
+            buffer[:count].copy_(torch.stack([pair[column] for pair in pairs]))
+        self.at.zero_()
+
+    def next(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Observations (b,) and free points (n, 3) in 0..1 of this iteration."""
+        out = self.which.index_select(0, self.at)[0], self.free.index_select(0, self.at)[0]
+        self.at += 1
+        return out
 
 
 def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:

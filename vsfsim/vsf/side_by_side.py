@@ -3,17 +3,18 @@
 The literal forms are the papers' equations written down with dense matrices over the touched particles, as openvsf has them: eq. 15 with
 W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least squares problem with bounds; the diagonal Kalman
 filter with a dense gain. Each runs in a process of its own, so that its peak memory is its own; what takes less than some
-seconds is run again, and the fastest run counts. Where a literal form would not fit, or take minutes, both are run on as many of the
+seconds is run again, and the fastest run counts. On a CPU the processor's time is compared, which other programs on the machine do not change; the time on
+the clock stands beside it. Where a literal form would not fit, or take minutes, both are run on as many of the
 workload's touches as it can take, and its time for the whole is estimated from its number of operations.
 """
 
 from __future__ import annotations
 
 import multiprocessing
-import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import optimize, sparse
@@ -21,6 +22,7 @@ from scipy import optimize, sparse
 from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.estimate import map_estimate
 from vsfsim.vsf.kalman import DiagonalFilter
+from vsfsim.vsf.memory import held_memory, peak_memory
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.palpation import layer_with_inclusion, palpate
 from vsfsim.vsf.sticking import stick
@@ -35,6 +37,13 @@ _SHORT, _REPEATS = 3.0, 5
 
 # (particles, touches, frames): 2,000 readings of 2,000 particles; 900 frames of 20,000 (the paper's).
 MINI, PAPER = (2000, 100, 20), (20_000, 60, 15)
+
+
+class Times(NamedTuple):
+    """Of the fastest run. clock: on the clock [s]. busy: of the processor, all threads together [s]."""
+
+    clock: float
+    busy: float
 
 
 @dataclass(frozen=True)
@@ -91,13 +100,13 @@ class Workload:
 class Estimator:
     """One estimator in both forms.
 
-    ours, literal: (workload, device) -> (seconds [s], answer). matrix: name of the rows it reads.
+    ours, literal: (workload, device) -> (time, answer). matrix: name of the rows it reads.
     needs: (rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the literal form.
     """
 
     name: str
-    ours: Callable[[Workload, str], tuple[float, np.ndarray]]
-    literal: Callable[[Workload, str], tuple[float, np.ndarray]]
+    ours: Callable[[Workload, str], tuple[Times, np.ndarray]]
+    literal: Callable[[Workload, str], tuple[Times, np.ndarray]]
     matrix: str
     needs: Callable[[float, float, float, float], tuple[float, float]]
 
@@ -108,8 +117,8 @@ class Estimator:
         return self.needs(float(w.shape[0]), float(touched), w.nnz / 9.0 / max(len(load.pressure_z), 1), float(load.frame))
 
 
-def epoch(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
-    """Eq. 15 of one object, value and gradient, after a reduction that is made once for all epochs: (seconds of an epoch, answer)."""
+def epoch(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
+    """Eq. 15 of one object, value and gradient, after a reduction that is made once for all epochs: (time of an epoch, answer)."""
     import torch
 
     from vsfsim.vsf.evidence import Evidence
@@ -124,7 +133,7 @@ def epoch(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
     return _timed(work)
 
 
-def epoch_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def epoch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """The same with dense matrices and automatic differentiation."""
     import torch
 
@@ -141,12 +150,12 @@ def epoch_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarra
     return _timed(work)
 
 
-def batch(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def batch(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """Eq. 16 from pressures."""
     return _timed(lambda: map_estimate(load.pressure, load.pressure_z, noise_std=NOISE, prior_mean=MEAN, prior_var=STD**2).mean)
 
 
-def batch_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def batch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """Eq. 16 as one dense bounded least squares problem, [W / s; 1 / v] K = [z / s; mu / v], by Lawson and Hanson's active set."""
     touched = np.unique(load.pressure.indices)
     n = len(touched)
@@ -160,12 +169,12 @@ def batch_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarra
     return _timed(solve)
 
 
-def batch_dense(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def batch_dense(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """Eq. 16 from contact forces on the vertices."""
     return _timed(lambda: map_estimate(load.dense, load.dense_z, noise_std=NOISE, prior_mean=MEAN, prior_var=STD**2).mean)
 
 
-def batch_dense_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def batch_dense_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """The same as a dense problem; its normal matrix is formed, as any QP solver would be given it."""
     touched = np.unique(load.dense.indices)
 
@@ -181,7 +190,7 @@ def batch_dense_literal(load: Workload, device: str = "cpu") -> tuple[float, np.
     return _timed(solve)
 
 
-def online(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def online(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """The diagonal Kalman filter on contact forces, frame by frame."""
     def work() -> np.ndarray:
         state = DiagonalFilter.start(load.dense.shape[1], mean=MEAN, var=STD**2)
@@ -191,7 +200,7 @@ def online(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
     return _timed(work)
 
 
-def online_literal(load: Workload, device: str = "cpu") -> tuple[float, np.ndarray]:
+def online_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """The same with a gain over the particles that a frame moves and all vertices."""
     def work() -> np.ndarray:
         mean, var = np.full(load.dense.shape[1], MEAN), np.full(load.dense.shape[1], STD**2)
@@ -220,20 +229,21 @@ ESTIMATORS = (
 
 @dataclass(frozen=True)
 class Comparison:
-    """One estimator. rows: of its matrix. particles: touched. seconds: ours [s]. mib: ours [MiB].
+    """One estimator. rows: of its matrix. particles: touched. time: ours. mib: ours [MiB].
     part: touches of the workload that both were run on for the comparison (all of them where the literal form takes them), 0 without one.
-    ours_on_part, literal_seconds: there [s]. literal_mib: its memory there [MiB]. difference: of the answers, over the largest value [-].
+    ours_on_part, literal: there. literal_mib: its memory there [MiB]. times: literal over ours there [-]. difference: of the answers, over the largest value [-].
     literal_bytes: that it would take on the whole [B]. literal_whole: time that it would, from its number of operations [s]."""
 
     name: str
     rows: int
     particles: int
-    seconds: float
+    time: Times
     mib: float
     part: int
-    ours_on_part: float
-    literal_seconds: float
+    ours_on_part: Times
+    literal: Times
     literal_mib: float
+    times: float
     difference: float
     literal_bytes: float
     literal_whole: float
@@ -253,12 +263,12 @@ def compare(particles: int, touches: int, frames: int, *, literal: bool = True, 
         if progress is not None:
             progress(index, len(ESTIMATORS), e.name)
         rows = getattr(load, e.matrix)
-        seconds, mib, answer = _apart(e.ours, load, device)
+        taken, mib, answer = _apart(e.ours, load, device)
         size, work = e.cost(load)
         part = load.touches if literal else 0
         while part and not all(need <= most for need, most in zip(e.cost(load.first(part)), (MOST_BYTES, MOST_WORK))):
             part //= 2
-        mine, other = seconds, (np.nan, np.nan, None)
+        mine, other = taken, (Times(np.nan, np.nan), np.nan, None)
         if part:
             less = load if part == load.touches else load.first(part)
             if part < load.touches:
@@ -267,8 +277,11 @@ def compare(particles: int, touches: int, frames: int, *, literal: bool = True, 
                 progress(index, len(ESTIMATORS), f"{e.name}, literal, {part} touches")
             other = _apart(e.literal, less, device)
         difference = float(np.abs(answer - other[2]).max() / np.abs(other[2]).max()) if part else np.nan
-        whole = other[0] * work / e.cost(load.first(part))[1] if part else np.nan
-        out.append(Comparison(e.name, rows.shape[0], len(np.unique(rows.indices)), seconds, mib, part, mine, other[0], other[1], difference, size, whole))
+        whole = other[0].clock * work / e.cost(load.first(part))[1] if part else np.nan
+        # A processor's time says nothing of a GPU's work.
+        counted = "busy" if device == "cpu" else "clock"
+        times = getattr(other[0], counted) / max(getattr(mine, counted), 1e-9)
+        out.append(Comparison(e.name, rows.shape[0], len(np.unique(rows.indices)), taken, mib, part, mine, other[0], other[1], times, difference, size, whole))
     return out
 
 
@@ -276,42 +289,46 @@ def table(rows: Sequence[Comparison], touches: int) -> str:
     """For a terminal."""
     names = [f"{row.name}, {row.rows:,} x {row.particles:,}" for row in rows]
     width = max(map(len, names))
-    lines = [f"{'':<{width}}  {'seconds':>8} {'MiB':>5}  {'literal s':>9} {'MiB':>6}  {'times':>6}  difference"]
+    lines = [f"{'':<{width}}  {'clock s':>8} {'busy s':>8} {'MiB':>6}  {'literal s':>9} {'busy s':>8} {'MiB':>6}  {'times':>6}  difference"]
+
+    def literal(row: Comparison) -> str:
+        return f"{row.literal.clock:9.2f} {row.literal.busy:8.2f} {row.literal_mib:6.0f}  {row.times:6.0f}  {row.difference:.1e}"
+
     for name, row in zip(names, rows):
-        left = f"{name:<{width}}  {row.seconds:8.3f} {row.mib:5.0f}  "
+        left = f"{name:<{width}}  {row.time.clock:8.3f} {row.time.busy:8.3f} {row.mib:6.0f}  "
         if not row.part:
             lines.append(left + f"literal form not run; it needs {row.literal_bytes / 1e9:.1f} GB")
         elif row.part == touches:
-            lines.append(left + f"{row.literal_seconds:9.2f} {row.literal_mib:6.0f}  {row.literal_seconds / max(row.seconds, 1e-9):6.0f}  {row.difference:.1e}")
+            lines.append(left + literal(row))
         else:
             lines.append(left + f"literal form needs {row.literal_bytes / 1e9:.1f} GB and about {row.literal_whole:.0f} s; measured on fewer touches:")
-            lines.append(f"{f'  the first {row.part} touches':<{width}}  {row.ours_on_part:8.3f} {'':>5}  {row.literal_seconds:9.2f} {row.literal_mib:6.0f}  "
-                         f"{row.literal_seconds / max(row.ours_on_part, 1e-9):6.0f}  {row.difference:.1e}")
+            lines.append(f"{f'  the first {row.part} touches':<{width}}  {row.ours_on_part.clock:8.3f} {row.ours_on_part.busy:8.3f} {'':>6}  " + literal(row))
     return "\n".join(lines)
 
 
-def _timed(work: Callable[[], np.ndarray]) -> tuple[float, np.ndarray]:
-    best, spent = np.inf, 0.0
+def _timed(work: Callable[[], np.ndarray]) -> tuple[Times, np.ndarray]:
+    best, spent = Times(np.inf, np.inf), 0.0
     for _ in range(_REPEATS):
-        start = time.perf_counter()
+        start, busy = time.perf_counter(), time.process_time()
         out = work()
-        best = min(best, time.perf_counter() - start)
-        spent += time.perf_counter() - start
+        took = Times(time.perf_counter() - start, time.process_time() - busy)
+        best = Times(*map(min, best, took))
+        spent += took.clock
         if spent > _SHORT:
             break
     return best, out
 
 
-def _apart(work: Callable[[Workload, str], tuple[float, np.ndarray]], load: Workload, device: str) -> tuple[float, float, np.ndarray]:
-    """Seconds, memory above that of the loaded workload [MiB], and the answer, from a process of its own."""
+def _apart(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload, device: str) -> tuple[Times, float, np.ndarray]:
+    """Time, memory above that of the loaded workload [MiB], and the answer, from a process of its own."""
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
         return pool.apply(_measured, (work, load, device))
 
 
-def _measured(work: Callable[[Workload, str], tuple[float, np.ndarray]], load: Workload, device: str) -> tuple[float, float, np.ndarray]:
+def _measured(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload, device: str) -> tuple[Times, float, np.ndarray]:
     import torch  # noqa: F401  its own size is not the method's
 
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    seconds, answer = work(load, device)
-    return seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024.0, answer
+    before = held_memory(reset=True)
+    taken, answer = work(load, device)
+    return taken, peak_memory() - before, answer

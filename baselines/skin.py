@@ -1,0 +1,34 @@
+"""The skin of a soft sensor in a touch, for methods that read the contact forces on its vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+from vsfsim.bench.method import Reading
+from vsfsim.core.errors import MethodError
+from vsfsim.vsf.palpation import DenseTouch
+
+
+def skin_touch(reading: Reading) -> DenseTouch:
+    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading of them).
+
+    The triangles are those of the Delaunay triangulation over the rim's plane, wound outwards.
+
+    Raises:
+        MethodError: vertices and forces do not fit each other, or the skin was seen in fewer than two frames.
+    """
+    assert reading.surface is not None
+    vertices, force = (np.asarray(x, float) for x in (reading.surface.vertices, reading.surface.force))
+    if vertices.ndim != 3 or vertices.shape != force.shape or vertices.shape[2] != 3:
+        raise MethodError(f"the sensor's surface has vertices {vertices.shape} and forces {force.shape}; both must be (T, N, 3).")
+    seen = np.isfinite(vertices).all(axis=(1, 2))
+    if np.count_nonzero(seen) < 2:
+        raise MethodError(f"the sensor's surface was seen in {np.count_nonzero(seen)} of {len(seen)} frames; a touch needs two.")
+    first = int(np.argmax(seen))
+    pose = reading.action.poses[first]
+    local = (vertices[first] - pose[:3, 3]) @ pose[:3, :3]
+    corners = Delaunay(local[:, :2]).simplices
+    a, b, c = (local[corners[:, k], :2] for k in range(3))
+    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
+    return DenseTouch(vertices[seen], np.where(turned[:, None], corners[:, ::-1], corners), np.where(reading.valid[:, None, None], force, np.nan)[seen])
