@@ -112,16 +112,18 @@ class Solver:
                 out = self._linear_frame(previous, poses[t])
             else:
                 self._balance.count()
-                for pose in path.pieces(previous, poses[t], self._stride, self.bodies):
+                way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
+                for pose in way:
                     begin = self._balance.u.clone()
                     self._start(every, previous, pose)
                     self._advance(every, previous, pose, begin, deadline, self.options.halvings)
-                    state = self._balance.evaluate(every)
                     self._remember(pose, self.touching.remember(every))
-                    # only then do the anchors move on: as they were, the forces balance
-                    out = self._report(state)
-                    self.touching.settle(every)
+                    if pose is not way[-1]:
+                        self.touching.settle(every)
                     previous = pose
+                # only then do the anchors move on: as they were, the forces balance
+                out = self._report(self._balance.evaluate(every))
+                self.touching.settle(every)
             previous = poses[t]
             if keep:
                 self._keep()
