@@ -150,11 +150,11 @@ def test_the_force_limit_of_a_flat_wall():
     assert depth[0] == pytest.approx(5.0 / (7820.0 * 2.0 * np.pi / np.sqrt(13.8 * 25.0)), rel=0.2)
 
 
-def test_the_way_out_ends_in_the_air():
+def test_the_way_out_is_over_readings_of_the_way_in():
     spec = dataclasses.replace(parse_scene(SCENE, "felt.toml").sample(0).touches, frames=(2, 3, 1, 2))
     a = touch_bubble.Aim(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([0, 0, 0.03]), 0.006)
     poses = touch_bubble.mount_path(spec, a)
-    assert poses[:, 2, 3] == pytest.approx([0.035, 0.035, 0.028, 0.026, 0.024, 0.024, 0.026, 0.035])
+    assert poses[:, 2, 3] == pytest.approx([0.035, 0.035, 0.028, 0.026, 0.024, 0.024, 0.026, 0.028])
     assert poses[:, :3, 2] == pytest.approx(np.tile([0.0, 0.0, -1.0], (8, 1)))
 
 

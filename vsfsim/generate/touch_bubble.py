@@ -32,6 +32,7 @@ from vsfsim.sensing.bubble_touch import touch_fields
 BATCH = {"cpu": 9, "cuda": 256}  # touches that advance together; part of what fixes the bits
 KINDS = ("tet10", "triangle", "hinge", "gas")  # of the elements of object and bubble
 _LEADS = Plane()  # as a plane's, a sensor's +z leads
+_PATIENCE = 400  # conjugate gradients of a touch in one frame
 _GRID = 1e-3  # of the places at which the dome is cut by a wall [m]
 
 
@@ -149,19 +150,24 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
 
 
 def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
-    """Poses (T, 4, 4) of the mount: as a rigid probe's, but the way out ends in the air where it began.
+    """Poses (T, 4, 4) of the mount: as a rigid probe's, but the way out ends where the way in had its first reading, still in contact.
 
-    At first contact itself there is no force to measure an imbalance by, and after a touch with friction the two bodies part somewhere near it.
+    Two soft bodies that stuck part somewhere near first contact, and there is no force left to measure an imbalance by.
     """
     poses = touch_path(spec, _LEADS, a.contact, a.axis, depth=a.depth)
-    if spec.frames[3]:
-        poses[-1] = poses[0]
+    free, inward, _, out = spec.frames
+    if out:
+        back = poses[free:free + inward][::-1][1:] if inward > 1 else poses[free:free + 1]
+        poses[-out:] = back[np.linspace(-1, len(back) - 1, out + 1).round().astype(int)[1:]]
     return poses
 
 
 def options(tier: str) -> SolverOptions:
-    """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do not depend on the machine's load."""
-    return dataclasses.replace(tiers.options(tier), seconds=1e9)
+    """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do not depend on the machine's load.
+
+    A frame on its way takes some 50 conjugate gradients; what has not arrived after `_PATIENCE` seldom does, and one such touch would hold up its batch.
+    """
+    return dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=_PATIENCE)
 
 
 def touch_all(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, aims: list[Aim], *, options: SolverOptions, device: str,
