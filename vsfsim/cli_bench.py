@@ -118,7 +118,8 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
 
 
 @app.command("dense-force")
-def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
+def dense_force(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, presses on rigid balls.")] = None,
+                nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
                 device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
@@ -129,12 +130,24 @@ def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes o
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    rows, field, presses = bench.bench(nodes=nodes, device=device, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    def told(what: str) -> None:
+        print(f"  {what} ...", file=sys.stderr, flush=True)
+
+    notes: list[str] = []
+    if dataset is not None:
+        from vsfsim.data.dataset import Dataset
+        from vsfsim.generate.bench_dense_data import bench_dataset
+
+        if nodes is not None:
+            raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
+        rows, field, presses, notes = bench_dataset(Dataset.open(dataset, blind=True), progress=told)
+    else:
+        rows, field, presses = bench.bench(nodes=nodes, device=device, progress=told)
     result = bench.tables(rows, field)
     if stdout:
         print(json.dumps(result, indent=1))
         return
-    print(bench.table(rows, field, presses))
+    print("\n".join([*(f"note: {sentence}" for sentence in notes), bench.table(rows, field, presses)]))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
 
