@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from scipy.spatial import cKDTree
 
 from vsfsim.physics import contact, pair_contact
 from vsfsim.physics.factor import Response, response
@@ -15,7 +16,9 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.pair_links import Compliance
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
-_BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
+_BULGE = 0.25  # of the sensor's height: by so much the surfaces may come past where the free sensor goes, it by swelling sideways, they by bulging
+_AWAY = 0.5  # cosine between a face's normal and the way the sensor looks, over which the face has its back to it
+_MOST_PARTS = 16  # along the edge of a face
 _SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly: less is an edge, and stays one
 _BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along two of its edges, at its six nodes
@@ -110,33 +113,36 @@ class PairSurfaces:
     # ------------------------------------------------------------------------------------------ set-up
 
     def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
-        """Boundary triangles of the object that each touch's sensor may meet: inside the box that the sensor sweeps, made wider."""
-        own = self.sensor.mesh.points
+        """Boundary triangles of the object that each touch's sensor may meet: those that its free surface, made thicker, sweeps over, and that do not look
+        the way that the sensor looks. Every node counts: its columns of the inverse are solved for."""
+        mesh, own = self.model.mesh, self.sensor.mesh.points
         margin = _BULGE * float(np.ptp(own[:, 2]))
+        over = cKDTree(own[:, :2])
+        spots = self._spots()
+        corners = mesh.points[mesh.faces[:, :3]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         low, high = own.min(axis=0) - margin, own.max(axis=0) + margin
-        at = self.model.mesh.points
-        faces = self.model.mesh.faces
         out = []
         for b in range(self.batch):
-            met = np.zeros(len(at), bool)
+            met = np.zeros(len(mesh.faces), bool)
             for pose in poses[:, b]:
-                local = (at - pose[:3, 3]) @ pose[:3, :3]
-                met |= ((local > low) & (local < high)).all(axis=1)
-            corners = at[faces[:, :3]]
-            out.append(np.flatnonzero(met[faces].any(axis=1) | self._crossed(corners, poses[:, b], low, high)))
+                faces = np.flatnonzero(~met & (normal @ pose[:3, 2] < _AWAY))
+                local = (spots[faces] - pose[:3, 3]) @ pose[:3, :3]
+                face, spot = ((local > low) & (local < high)).all(axis=2).nonzero()
+                local = local[face, spot]
+                far, nearest = over.query(local[:, :2])
+                met[faces[face[(far < margin + self.sensor.element_size) & (local[:, 2] < own[nearest, 2] + margin)]]] = True
+            out.append(np.flatnonzero(met))
         return out
 
-    @staticmethod
-    def _crossed(corners: np.ndarray, poses: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Faces (f,) larger than the sensor may have no node in its box: their own boxes are compared too."""
-        out = np.zeros(len(corners), bool)
-        size = (corners.max(axis=1) - corners.min(axis=1)).max(axis=1)
-        large = np.flatnonzero(size > 0.5 * (high - low).min())
-        if len(large):
-            for pose in poses:
-                local = (corners[large] - pose[:3, 3]) @ pose[:3, :3]
-                out[large] |= ((local.max(axis=1) > low) & (local.min(axis=1) < high)).all(axis=1)
-        return out
+    def _spots(self) -> np.ndarray:
+        """Places on every face of the object at rest (f, k, 3) [m], no further apart than half the sensor's size: faces may be larger than it."""
+        corners = self.model.mesh.points[self.model.mesh.faces[:, :3]]
+        longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(self.sensor.mesh.points[:, :2], axis=0).min())), 2, _MOST_PARTS))
+        grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
+        return np.einsum("kc,fcx->fkx", grid, corners)
 
     def _upload(self, reach: list[np.ndarray]) -> None:
         mesh, own = self.model.mesh, self.sensor.mesh
