@@ -37,7 +37,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
 
     Args:
         device: Warp device. scene: name or path. objects, views, touches: counts, None for the scene's. progress: called with what is going on.
-        seconds: the bench ends after about this time, and what was done by then is what is counted; None for no limit.
+        seconds: the bench ends about this long after the kernels are ready, and what was done by then is what is counted; None for no limit.
         workers: processes, None for one on a CPU and one a core on a GPU. lanes: `RodOptions.lanes`.
 
     Raises:
@@ -58,7 +58,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     begin = time.perf_counter()
 
     def left(share: float) -> float | None:
-        return None if seconds is None else max(0.0, share * seconds - (time.perf_counter() - began))
+        return None if seconds is None else max(0.0, share * seconds - (time.perf_counter() - begin))
 
     spent = Seconds()
     wall = dict.fromkeys(PHASES, 0.0)
