@@ -224,7 +224,9 @@ def test_the_pressure_laws_read_it(made):
     assert len(found.change) == 4 and len(np.unique(found.touch)) == 2 and (found.distance < 0.02).all()
     # on a flat top all forces point the same way, nearly: the sum of sizes is the force, and a little more
     assert ((found.summed >= found.normal * (1.0 - 1e-6)) & (found.summed < 1.2 * found.normal)).all()
-    result = law.study(found)
+    area, semi_axis = law.rim_of_dataset(Dataset.open(made).load("felt-0000-v0"))
+    assert area == pytest.approx(law.BASE_AREA, rel=0.01) and semi_axis == pytest.approx(law.SEMI_AXIS, rel=1e-6)
+    result = law.study(found, area=area, semi_axis=semi_axis)
     assert result["touches"] == 2 and "sum|f|, scale fitted" in law.table(result)
     # a small contact in the middle of a dome: more pressure a newton than F over the base
     assert 130.0 < result["laws"][0]["best_scale"] < 250.0
