@@ -14,7 +14,7 @@ from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
-from vsfsim.data.verify import verify
+from vsfsim.data.verify import skin_loss, verify
 from vsfsim.generate import touch_bubble
 from vsfsim.generate.run import make_recipe
 from vsfsim.physics.bubble import build_bubble
@@ -97,6 +97,13 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
         assert way == pytest.approx([0.0, 0.005 + 0.0015, 0.005 + 0.003], abs=1e-9)
         assert touch.mount_pose[:, :3, 2] == pytest.approx(np.broadcast_to(touch.axis, (3, 3)))
     assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
+
+
+def test_a_read_out_that_loses_force_is_found(made):
+    touch = Dataset.open(made).load("felt-0000-v0").touches[0]
+    assert skin_loss(touch) is None and skin_loss(dataclasses.replace(touch, node_force=None)) is None
+    frame, off = skin_loss(dataclasses.replace(touch, node_force=0.99 * touch.node_force))
+    assert frame == 1 and off == pytest.approx(0.01 * np.linalg.norm(touch.force[1]), rel=1e-3)
 
 
 def dome_volume(points, triangles):
