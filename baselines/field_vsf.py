@@ -14,7 +14,9 @@ import numpy as np
 from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.baselines.seen import seen_cloud
 from vsfsim.baselines.skin import skin_touch
+from vsfsim.baselines.vsf_object import noise_unit
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
@@ -78,14 +80,14 @@ class NeuralVsf:
         """Readings (T, 1) of touches not made yet.
 
         Raises:
-            MethodError: the probe is not a ball, or its readings are not forces along the press.
+            MethodError: the probe is neither a ball nor a bubble's dome, or its readings are not forces along the press (or, of a dome, its pressure).
         """
         from vsfsim.vsf.neural import predict_totals
 
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] for touch in asked]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action) for action, touch in zip(touches, asked, strict=True)]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
@@ -132,12 +134,15 @@ def _total(reading: Reading):
 
 
 def _surface_of(action: Action, force: np.ndarray):
-    """The front half of a ball, on its way."""
+    """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their unit."""
     from vsfsim.vsf.palpation import dome
     from vsfsim.vsf.swept import TotalTouch
 
+    if isinstance(action.probe, Dome) and action.observation in ("normal-force", "pressure"):
+        places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
+        return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
     if not isinstance(action.probe, Sphere):
-        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball, or needs a sensor with contact forces on its vertices.")
+        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
     if action.observation != "normal-force":
         raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)

@@ -100,7 +100,7 @@ def features(task: Annotated[str, typer.Option(help="Task whose training objects
 def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
                  plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
                  nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
-                 area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
+                 area: Annotated[float | None, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2]; default: inside the rim of the dataset's bubble, a Punyo's 7.18e-3 without one.")] = None,
                  out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
     from vsfsim.cli import _check_writable
@@ -110,8 +110,13 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
     stdout = out is not None and str(out) == "-"
     for name, path in (("--plot", plot), ("--json", None if stdout else out)):
         _check_writable(name, path)
-    found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
-    result = law.study(found, area=area)
+    rim = (law.BASE_AREA, law.SEMI_AXIS)
+    if dataset is None:
+        found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    else:
+        data = Dataset.open(dataset, blind=True)
+        found, rim = law.readings(data), law.rim_of_dataset(data.load(data.names()[0]))
+    result = law.study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
     if plot is not None:
         law.plot(found, result, plot)
     if stdout:
