@@ -124,7 +124,8 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
 
 
 @app.command("dense-force")
-def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
+def dense_force(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, presses on rigid balls.")] = None,
+                nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
                 device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
@@ -135,12 +136,24 @@ def dense_force(nodes: Annotated[int | None, typer.Option(min=100, help="Nodes o
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    rows, field, presses = bench.bench(nodes=nodes, device=device, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    def told(what: str) -> None:
+        print(f"  {what} ...", file=sys.stderr, flush=True)
+
+    notes: list[str] = []
+    if dataset is not None:
+        from vsfsim.data.dataset import Dataset
+        from vsfsim.generate.bench_dense_data import bench_dataset
+
+        if nodes is not None:
+            raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
+        rows, field, presses, notes = bench_dataset(Dataset.open(dataset, blind=True), progress=told)
+    else:
+        rows, field, presses = bench.bench(nodes=nodes, device=device, progress=told)
     result = bench.tables(rows, field)
     if stdout:
         print(json.dumps(result, indent=1))
         return
-    print(bench.table(rows, field, presses))
+    print("\n".join([*(f"note: {sentence}" for sentence in notes), bench.table(rows, field, presses)]))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
 
@@ -163,6 +176,35 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
     result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of the batch; default: 4 on a CPU, 200 on a GPU.")] = None,
+           frames: Annotated[int, typer.Option(min=4, help="Of a touch.")] = 15,
+           tier: Annotated[str, typer.Option(help="Of the shoe: fem-coarse, fem or fem-fine.")] = "fem",
+           resolution: Annotated[float, typer.Option(min=0.005, max=0.1, help="Size of its cells [m]; 0.0095 makes 5,256 tetrahedra.")] = 0.0095,
+           nodes: Annotated[int | None, typer.Option(min=100, max=3000, help="Of the bubble; default: the scene's 390.")] = None,
+           compare: Annotated[int, typer.Option(min=0, help="On a GPU: run so many of the touches on the CPU as well and compare the forces.")] = 0,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """Seconds a frame and touches a minute of a bubble pressed on a soft shoe."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate.bench_bubble import bench, table
+
+    _check_device(device)
+    if tier not in (allowed := ("fem-coarse", "fem", "fem-fine")):
+        raise VsfsimError(f"--tier is '{tier}'. {did_you_mean(tier, allowed)}")
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes, compare=compare,
+                   progress=lambda what: print(f"  {what}", file=sys.stderr, flush=True))
     if stdout:
         print(json.dumps(result, indent=1))
         return

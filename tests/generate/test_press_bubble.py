@@ -95,3 +95,31 @@ def test_the_punyo_pressed_10_mm_onto_a_tip():
     # over a ball of 3 mm, 10 mm deep: 6000 nodes give 952 Pa and 4.97 N, triangles of 2.9 mm 6 % more
     assert result.pressure_change[-1] == pytest.approx(952.0, rel=0.08) and result.force[-1, 2] == pytest.approx(4.97, rel=0.08)
     assert (result.audit["penetration"] < 0.01 * result.edge).all()
+
+
+SOFT = '''name = "soft"
+[object]
+shape = { box = [0.10, 0.10, 0.04] }
+tier = "fem-coarse"
+resolution = 0.02
+poisson_ratio = 0.3
+young_modulus = 5e4
+[sensor]
+kind = "bubble"
+nodes = 200
+[press]
+from = [0.004, 0.003, 0.0700]
+to = [0.004, 0.003, 0.0665]
+frames = 2
+'''
+
+
+def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
+    result = press_bubble.press(parse_scene(SOFT, "soft.toml").sample(0), keep=True)
+    assert result.converged.all() and result.force[-1, 2] > 0.5
+    assert result.reaction == pytest.approx(-result.force, rel=1e-2, abs=1e-3), "the mount holds it"
+    assert result.body_force[:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
+    own = np.einsum("tji,tj->ti", result.state.mount[:, :3, :3], result.force)
+    assert result.state.read_out_force().sum(axis=1) == pytest.approx(own, rel=1e-9, abs=1e-9)
+    moment = np.cross(result.state.read_out_position(), result.state.read_out_force()).sum(axis=1)
+    assert moment == pytest.approx(result.wrench[:, 3:], abs=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from vsfsim.core.chain import Chain
+from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 
 REACH = 0.005
@@ -47,4 +48,19 @@ def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
             return np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0)
         case Plane():
             return local[:, 2]
+        case Dome():
+            return _from_dome(local, probe)
     raise AssertionError(probe)
+
+
+def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:
+    """To its nearest vertex, negative under the skin; one farther than twice `REACH` outside its bounding box is not measured: infinite."""
+    out = np.full(len(local), np.inf)
+    low, high = dome.points.min(axis=0) - 2.0 * REACH, dome.points.max(axis=0) + 2.0 * REACH
+    near = np.flatnonzero(((local >= low) & (local <= high)).all(axis=1))
+    if not len(near):
+        return out
+    away = np.sqrt(((local[near, None] - dome.points[None]) ** 2).sum(axis=2)).min(axis=1)
+    under = (local[near, 2] >= 0.0) & (local[near, 2] <= dome.heights(local[near, :2]))
+    out[near] = np.where(under, -away, away)
+    return out

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,7 @@ from vsfsim.core.table import Table
 KINDS = ("bubble",)
 NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
 ATMOSPHERE = 101325.0  # [Pa]
+CAMERA = (640, 480)  # the real one's picture [px]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,8 @@ class Bubble:
     Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own length [-].
     gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with the dome free [m^3].
     gamma: of p V^gamma, 1 isothermal to 1.4 adiabatic [-]. ambient_pressure: absolute, outside [Pa].
-    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh. friction: Coulomb coefficient with rigid bodies and obstacles [-].
+    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh. friction: Coulomb coefficient with what it touches [-].
+    camera: width and height of the pictures that a dataset keeps of the skin from inside (2,) [px], or None for none.
     """
 
     semi_axes: tuple[float, float] = (0.05725, 0.040)
@@ -41,6 +42,7 @@ class Bubble:
     sealed: bool = True
     nodes: int = NODES
     friction: float = 2.0
+    camera: tuple[int, int] | None = None
 
     @property
     def modulus(self) -> float:
@@ -87,9 +89,13 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
         sealed=sealed,
         nodes=t.count("nodes", real.nodes, 100, 20_000),
         friction=t.number("friction", real.friction, 0.0, MAX_FRICTION),
+        camera=_camera(t.table.get("camera", False), where),
     )
 
 
-def flat_area(bubble: Bubble) -> float:
-    """Area inside the rim [m^2]."""
-    return math.pi * bubble.semi_axes[0] * bubble.semi_axes[1]
+def _camera(value: Any, where: str) -> tuple[int, int] | None:
+    if isinstance(value, bool):
+        return CAMERA if value else None
+    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int) or not 8 <= v <= 4096 for v in value):
+        raise SceneError(f"{where}: camera is {value!r}; it must be true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels from inside the bubble), false, or [width, height] from 8 to 4096 pixels.")
+    return int(value[0]), int(value[1])

@@ -80,6 +80,8 @@ def parse_probe(node: Any, path: Path) -> tuple[ProbeShape, tuple[RigidBody, ...
     t = Table(node, where, ("shape", "parts"))
     if isinstance(t.table.get("shape"), Mapping) and "chain" in t.table["shape"]:
         raise SceneError(f"{where}: a chain is no probe of a scene; write [arm].")
+    if isinstance(t.table.get("shape"), Mapping) and "dome" in t.table["shape"]:
+        raise SceneError(f"{where}: a dome is no probe of a scene; write [sensor].")
     shape = beside(parse_probe_shape(t.table.get("shape"), where), path)
     return shape, tuple(_body(row, path, f"{path} [[probe.parts]] {i + 1}", "offset") for i, row in enumerate(t.rows("parts")))
 

@@ -67,7 +67,7 @@ class TouchSpec:
 
     count: touches a view. depth: how far the probe goes past first contact [m].
     approach: clearance between the probe and the target point at the start [m].
-    force_limit: the press stops short where the rest state's linear response passes this force [N].
+    force_limit: the press stops short where the rest state's linear response passes this force [N]; a bubble, where a flat rigid wall would.
     frames: (free, in, hold, out) readings in each phase.
     """
 
@@ -270,8 +270,10 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     if "object" not in tree and (sensor is None or not tree.get("obstacles")):
         raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None else ", or a [sensor] and [[obstacles]] for it to press on."))
-    if sensor is not None and "touches" in tree:
-        raise SceneError(f"{path} [touches]: a dataset made with a [sensor] is not built yet; use [press], or a [probe].")
+    if sensor is not None and "touches" in tree and "object" not in tree:
+        raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. Add it, or use [press] on the [[obstacles]].")
+    if sensor is not None and "arm" in tree:
+        raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led along straight lines, or by an arm without one. Take one of them out.")
     needs = tree.get("needs", ["normal-force"])
     if not isinstance(needs, list):
         raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vsfsim.core.chain import Chain, read_chain
+from vsfsim.core.dome import Dome, read_dome
 from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
 
 
@@ -92,7 +93,7 @@ class Family:
 
 
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
-ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain
+ProbeShape = Sphere | Capsule | Cylinder | Plane | Box | MeshFile | Chain | Dome
 
 OBJECT_SHAPES = ("box", "sphere", "cylinder", "rod", "mesh", "family")
 PROBE_SHAPES = ("sphere", "capsule", "cylinder", "box", "plane", "mesh")
@@ -162,6 +163,8 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
         return _mesh(table, where)
     if "chain" in table:  # of a dataset's file; a scene says [arm]
         return read_chain(table["chain"], where)
+    if "dome" in table:  # likewise; a scene says [sensor]
+        return read_dome(table["dome"], where)
     key = _only_key(table, PROBE_SHAPES, where)
     value = table[key]
     if key == "sphere":
@@ -200,6 +203,8 @@ def probe_table(shape: ProbeShape) -> dict[str, Any]:
             return {"plane": True}
         case Chain():
             return {"chain": shape.table()}
+        case Dome():
+            return {"dome": shape.table()}
         case MeshFile(path, scale):
             return {"mesh": path} if scale is None else {"mesh": path, "scale": scale}
     raise AssertionError(shape)

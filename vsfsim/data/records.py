@@ -159,7 +159,7 @@ class ObjectView:
 
     name: e.g. "shoe-0007-v0"; unique in its dataset. object_index: of the object, from 0 [-].
     view_index: of the view of that object, from 0 [-]. split: "train", "test", ... as the scene names them.
-    probe: the rigid shape that touched it. view: the RGB-D image at rest. touches: in the order they were made.
+    probe: the rigid shape that touched it, the chain of an arm, or the free dome of a bubble. view: the RGB-D image at rest. touches: in the order they were made.
     truth: None where it is withheld (a blind dataset).
     """
 

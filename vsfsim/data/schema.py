@@ -85,8 +85,8 @@ FIELDS: tuple[Field, ...] = (
     _touch("reason_names", TEXT, "Q", "1", "What the codes of reason mean."),
     _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: over 0.1 N at least.", masked=True),
     _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, required=False),
-    _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object.", masked=True),
-    _touch("audit/penetration", "float64", "T", "m", "Deepest quadrature point of the surface inside the probe.", masked=True),
+    _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object; with a bubble, of object, skin and air.", masked=True),
+    _touch("audit/penetration", "float64", "T", "m", "Deepest quadrature point of the surface inside the probe; of a bubble, deepest node of either surface inside the other.", masked=True),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
     _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False, masked=True),
@@ -124,7 +124,7 @@ ATTRIBUTES: Mapping[str, tuple[str, str]] = {
     "object_index": ("integer", "of the object, from 0"),
     "view_index": ("integer", "of the view of that object, from 0"),
     "split": ("text", "train, test, ... as the scene names them"),
-    "probe": ("text", 'JSON table of the rigid probe\'s shape in metres, e.g. {"sphere": 0.02}'),
+    "probe": ("text", 'JSON table of the shape that touched it, in metres, e.g. {"sphere": 0.02}; {"chain": ..} of an arm, {"dome": ..} of a bubble: its free skin'),
 }
 """Attributes of the root of an object file: type and meaning."""
 

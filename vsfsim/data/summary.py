@@ -18,13 +18,15 @@ def summary(path: str | Path) -> str:
     """
     dataset = Dataset.open(path)
     recipe = dataset.recipe
-    force, iterations, balance, modulus, regions = [], [], [], [], {}
+    force, change, iterations, balance, modulus, regions = [], [], [], [], [], {}
     touched = 0
     audit = {("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
     reasons: dict[str, int] = {}
     for view in dataset:
         for touch in view.touches:
             force.append(touch.normal_force()[touch.converged])
+            if touch.pressure is not None and touch.rest_pressure is not None:
+                change.append((touch.pressure - touch.rest_pressure)[touch.converged])
             iterations.append(touch.iterations)
             balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
             touched += touch.touched
@@ -52,6 +54,7 @@ def summary(path: str | Path) -> str:
         ("touches", f"{touches}, {touches - touched} met nothing"),
         ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
         ("normal force", f"{_span(force_all)} N, converged frames"),
+        *([("pressure", f"{_span(np.concatenate(change))} Pa over the free dome's, converged frames")] if change else []),
         ("iterations", f"mean {iterations_all.mean():.1f}, most {iterations_all.max()} a frame" if iterations_all.size else "none"),
         ("force balance", f"worst {balance_all.max(initial=0.0):.1e} of the force, converged frames in contact"),
         *((name.replace("_", " "), f"{_span(np.concatenate(values))}{unit}") for (name, unit), values in audit.items() if values),

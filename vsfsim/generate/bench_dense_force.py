@@ -201,17 +201,18 @@ def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord]
 
 def table(rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[PressRecord]) -> str:
     """The rows as text, one block a noise level."""
-    out = [f"{len(presses)} presses ({', '.join(p.name for p in presses)}), {sum(len(p.depth) for p in presses)} frames."]
+    names = ", ".join(p.name for p in presses[:8]) + (", ..." if len(presses) > 8 else "")
+    out = [f"{len(presses)} presses ({names}), {sum(len(p.depth) for p in presses)} frames."]
     for one in field:
         if one.calibrated is not None:
             out.append(f"{one.label}: calibrated to E h {one.calibration.stiffness:.0f} N/m and a force scale of {one.options.force_scale:g} N (net force {one.calibrated:.3f} N there)")
     bins = sorted({(r.low, r.high) for r in rows})
     above = f"{'':20}" + "".join(f"{f'{1e3 * low:.0f} to {1e3 * high:.0f} mm deep':^36}" for low, high in bins)
-    names = f"{'estimator':20}" + f"{'node RMS N':>15}{'net force N':>15}{'IoU':>6}" * len(bins)
+    head = f"{'estimator':20}" + f"{'node RMS N':>15}{'net force N':>15}{'IoU':>6}" * len(bins)
     for level in sorted({r.noise for r in rows}):
         some = {(r.low, r.high): r for r in rows if r.noise == level}
         out += ["", f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure" if level else ""), above,
-                f"{names}{'s/frame':>9}{'solved':>8}", f"{'(true forces)':20}" + "".join(f"{some[b].node_size:15.4f}{some[b].net_size:15.2f}{'':6}" for b in bins)]
+                f"{head}{'s/frame':>9}{'solved':>8}", f"{'(true forces)':20}" + "".join(f"{some[b].node_size:15.4f}{some[b].net_size:15.2f}{'':6}" for b in bins)]
         for one in field:
             mine = {(r.low, r.high): r for r in rows if r.noise == level and r.label == one.label}
             cells = "".join(f"{mine[b].node_rms:8.4f} {100 * mine[b].node_rms / mine[b].node_size:5.0f}%{mine[b].net:9.3f} {100 * mine[b].net / mine[b].net_size:4.0f}%{mine[b].iou:6.2f}" for b in bins)

@@ -13,6 +13,7 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
 from vsfsim.generate.assume import with_press, with_probe
+from vsfsim.generate.table import plain
 from vsfsim.generate.touch import audit, clearance
 from vsfsim.physics import sdf, tiers
 from vsfsim.physics.device import compile_kernels, solver_kernels
@@ -84,17 +85,7 @@ class PressResult:
 
     def table(self) -> dict[str, Any]:
         """The result as plain lists and numbers, for JSON."""
-        out: dict[str, Any] = {}
-        for key, value in vars(self).items():
-            if key == "state":
-                continue
-            if isinstance(value, np.ndarray):
-                out[key] = value.tolist()
-            elif isinstance(value, dict):
-                out[key] = {k: v.tolist() for k, v in value.items()}
-            else:
-                out[key] = list(value) if isinstance(value, tuple) else value
-        return out
+        return plain(self)
 
 
 def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precision: str = "float64", seed: int = 0,

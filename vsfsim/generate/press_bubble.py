@@ -18,6 +18,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Plane
+from vsfsim.generate.table import plain
 from vsfsim.generate.touch import audit, clearance
 from vsfsim.physics import bubble, tiers
 from vsfsim.physics.coupled import CoupledSolver, free_way
@@ -25,6 +26,7 @@ from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
+from vsfsim.sensing.bubble import readout_of
 
 OPTIONS = SolverOptions(tolerance=5e-4)  # as the fem tier: with friction, tighter balances are not always reached where a point hovers between touching and leaving
 
@@ -47,10 +49,8 @@ class BubbleState:
         return self.model.read_out.positions(self.node_position)
 
     def read_out_force(self) -> np.ndarray:
-        """The contact forces handed to the nodes of the read-out mesh (T, 390, 3) [N]: each to the corners of its triangle, with the same sum."""
-        seen = self.model.read_out
-        share = bubble.locate(seen.flat, seen.faces, self.model.flat).T
-        return np.stack([share @ force for force in self.node_force])
+        """The contact forces handed to the nodes of the read-out mesh (T, 390, 3) [N]: with the same net force and moment."""
+        return readout_of(self.model).forces(self.node_position, self.node_force)
 
 
 @dataclass(frozen=True)
@@ -101,17 +101,7 @@ class BubblePress:
 
     def table(self) -> dict[str, Any]:
         """The result as plain lists and numbers, for JSON."""
-        out: dict[str, Any] = {}
-        for key, value in vars(self).items():
-            if key == "state":
-                continue
-            if isinstance(value, np.ndarray):
-                out[key] = value.tolist()
-            elif isinstance(value, dict):
-                out[key] = {k: v.tolist() for k, v in value.items()}
-            else:
-                out[key] = list(value) if isinstance(value, tuple) else value
-        return out
+        return plain(self)
 
 
 @dataclass(frozen=True)
@@ -119,7 +109,7 @@ class _Run:
     """What a solver gave.
 
     gap: way of the mount to first contact [m]. node: positions of the membrane's nodes in the mount frame (T, n, 3) [m]; push: contact forces on them (T, n, 3) [N].
-    pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. reaction: of what holds the other side, in the world (T, 3) [N].
+    pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. reaction: of the mount on the sensor, in the world (T, 3) [N].
     body_force: on each body (T, K, 3) [N]. friction: Coulomb coefficient of each (K,) [-]. tolerance: of the residual [-].
     """
 
@@ -232,7 +222,8 @@ def _on_object(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis:
     turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
     node = np.einsum("tji,tnj->tni", turn, np.stack([x[..., 0] for x in solver.sensor_position]) - at)
     push = np.einsum("tji,tnj->tni", turn, np.stack([f[..., 0] for f in solver.sensor_force]))
-    return _Run(frames, free_way(body, model, first, axis), node, push, np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], frames.reaction[:, 0],
+    return _Run(frames, free_way(body, model, first, axis), node, push, np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0],
+                -frames.reaction[:, 0],  # of what holds the object: the mount holds against it
                 -frames.force, ("object",), (scene.sensor.friction,), options.tolerance,
                 notes=(*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the object's"))
 

@@ -22,7 +22,7 @@ from vsfsim.data.hdf5 import write_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.physics.device import compile_kernels, solver_kernels
+from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
 
 BATCH = 9  # touches that advance together; part of what fixes the bits
 _SCENE, _BODY, _AIM = range(3)  # random streams: SeedSequence(seed, spawn_key=(stream, object, view, touch))
@@ -82,6 +82,13 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
         raise SceneError(f"{scene_file.path}: --tier is '{tier}', but what an arm touches is made of beams, tier 'rod'.")
     if scene.arm is not None and precision != "float64":
         raise SceneError(f"{scene_file.path}: --precision is '{precision}', but beams are solved in float64 only.")
+    if scene.sensor is not None:
+        from vsfsim.generate.touch_bubble import check, tier_for
+
+        chosen = tier_for(scene, tier)
+        check(scene, precision)
+    else:
+        chosen = "rod" if scene.arm is not None else tiers.choose(scene, tier)
     count = objects if objects is not None else (scene.dataset.objects if scene.dataset else 1)
     for name, value in (("--objects", count), ("--views", views), ("--touches", touches), ("--seed + 1", seed + 1)):
         if value is not None and value < 1:
@@ -90,7 +97,7 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
         scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
         views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
         touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
-        device=device.split(":")[0], tier="rod" if scene.arm is not None else tiers.choose(scene, tier), precision=precision, renderer=renderer,
+        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer,
         options={} if arm is None else {"arm": arm})
 
 
@@ -130,7 +137,21 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
     view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device, renderer=r.renderer)
-    aims = aim(scene, spec, model, view, lambda k: np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k)), device=device)
+
+    def draws(k: int) -> np.random.Generator:
+        return np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k))
+
+    if scene.sensor is not None:
+        from vsfsim.generate import touch_bubble
+        from vsfsim.physics.bubble import build_bubble
+
+        sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
+        touches = touch_bubble.touch_all(scene, spec, model, sensor, touch_bubble.aim(scene, spec, model, sensor, view, draws),
+                                         options=touch_bubble.options(r.tier), device=device, progress=progress)
+        dome = touch_bubble.dome_of(sensor)
+        truth = truth_of(model, view, touches, dome, friction=float("inf"), device=device)
+        return ObjectView(job.name, job.object_index, job.view_index, job.split, dome, view, tuple(touches), truth)
+    aims = aim(scene, spec, model, view, draws, device=device)
     batch = -(-len(aims) // -(-len(aims) // BATCH))  # as even as can be
     touches = touch_all(scene, spec, model, aims, options=tiers.options(r.tier), linear=not tiers.TIERS[r.tier].nonlinear,
                         device=device, precision=r.precision, batch=batch, progress=progress)
@@ -177,7 +198,7 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         done = 0
         count = workers if workers is not None else (1 if device != "cpu" else (os.cpu_count() or 1))
         if jobs:
-            compile_kernels(_kernels(recipe.precision, plants=recipe.tier == "rod"), device, progress=progress)
+            compile_kernels(_kernels(recipe.precision, scene_file.sample(0)), device, progress=progress)
             if recipe.tier == "rod" and device != "cpu":
                 from vsfsim.generate.plant_batches import make_all
 
@@ -191,17 +212,27 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         return writer.finish()
 
 
-def _kernels(precision: str, *, plants: bool = False) -> list[Any]:
+def _kernels(precision: str, scene: Scene) -> list[Any]:
     import warp as wp
 
     from vsfsim.sensing import render_warp
     from vsfsim.vsf import particles
     from vsfsim.vsf.stick_slip import stick_slip_kernel
 
-    if plants:
+    if scene.arm is not None:
         from vsfsim.physics.rods.advance import advance
 
         return [advance, render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
+    if scene.sensor is not None:
+        from vsfsim.generate.touch_bubble import KINDS
+
+        # its oracle VSF sticks to the dome, which needs no kernel
+        inside = []
+        if scene.sensor.camera is not None:
+            from vsfsim.sensing import render_bubble
+
+            inside = [render_bubble._inside]
+        return [*pair_kernels(precision, KINDS), render_warp._cast, particles._behind, *inside]
     return [*solver_kernels(precision), render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
 
 

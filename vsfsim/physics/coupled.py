@@ -20,9 +20,10 @@ from vsfsim.physics.factor import RestFactor
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.pair import PairTouching
-from vsfsim.physics.pair_surfaces import SENSOR_NODES
+from vsfsim.physics.pair_surfaces import SENSOR_NODES, farthest
 from vsfsim.physics.solver import Rows, Solver
 
+_HARD = 100.0  # unbalanced over acting force at the start of a step, from which on softer contact leads the way
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
 _TRIES = 60
@@ -53,8 +54,7 @@ class Both:
     """Two bodies as one model for `Solver`; fields as `Model`.
 
     object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node numbers after the object's.
-    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. young_modulus: the object's (m, 4) [Pa].
-    element_size: the smaller one [m]. factor: of both at rest.
+    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. factor: of both at rest.
     """
 
     object: Model
@@ -63,8 +63,6 @@ class Both:
     blocks: tuple[Block, ...]
     free: np.ndarray
     load: np.ndarray
-    young_modulus: np.ndarray
-    element_size: float
     factor: BothFactors
 
     @classmethod
@@ -73,8 +71,8 @@ class Both:
         count = len(model.mesh.points)
         moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
         return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])), (*model.blocks, *moved),
-                   np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]), model.young_modulus,
-                   min(model.element_size, sensor.element_size), BothFactors(model.factor, sensor.factor, 3 * count))
+                   np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
+                   BothFactors(model.factor, sensor.factor, 3 * count))
 
     def grounding(self) -> np.ndarray:
         """As `Model.grounding`."""
@@ -89,7 +87,7 @@ class _Carried:
     """What `path` asks of a rigid body: how far it reaches from its origin."""
 
     def __init__(self, sensor: Model):
-        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
+        self._reach = farthest(sensor)
 
     def __len__(self) -> int:
         return 1
@@ -109,9 +107,9 @@ class CoupledSolver(Solver):
 
     def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu", precision: str = "float64",
                  options: SolverOptions | None = None):
-        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
         if len(sensor.mesh.points) > SENSOR_NODES:
             raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} are allowed, since its compliance is kept whole. Give fewer nodes.")
+        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
         self.object, self.sensor = model, sensor
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height
@@ -144,7 +142,7 @@ class CoupledSolver(Solver):
         step = _BACK * self.bodies.reach(0)
         for _ in range(_TRIES):
             touching.begin(out, u)
-            touching.move(out)
+            touching.move(out, every)
             touching.evaluate(every, touching.gather(u))
             inside = (touching.touches(every) | (touching.astray(every) > 0)).cpu().numpy() | self._within_sensor(out)
             if not inside.any():
@@ -156,39 +154,36 @@ class CoupledSolver(Solver):
         """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes are seen by the contact."""
         at = self.object.mesh.points[self.object.mesh.surface_nodes()]
         own = self.sensor.mesh.points
-        corners = own[self.sensor.mesh.faces[:, :3]][:, :, :2]
-        height = own[self.sensor.mesh.faces[:, :3]][:, :, 2]
+        sheet = own[self.sensor.mesh.faces[:, :3]]
         out = np.zeros(len(pose), bool)
         for b in range(len(pose)):
             local = (at - pose[b, 0, :3, 3]) @ pose[b, 0, :3, :3]
             local = local[(local > own.min(axis=0)).all(axis=1) & (local < own.max(axis=0)).all(axis=1)]
-            for p in local:
-                a, c = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-                r = p[:2] - corners[:, 0]
-                det = a[:, 0] * c[:, 1] - a[:, 1] * c[:, 0]
-                with np.errstate(divide="ignore", invalid="ignore"):
-                    s = (r[:, 0] * c[:, 1] - r[:, 1] * c[:, 0]) / det
-                    t = (a[:, 0] * r[:, 1] - a[:, 1] * r[:, 0]) / det
-                over = (s >= 0.0) & (t >= 0.0) & (s + t <= 1.0)
-                top = height[:, 0] + s * (height[:, 1] - height[:, 0]) + t * (height[:, 2] - height[:, 0])
-                if over.any() and p[2] < top[over].max():
-                    out[b] = True
-                    break
+            out[b] = len(local) and np.isfinite(_along(local, sheet, np.array([0.0, 0.0, 1.0])))
         return out
 
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
+        super()._start(columns, before, pose)
+        if bool(self.touching.touches(columns).any()):
+            self.touching.foresee(columns, self._balance.u)
+
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one
+        return super()._guesses(now, last, pose)[-1:]
+
+    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
+        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
+        return measure > _HARD
+
     def _keep(self) -> None:
-        every, touching = self._balance.every, self.touching
         u = self._balance.u
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         split = 3 * len(self.object.mesh.points)
         contact = self._pushed.view(-1, 3, u.shape[1])
         self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)].cpu().numpy())
-        turn = touching._turn
-        self.sensor_force.append(torch.einsum("bij,mjb->mib", turn, contact[split // 3:]).cpu().numpy())
+        self.sensor_force.append(self.touching.carried(contact[split // 3:], place=False).cpu().numpy())
         own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None] + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
-        origin = torch.as_tensor(touching._pose[:, :3, 3].T, device=self.device)
-        self.sensor_position.append((torch.einsum("bij,mjb->mib", turn, own) + origin).cpu().numpy())
-        assert len(every) == u.shape[1]
+        self.sensor_position.append(self.touching.carried(own, place=True).cpu().numpy())
 
     def _report(self, state: State) -> Rows:
         # the object's balance only: the sensor's forces stand in its own frame, and end at its rim

@@ -39,11 +39,11 @@ def solver_kernels(precision: str, kinds: Iterable[str] = ("tet10",)) -> list[An
 
 def pair_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:
     """As `solver_kernels`, of a sensor and an object that touch."""
-    from vsfsim.physics import elasticity, pair_contact
+    from vsfsim.physics import elasticity, pair_contact, pair_rows
 
     real = wp.float64 if precision == "float64" else wp.float32
     elements = [importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels(real).forces for kind in kinds]
-    return [*elements, elasticity.kernels(real).gather, pair_contact.kernels().evaluate]
+    return [*elements, elasticity.kernels(real).gather, pair_contact.kernels().evaluate, pair_rows.kernels().gram]
 
 
 def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int, int, str], None] | None = None) -> None:

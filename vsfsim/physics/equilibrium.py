@@ -73,7 +73,9 @@ class Equilibrium:
         dof = self.touching.dof[columns]
         moved = self.u[:, columns]
         self.touching.evaluate(columns, moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
-        return self._state(columns, moved)
+        out = self._state(columns, moved)
+        out["measure"] = out["measure"] + self.touching.unlawful(columns) / self._acting(out["contact"])
+        return out
 
     def _state(self, columns: torch.Tensor, moved: torch.Tensor) -> State:
         internal = wp.to_torch(self.elasticity.internal)[:, columns].to(torch.float64)
@@ -90,8 +92,10 @@ class Equilibrium:
 
     def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
         """Unbalanced force over acting force (k,): sums of the lengths of nodal vectors."""
-        acting = torch.maximum(_size(contact), _size(self.load))
-        return _size(residual) / acting.clamp(min=self.floor)
+        return _size(residual) / self._acting(contact)
+
+    def _acting(self, contact: torch.Tensor) -> torch.Tensor:
+        return torch.maximum(_size(contact), _size(self.load)).clamp(min=self.floor)
 
     # ------------------------------------------------------------------------------------------ Newton
 
@@ -103,6 +107,8 @@ class Equilibrium:
         within = torch.full_like(state["measure"], _WITHIN)  # measure at which the limit is renewed
         renew = torch.ones_like(stuck)  # whose tangent must be made anew
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
+        least = torch.full_like(within, float("inf"))  # measure since friction was renewed, and iterations in which it did not fall by a tenth
+        idle = torch.zeros_like(least, dtype=torch.int64)
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         for _ in range(self.options.newton * (1 + rubs)):
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
@@ -116,6 +122,7 @@ class Equilibrium:
                 within[at] = torch.minimum(0.1 * present, within[at])
                 stuck[at] &= ~(present > tolerance) | (present > 0.5)
                 renew[at] = True
+                least[at] = float("inf")
             open_ = ((held | (state["measure"] > tolerance)) & ~stuck).nonzero()[:, 0]
             if not len(open_):
                 break
@@ -147,13 +154,17 @@ class Equilibrium:
                 steps[negative] += more
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
-            moved = self._step(active, open_, self._correct(active, direction, stiffness), state)
+            moved = self._step(active, open_, self._correct(active, direction, stiffness), state, tolerance)
             still = (~moved).nonzero()[:, 0]
             if len(still):
-                moved[still] = self._step(active[still], open_[still], direction[:, still], state)
+                moved[still] = self._step(active[still], open_[still], direction[:, still], state, tolerance)
             renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
             # no step helps, not even a projected one: rounding's floor, or nothing to be found
             stuck[open_] = ~moved & safe[open_]
+            idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
+            least[open_] = torch.minimum(least[open_], state["measure"][open_])
+            lost = open_[idle[open_] >= self.touching.patience]
+            stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         balanced = (state["measure"] <= tolerance) & ~held
@@ -192,7 +203,7 @@ class Equilibrium:
             direction[:, useful] += more.to(direction.dtype)
         return direction
 
-    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State) -> torch.Tensor:
+    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State, tolerance: float) -> torch.Tensor:
         """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
 
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns who moved (k,) bool.
@@ -208,7 +219,9 @@ class Equilibrium:
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < 0.05)
+            shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < self.touching.near_balance)
+            if self.touching.rubs:
+                shrinks |= new["measure"] <= tolerance  # forces that depend on the way have no potential that must fall
             good = (falls | shrinks) & (new["astray"] <= astray[pending])
             done = pending[good]
             for key in state:

@@ -19,6 +19,7 @@ _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and c
 _KEPT = 4  # factors kept in this process, by content
 _COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
+_ROWS, _SPARSE = 32, 0.4  # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
@@ -192,10 +193,23 @@ class _Sparse:
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         if self._whole is not None:
-            real = self._whole.dtype
-            return torch.stack([f.to(real) @ self._whole[b] for b, f in zip(touches.tolist(), force, strict=True)], dim=1).to(force.dtype)
+            return torch.stack([self._combine(self._whole[b], f) for b, f in zip(touches.tolist(), force, strict=True)], dim=1).to(force.dtype)
         free = torch.as_tensor(self._factor.free, device=force.device)[:, None]
         return self.solve(spread(self._dof[touches], force, self._factor.size) * free)
+
+    @staticmethod
+    def _combine(columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is all the work: of a small contact only its own are read."""
+        force = force.to(columns.dtype)
+        used = force.nonzero()[:, 0]
+        if len(used) > _SPARSE * len(force):
+            return force @ columns
+        out = torch.zeros(columns.shape[1], dtype=columns.dtype, device=columns.device)
+        part = torch.empty((_ROWS, columns.shape[1]), dtype=columns.dtype, device=columns.device)
+        for some in used.split(_ROWS):
+            rows = torch.index_select(columns, 0, some, out=part[:len(some)])
+            out.addmv_(rows.T, force[some])
+        return out
 
 
 class _Dense:

@@ -21,6 +21,7 @@ from vsfsim.physics import contact, pair_condensed
 from vsfsim.physics.pair_links import LinkBlock, Links, LinkStiffness
 from vsfsim.physics.pair_surfaces import PairSurfaces, Side
 
+_TURNED = 0.01  # rad: normals that turn by more in a step are blended anew
 _FOUND = 1e-9  # m: a gap that changes by more when the faces are looked up anew was wrong
 
 
@@ -30,10 +31,31 @@ class _Contact:
     and the nodal forces of both (k, 3 s) [N]."""
 
     columns: torch.Tensor
-    normal: list[Links]
-    across: list[Links]
+    normal: Links | None
+    across: Links | None
     push: torch.Tensor
     drag: torch.Tensor
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Some nodes of a side, padded to the most of any touch. at: touches (k, 1) and nodes (k, a). on: 0 where padded (k, a)."""
+
+    side: Side
+    at: tuple[torch.Tensor, torch.Tensor]
+    on: torch.Tensor
+
+    def of(self, name: str) -> torch.Tensor:
+        """What the kernels wrote for them (k, a, ...)."""
+        return self.side.state[name][self.at]
+
+    def stiffness(self) -> torch.Tensor:
+        """Of their contact (k, a) [N/m]."""
+        return self.side.stiffness[self.at]
+
+    def anchor(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Where friction holds them: a face (k, a) and shape values (k, a, 6)."""
+        return self.side.memory["anchor_face"][self.at], self.side.memory["anchor_shape"][self.at]
 
 
 class PairTouching(PairSurfaces):
@@ -48,18 +70,19 @@ class PairTouching(PairSurfaces):
         stride: longest way of the sensor in a step [m].
     """
 
+    near_balance = 1.0  # see `Touching`: with blended normals the forces are not quite those of a potential
+    patience = 8  # see `Touching`: from flat facets a step may go round in a circle, and half of it ends elsewhere
+
     # ------------------------------------------------------------------------------------------ evaluation
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """Displacements (B, 3 s) [m] of the patches out of u (3 N, B), the sensor's in its frame."""
         return u.gather(0, self._index.T).T.to(torch.float64) * self.real
 
-    def _common(self, side: Side, columns: torch.Tensor) -> list[Any]:
-        return [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
-
-    def _anchors(self, side: Side) -> list[Any]:
-        k, m = self.kernels, side.memory
-        return [wp.from_torch(m["anchored"]), wp.from_torch(m["face"]), wp.from_torch(m["shape"], dtype=k.vec6)]
+    def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
+        """Run a kernel over the nodes of a side of the touches ``columns`` (k,); its first three arguments are those that all have."""
+        common = [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
+        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device, inputs=[*common, *inputs])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their patches."""
@@ -72,15 +95,11 @@ class PairTouching(PairSurfaces):
         old = self._x[columns]
         index = nodes[:, :, None].expand(-1, -1, 3)
         self._x[columns] = old.scatter(1, index, torch.where(keep, x, old.gather(1, index)))
+        here, softening = wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(self.softening)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.evaluate, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.facet), wp.from_torch(side.stiffness), wp.from_torch(side.faces),
-                wp.from_torch(side.smooth, dtype=k.vec3), wp.from_torch(self.softening), self.stick, wp.from_torch(self._x, dtype=k.vec3), wp.from_torch(side.candidates), *self._anchors(side),
-                wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
-                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
-                wp.from_torch(s["push"], dtype=k.vec3), wp.from_torch(s["drag"], dtype=k.vec3), wp.from_torch(s["way"], dtype=k.vec3), wp.from_torch(s["rows"], dtype=k.mat33),
-                wp.from_torch(s["slips"]), wp.from_torch(s["astray"]), wp.from_torch(s["energy"])])
+            self._launch(k.evaluate, side, columns, [
+                *side.arrays("facet stiffness faces smooth"), softening, self.stick, here, *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
+                *side.arrays("gap face shape normal push drag way rows slips astray energy")])
         self._contact = None
 
     def lag(self, columns: torch.Tensor) -> None:
@@ -88,25 +107,25 @@ class PairTouching(PairSurfaces):
         if not self.rubs:
             return
         k = self.kernels
+        softening, before, swept = wp.from_torch(self.softening), wp.from_torch(self._x_before, dtype=k.vec3), wp.from_torch(self._x_swept, dtype=k.vec3)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.lag, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), wp.from_torch(self.softening), self._friction,
-                wp.from_torch(side.candidates), wp.from_torch(self._x_before, dtype=k.vec3), wp.from_torch(self._x_swept, dtype=k.vec3),
-                wp.from_torch(s["gap"]), wp.from_torch(s["face"]), wp.from_torch(s["shape"], dtype=k.vec6), wp.from_torch(s["normal"], dtype=k.vec3),
-                *self._anchors(side), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3)])
+            self._launch(k.lag, side, columns, [
+                *side.arrays("stiffness faces"), softening, self._friction, *side.arrays("candidates"), before, swept,
+                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across damping change miss")])
+
+    def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
+        """By how much friction's limits miss Coulomb's (k,) [N]: what damping has held back of their last change."""
+        return sum(side.iteration["miss"][columns].sum(dim=1) for side in self._sides)
 
     def settle(self, columns: torch.Tensor) -> None:
         """The step is done: let slipping points drag their anchors, and forget those that left."""
         if not self.rubs or not len(columns):
             return
         k = self.kernels
+        here = wp.from_torch(self._x, dtype=k.vec3)
         for side in self._sides:
-            s, m, size = side.state, side.memory, side.stiffness.shape
-            wp.launch(k.settle, dim=(size[1], len(columns)), device=self.device, inputs=[
-                *self._common(side, columns), wp.from_torch(side.stiffness), wp.from_torch(side.faces), contact.STICK, wp.from_torch(self._x, dtype=k.vec3),
-                wp.from_torch(side.candidates), wp.from_torch(s["gap"]), wp.from_torch(m["limit"]), wp.from_torch(m["across"], dtype=k.vec3),
-                *self._anchors(side)])
+            self._launch(k.settle, side, columns, [
+                *side.arrays("stiffness faces"), contact.STICK, here, *side.arrays("candidates gap limit across anchored anchor_face anchor_shape")])
 
     def memory(self) -> list[dict[str, torch.Tensor]]:
         """Friction's memory, to return to if a step fails; see `restore`."""
@@ -144,56 +163,57 @@ class PairTouching(PairSurfaces):
         inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
         return self._sum("slips", columns) / inside.clamp(min=1)
 
-    def _chosen(self, side: Side, columns: torch.Tensor, mask: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """Nodes of a side (k, a) that ``mask`` (k, Q) names, padded to the most, and 1 where they are not padded (k, a)."""
-        most = int(mask.sum(dim=1).amax())
-        if most == 0:
-            return None
-        on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
-        return order[:, :most], on[:, :most].to(torch.float64)
+    def _chosen(self, columns: torch.Tensor, masks: list[torch.Tensor]) -> list[_Chosen]:
+        """Of each side the nodes that its mask (k, Q) names; sides without any are left out."""
+        out = []
+        for side, mask in zip(self._sides, masks, strict=True):
+            most = int(mask.sum(dim=1).amax())
+            if most:
+                on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
+                out.append(_Chosen(side, (columns[:, None], order[:, :most]), on[:, :most].to(torch.float64)))
+        return out
 
-    def _links(self, side: Side, columns: torch.Tensor, order: torch.Tensor, on: torch.Tensor, face: torch.Tensor, shape: torch.Tensor,
-               directions: torch.Tensor) -> Links:
-        """The nodes ``order`` (k, a) of a side, tied to the places ``shape`` (k, a, 6) on the ``face`` (k, a) of the other side, with
-        ``directions`` (k, a, m, 3) in the world; ``on`` (k, a): 0 for padded ones."""
-        split, count = self._split, self._nodes.shape[1]
+    def _links(self, columns: torch.Tensor, chosen: list[_Chosen], places: list[tuple[torch.Tensor, torch.Tensor]], directions: list[torch.Tensor]) -> Links | None:
+        """Ties of the chosen nodes to ``places`` on the other side, each a face (k, a) and shape values (k, a, 6), with ``directions`` (k, a, m, 3) in the world."""
+        if not chosen:
+            return None
         place = self._place[columns]
         rows = torch.arange(len(columns), device=self.device)[:, None, None]
-        own = place.gather(1, side.first + order)[:, :, None]
-        other = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
-        across = -shape[:, :, :side.faces.shape[2]] * (on * (face >= 0))[:, :, None]
-        one = on[:, :, None]
-        (at, weight), (node, held) = ((other, across), (own, one)) if side.first else ((own, one), (other, across))
-        table = torch.zeros((*order.shape, max(split, 1)), dtype=torch.float64, device=self.device)
-        table.scatter_add_(2, at.clamp(max=split - 1), weight)
-        return Links(table, (node - split).clamp(0, count - split - 1), held, directions, directions @ self._turn[columns][:, None])
+        width = 1 + max(own.side.faces.shape[2] for own in chosen)
+        nodes, weights = [], []
+        for own, (face, shape) in zip(chosen, places, strict=True):
+            side = own.side
+            there = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
+            node = torch.cat([place.gather(1, side.first + own.at[1])[:, :, None], there], dim=2)
+            held = (own.on * (face >= 0))[:, :, None]
+            weight = torch.cat([own.on[:, :, None], -shape[:, :, :side.faces.shape[2]] * held], dim=2)
+            spare = (0, width - node.shape[2])
+            nodes.append(torch.nn.functional.pad(node, spare))
+            weights.append(torch.nn.functional.pad(weight, spare))
+        world = torch.cat(directions, dim=1)
+        return Links.of(self._split, self._nodes.shape[1], torch.cat(nodes, dim=1), torch.cat(weights, dim=1), world, world @ self._turn[columns][:, None])
 
     def _touching(self, columns: torch.Tensor) -> _Contact:
         """The points in contact, as they were evaluated last."""
         if self._contact is not None and torch.equal(self._contact.columns, columns):
             return self._contact
-        normal, across = [], []
-        force = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
-        drag = torch.zeros_like(force)
-        turn = self._turn[columns]
-        for side in self._sides:
-            active = (side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
-            chosen = self._chosen(side, columns, active)
-            if chosen is None:
-                continue
-            order, on = chosen
-            at = (columns[:, None], order)
-            state, memory = side.state, side.memory
-            roots = state["rows"][at] * on[:, :, None, None]
-            normal.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], roots[:, :, :1]))
-            push = state["push"][at] * on[:, :, None]
-            force += normal[-1].share(push, push @ turn, force.shape[1])
+        push = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
+        drag = torch.zeros_like(push)
+        chosen = self._chosen(columns, [(side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0) for side in self._sides])
+        roots = [own.of("rows") * own.on[:, :, None, None] for own in chosen]
+        normal = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen], [r[:, :, :1] for r in roots])
+        across = None
+        if normal is not None:
+            push = self._share(columns, normal, torch.cat([own.of("push") * own.on[:, :, None] for own in chosen], dim=1))
             if self.rubs:
-                across.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], roots[:, :, 1:]))
-                pull = state["drag"][at] * on[:, :, None]
-                drag += across[-1].share(pull, pull @ turn, force.shape[1])
-        self._contact = _Contact(columns.clone(), normal, across, force, drag)
+                across = self._links(columns, chosen, [own.anchor() for own in chosen], [r[:, :, 1:] for r in roots])
+                drag = self._share(columns, across, torch.cat([own.of("drag") * own.on[:, :, None] for own in chosen], dim=1))
+        self._contact = _Contact(columns.clone(), normal, across, push, drag)
         return self._contact
+
+    def _share(self, columns: torch.Tensor, links: Links, force: torch.Tensor) -> torch.Tensor:
+        """Nodal forces (k, 3 s) [N] of forces (k, a, 3) [N] of the world at the links."""
+        return links.share(force, force @ self._turn[columns])
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces (k, 3 s) [N] on the patches' nodes, in the frames of their unknowns."""
@@ -220,13 +240,17 @@ class PairTouching(PairSurfaces):
 
     def stiffness(self, columns: torch.Tensor, bend: torch.Tensor | None = None) -> LinkStiffness:
         """Contact stiffness on the patches; it has no geometric term (``bend`` is ignored)."""
-        contact = self._touching(columns)
-        return LinkStiffness([*contact.normal, *contact.across], self.free[columns])
+        return LinkStiffness(self._all_links(columns), self.free[columns])
 
     def block(self, columns: torch.Tensor) -> LinkBlock:
         """The contact of ``columns``, ready to be inverted together with both bodies at rest."""
+        links = self._all_links(columns)
+        assert links is not None, "who asks for the contact block has seen contact"
+        return LinkBlock.of(links, self.compliance, columns, self.free[columns])
+
+    def _all_links(self, columns: torch.Tensor) -> Links | None:
         contact = self._touching(columns)
-        return LinkBlock.of([*contact.normal, *contact.across], self.compliance.pick(columns))
+        return contact.normal if contact.normal is None or contact.across is None else contact.normal.beside(contact.across)
 
     # ------------------------------------------------------------------------------------------ the condensed problem
 
@@ -240,50 +264,37 @@ class PairTouching(PairSurfaces):
         now = [side.state["gap"][columns] < part * self._margin for side in self._sides]
         return now if asked is None else [a | b for a, b in zip(now, asked, strict=True)]
 
-    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[list[Links], torch.Tensor, torch.Tensor, torch.Tensor]:
+    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
         """The nodes ``asked``, padded to the most: their links along the normals, gaps (k, p) [m], how much they give under a force (k, p) [m/N],
         and whether they touch (k, p) bool. A padded one is far off."""
-        links, gaps, gives, held = [], [], [], []
-        for side, mask in zip(self._sides, asked, strict=True):
-            chosen = self._chosen(side, columns, mask)
-            if chosen is None:
-                continue
-            order, on = chosen
-            at = (columns[:, None], order)
-            state = side.state
-            links.append(self._links(side, columns, order, on, state["face"][at], state["shape"][at], state["normal"][at][:, :, None]))
-            give = 1.0 / (self.softening[columns][:, None] * side.stiffness[at]).clamp(min=1e-12)
-            gaps.append(torch.where(on > 0.0, state["gap"][at], 1.0))
-            gives.append(torch.where(on > 0.0, give, 1.0))
-            held.append((on > 0.0) & (state["gap"][at] < 0.0))
-        return links, *(torch.cat(p, dim=1) if p else torch.zeros((len(columns), 0), device=self.device) for p in (gaps, gives, held))
+        chosen = self._chosen(columns, asked)
+        if not chosen:
+            none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
+            return None, none, none, none > 0.0
+        links = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen], [own.of("normal")[:, :, None] for own in chosen])
+        on = torch.cat([own.on for own in chosen], dim=1) > 0.0
+        gap = torch.cat([own.of("gap") for own in chosen], dim=1)
+        stiffness = self.softening[columns][:, None] * torch.cat([own.stiffness() for own in chosen], dim=1)
+        return links, torch.where(on, gap, 1.0), torch.where(on, 1.0 / stiffness.clamp(min=1e-12), 1.0), on & (gap < 0.0)
 
-    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, list[Links]]:
+    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
         """Friction's forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make its stiffness (none without friction).
 
         ``stuck``: as if every point that friction holds stuck, however far it is from its anchor.
         """
-        contact = self._touching(columns)
         if not stuck or not self.rubs:
+            contact = self._touching(columns)
             return contact.drag, contact.across
-        turn = self._turn[columns]
-        force, links = torch.zeros_like(contact.drag), []
-        for side in self._sides:
-            chosen = self._chosen(side, columns, side.memory["limit"][columns] > 0.0)
-            if chosen is None:
-                continue
-            order, on = chosen
-            at = (columns[:, None], order)
-            memory = side.memory
-            stiffness = self.stick * self.softening[columns][:, None] * side.stiffness[at] * on
-            normal = memory["across"][at]
-            axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
-            first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
-            directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
-            links.append(self._links(side, columns, order, on, memory["face"][at], memory["shape"][at], directions))
-            pull = -stiffness[:, :, None] * side.state["way"][at]
-            force += links[-1].share(pull, pull @ turn, force.shape[1])
-        return force, links
+        chosen = self._chosen(columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
+        if not chosen:
+            return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
+        stiffness = self.stick * self.softening[columns][:, None] * torch.cat([own.stiffness() * own.on for own in chosen], dim=1)
+        normal = torch.cat([own.side.memory["across"][own.at] for own in chosen], dim=1)
+        axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
+        first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
+        directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
+        links = self._links(columns, chosen, [own.anchor() for own in chosen], [directions])
+        return self._share(columns, links, -stiffness[:, :, None] * torch.cat([own.of("way") for own in chosen], dim=1)), links
 
     # ------------------------------------------------------------------------------------------ between steps
 
@@ -301,16 +312,27 @@ class PairTouching(PairSurfaces):
         """Remembered forces of a touch that has none."""
         return torch.zeros((3 * (self._count + len(self.sensor.mesh.points)), self.batch), dtype=torch.float64, device=self.device)
 
+    def foresee(self, columns: torch.Tensor, u: torch.Tensor) -> None:
+        """Look up who may meet whom anew, with normals as they are at the predicted displacements u (3 N, B)."""
+        self._x[columns] = self._positions(u, self._pose)[columns]
+        self._look_up(self._margin, columns, blend=columns)
+
     def grow(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
-        """Look up who may meet whom anew, from where the surfaces are now; True if that finds contact which was not seen."""
-        seen = [(side.candidates.clone(), side.state["gap"].clone()) for side in self._sides]
-        self._x.copy_(self._positions(u, self._pose))
-        # normals are blended twice in a step: as it began, and once more where it first came to rest
-        changed = not self._blended and bool(self.touches(columns).any())
-        self._look_up(self._margin, blend=changed)
-        self._blended = True
+        """Look up who may meet whom anew, from where the surfaces are now; True if that finds contact that was not seen, or normals that have turned."""
+        seen = [side.state["gap"][columns].clamp(max=0.0) for side in self._sides]
+        self._x[columns] = self._positions(u, self._pose)[columns]
+        turned = columns[(self._turned() & ~self._blended)[columns]]
+        self._blended[turned] = True  # once in a step: more would chase the last digit
+        self._look_up(self._margin, columns, blend=turned)
         self.evaluate(columns, self.gather(u)[columns])
-        for side, (_, gap) in zip(self._sides, seen, strict=True):
-            old, new = gap[columns].clamp(max=0.0), side.state["gap"][columns].clamp(max=0.0)
-            changed = changed or bool(((old - new).abs() > _FOUND).any())
-        return changed
+        return len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _FOUND).any()) for side, old in zip(self._sides, seen, strict=True))
+
+    def _turned(self) -> torch.Tensor:
+        """Whose normals have turned where they touch since they were blended (B,) bool."""
+        out = torch.zeros(self.batch, dtype=torch.bool, device=self.device)
+        for side in self._sides:
+            at, node = (side.state["gap"] < 0.0).nonzero(as_tuple=True)
+            face = side.state["face"][at, node].long()
+            far = (self._blend(side)[at, face] - side.smooth[at, face]).norm(dim=2).amax(dim=1) > _TURNED
+            out[at[far]] = True
+        return out

@@ -285,6 +285,9 @@ def kernels() -> Any:
         anchor_shape_out: wp.array2d(dtype=vec6),
         limit_out: wp.array2d(dtype=real),
         across_out: wp.array2d(dtype=vec3),
+        damping_out: wp.array2d(dtype=real),
+        change_out: wp.array2d(dtype=real),
+        miss_out: wp.array2d(dtype=real),
     ):
         # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this step
         q, k = wp.tid()
@@ -316,7 +319,13 @@ def kernels() -> Any:
                 anchor_face_out[b, q] = face
                 anchor_shape_out[b, q] = shape
                 anchored_out[b, q] = 2
-        limit_out[b, q] = limit
+        # where friction lifts the point off and touch brings it back, the whole change would go to and fro for ever: ever smaller parts of it meet
+        change = limit - limit_out[b, q]
+        if change * change_out[b, q] < real(0.0) and wp.abs(change) > real(0.5) * wp.abs(change_out[b, q]):
+            damping_out[b, q] = wp.max(real(0.5) * damping_out[b, q], real(1.0 / 64.0))
+        change_out[b, q] = change
+        limit_out[b, q] = limit_out[b, q] + damping_out[b, q] * change
+        miss_out[b, q] = (real(1.0) - damping_out[b, q]) * wp.abs(change)
 
     @wp.kernel(module=module, enable_backward=False)
     def settle(
@@ -352,10 +361,17 @@ def kernels() -> Any:
             way = wp.length(d)
             v = stick * stiffness[b, q]
             if v * way > limit_in[b, q]:
-                face, shape, _g, _n = meet(at + (real(1.0) - limit_in[b, q] / (v * way)) * d, b, q, nodes, candidates_in, faces, x_in)
-                if face >= 0:
-                    anchor_face_out[b, q] = face
-                    anchor_shape_out[b, q] = shape
+                # the place on the surface that the point pulls at with just its limit; surfaces are curved, so it is come to in a few steps
+                left = limit_in[b, q] / v
+                for _i in range(4):
+                    face, shape, _g, _n = meet(at + (real(1.0) - left / way) * d, b, q, nodes, candidates_in, faces, x_in)
+                    if face >= 0:
+                        anchor_face_out[b, q] = face
+                        anchor_shape_out[b, q] = shape
+                        at = place(b, face, nodes, shape, faces, x_in)
+                        d = x_in[b, first + q] - at
+                        d = d - wp.dot(d, m) * m
+                        way = wp.max(wp.length(d), real(1e-15))
 
     class Kernels:
         pass

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from scipy.spatial import cKDTree
 
 from vsfsim.physics import contact, pair_contact
 from vsfsim.physics.factor import Response, response
@@ -15,7 +16,9 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.pair_links import Compliance
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
-_BULGE = 0.25  # of the sensor's height: what it swells sideways when it is pressed
+_BULGE = 0.25  # of the sensor's height: by so much the surfaces may come past where the free sensor goes, it by swelling sideways, they by bulging
+_AWAY = 0.5  # cosine between a face's normal and the way the sensor looks, over which the face has its back to it
+_MOST_PARTS = 16  # along the edge of a face
 _SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly: less is an edge, and stays one
 _BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along two of its edges, at its six nodes
@@ -23,8 +26,7 @@ _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along 
               4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
               -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
-_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them, and
-# a node that rolls over an edge of the sensor's flat triangles must not throw its force about (the normal jumps there)
+_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them
 _TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
 
@@ -36,6 +38,8 @@ class Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    iteration: of friction's limit in this step: damping of its changes, the last change, and what is missing of it (B, Q).
+    views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
     around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
 
@@ -47,8 +51,19 @@ class Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
+    iteration: dict[str, torch.Tensor]
     around: torch.Tensor
     smooth: torch.Tensor
+    views: dict[str, wp.array]
+
+    def arrays(self, names: str) -> list[wp.array]:
+        """Views by their names, with spaces between them."""
+        return [self.views[name] for name in names.split()]
+
+
+def farthest(sensor: Model) -> float:
+    """How far the sensor's surface reaches from the origin of its frame [m]."""
+    return float(np.linalg.norm(sensor.mesh.points, axis=1).max())
 
 
 def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
@@ -83,7 +98,7 @@ class PairSurfaces:
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         self.model, self.sensor, self.device = model, sensor, device
         self._margin = _MARGIN * stride
-        self._reach = float(np.linalg.norm(sensor.mesh.points, axis=1).max())
+        self._reach = farthest(sensor)
         self.kernels = pair_contact.kernels()
         self.rubs, self._friction = friction > 0.0, float(friction)
         self.stick = contact.STICK
@@ -98,33 +113,36 @@ class PairSurfaces:
     # ------------------------------------------------------------------------------------------ set-up
 
     def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
-        """Boundary triangles of the object that each touch's sensor may meet: inside the box that the sensor sweeps, made wider."""
-        own = self.sensor.mesh.points
+        """Boundary triangles of the object that each touch's sensor may meet: those that its free surface, made thicker, sweeps over, and that do not look
+        the way that the sensor looks. Every node counts: its columns of the inverse are solved for."""
+        mesh, own = self.model.mesh, self.sensor.mesh.points
         margin = _BULGE * float(np.ptp(own[:, 2]))
+        over = cKDTree(own[:, :2])
+        spots = self._spots()
+        corners = mesh.points[mesh.faces[:, :3]]
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         low, high = own.min(axis=0) - margin, own.max(axis=0) + margin
-        at = self.model.mesh.points
-        faces = self.model.mesh.faces
         out = []
         for b in range(self.batch):
-            met = np.zeros(len(at), bool)
+            met = np.zeros(len(mesh.faces), bool)
             for pose in poses[:, b]:
-                local = (at - pose[:3, 3]) @ pose[:3, :3]
-                met |= ((local > low) & (local < high)).all(axis=1)
-            corners = at[faces[:, :3]]
-            out.append(np.flatnonzero(met[faces].any(axis=1) | self._crossed(corners, poses[:, b], low, high)))
+                faces = np.flatnonzero(~met & (normal @ pose[:3, 2] < _AWAY))
+                local = (spots[faces] - pose[:3, 3]) @ pose[:3, :3]
+                face, spot = ((local > low) & (local < high)).all(axis=2).nonzero()
+                local = local[face, spot]
+                far, nearest = over.query(local[:, :2])
+                met[faces[face[(far < margin + self.sensor.element_size) & (local[:, 2] < own[nearest, 2] + margin)]]] = True
+            out.append(np.flatnonzero(met))
         return out
 
-    @staticmethod
-    def _crossed(corners: np.ndarray, poses: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-        """Faces (f,) larger than the sensor may have no node in its box: their own boxes are compared too."""
-        out = np.zeros(len(corners), bool)
-        size = (corners.max(axis=1) - corners.min(axis=1)).max(axis=1)
-        large = np.flatnonzero(size > 0.5 * (high - low).min())
-        if len(large):
-            for pose in poses:
-                local = (corners[large] - pose[:3, 3]) @ pose[:3, :3]
-                out[large] |= ((local.max(axis=1) > low) & (local.min(axis=1) < high)).all(axis=1)
-        return out
+    def _spots(self) -> np.ndarray:
+        """Places on every face of the object at rest (f, k, 3) [m], no further apart than half the sensor's size: faces may be larger than it."""
+        corners = self.model.mesh.points[self.model.mesh.faces[:, :3]]
+        longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+        parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(self.sensor.mesh.points[:, :2], axis=0).min())), 2, _MOST_PARTS))
+        grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
+        return np.einsum("kc,fcx->fkx", grid, corners)
 
     def _upload(self, reach: list[np.ndarray]) -> None:
         mesh, own = self.model.mesh, self.sensor.mesh
@@ -182,14 +200,15 @@ class PairSurfaces:
         objects = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1)
         self._dof = torch.as_tensor(np.concatenate([objects, many(carried)], axis=1), device=self.device)  # (B, S, 3)
         self._rest = real(np.concatenate([rest, many(own.points)], axis=1))
-        free = np.concatenate([self.model.free, self.sensor.free])
-        self._free = real(np.where(self._dof.cpu().numpy() >= 0, free[np.maximum(self._dof.cpu().numpy(), 0)], 0.0))
+        free = real(np.concatenate([self.model.free, self.sensor.free]))
+        self._free = free[self._dof.clamp(min=0)] * (self._dof >= 0)
         self._object: Response = response(self.model.factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
         self._object_compliance = self._object.compliance()
         self._x = self._rest.clone()
         self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
         self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
+        self._blended = torch.zeros(batch, dtype=torch.bool, device=self.device)  # whose normals were blended once more in this step
 
     def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor, count: torch.Tensor) -> Side:
         size = tuple(stiffness.shape)
@@ -199,9 +218,16 @@ class PairSurfaces:
 
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
-        memory = {"anchored": zeros(dtype=torch.int32), "face": zeros(dtype=torch.int32), "shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        return Side(first, facet, stiffness, faces, count, zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1, state, memory,
-                     _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device))
+        memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        iteration = {"damping": zeros() + 1.0, "change": zeros(), "miss": zeros()}
+        candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
+        smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
+        k = self.kernels
+        types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33, **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
+        facet, faces = facet.contiguous(), faces.contiguous()
+        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory, **iteration}
+        return Side(first, facet, stiffness, faces, count, candidates, state, memory, iteration, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
+                    {name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()})
 
     # ------------------------------------------------------------------------------------------ poses and history
 
@@ -217,40 +243,49 @@ class PairSurfaces:
         at = torch.as_tensor(pose, dtype=torch.float64, device=self.device)
         return x @ at[:, :3, :3].mT + at[:, None, :3, 3]
 
+    def carried(self, vectors: torch.Tensor, *, place: bool) -> torch.Tensor:
+        """Vectors (m, 3, B) of the sensor's frame in the world, or points of it if ``place``, at the present pose."""
+        out = torch.einsum("bij,mjb->mib", self._turn, vectors)
+        return out + torch.as_tensor(self._pose[:, :3, 3].T, device=self.device) if place else out
+
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
         """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
         self._u_before, self._pose_before = u.clone(), before[:, 0]
+        for side in self._sides:
+            for name, value in side.iteration.items():
+                value.fill_(1.0 if name == "damping" else 0.0)
         self._x_before.copy_(self._positions(u, before[:, 0]))
 
-    def move(self, pose: np.ndarray) -> None:
-        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up."""
+    def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
+        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up for the touches ``columns`` (k,); of the others
+        nothing moves."""
         pose = pose[:, 0]
         if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
             return
         self._moved_to = (pose.copy(), self._u_before)
-        self._pose, self._blended = pose, False
+        self._pose = pose
         self._turn = torch.as_tensor(pose[:, :3, :3], dtype=torch.float64, device=self.device)
         self._x_swept.copy_(self._positions(self._u_before, pose))
-        self._x.copy_(self._x_swept)
+        self._x[columns] = self._x_swept[columns]
+        self._blended[columns] = False
         way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
-        self._look_up(float(way.max()) + self._margin)
+        self._look_up(float(way.max()) + self._margin, columns, blend=columns)
 
-    def _look_up(self, within: float, *, blend: bool = True) -> None:
-        """Candidates no further than ``within`` [m] from each node at the present positions, and the patch that they make; ``blend``: new normals too."""
+    def _look_up(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
+        """Candidates no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions, and the patch that they make;
+        ``blend``: which of them get new normals, too (j,)."""
         k = self.kernels
-        columns = wp.from_torch(self._every.to(torch.int32))
         x = wp.from_torch(self._x, dtype=k.vec3)
+        every, some = (wp.from_torch(which.to(torch.int32)) for which in (self._every, columns))
         self._near.zero_()
         for side in self._sides:
             size = side.stiffness.shape
-            wp.launch(k.search, dim=(size[1], size[0]), device=self.device, inputs=[
-                columns, within, side.first, wp.from_torch(side.stiffness), wp.from_torch(side.faces),
-                wp.from_torch(side.count), x, wp.from_torch(side.candidates)])
-            if blend:
-                side.smooth.copy_(self._blend(side))
+            wp.launch(k.search, dim=(size[1], len(columns)), device=self.device,
+                      inputs=[some, within, side.first, *side.arrays("stiffness faces count"), x, *side.arrays("candidates")])
+            if len(blend):
+                side.smooth[blend] = self._blend(side)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
-                side.faces.shape[2], columns, side.first, wp.from_torch(side.faces), wp.from_torch(side.candidates),
-                wp.from_torch(side.memory["anchored"]), wp.from_torch(side.memory["face"]), wp.from_torch(self._near)])
+                side.faces.shape[2], every, side.first, *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self._near)])
         self._make_patch()
 
     def _blend(self, side: Side) -> torch.Tensor:
@@ -289,26 +324,20 @@ class PairSurfaces:
         self.real = (self.dof >= 0).to(torch.float64)
         self.free = self._free.gather(1, index).flatten(1) * self.real
         self.rest = self._rest.gather(1, index).flatten(1) * self.real
+        three = torch.arange(3, device=self.device)
+        self._on_object = (3 * nodes[:, :self._split, None] + three).flatten(1)  # degrees of freedom among the object's surface nodes in reach
+        self._on_sensor = (3 * (nodes[:, self._split:, None] - width) + three).flatten(1)  # among all of the sensor's
         self.compliance = self._answers()
         self.response: Response = self
         self._contact: Any = None
 
     def _answers(self) -> Compliance:
-        split, width = self._split, self._width
-        three = torch.arange(3, device=self.device)
-        a = (3 * self._nodes[:, :split, None] + three).flatten(1)
-        rows = torch.arange(self.batch, device=self.device)[:, None, None]
-        own = self._object_compliance[rows, a[:, :, None], a[:, None, :]] * self.real[:, :3 * split, None] * self.real[:, None, :3 * split]
-        return Compliance(own, self._sensor_compliance, (3 * (self._nodes[:, split:, None] - width) + three).flatten(1), self.free)
-
-    def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them, both bodies at rest."""
         split = 3 * self._split
-        force = force * self.free[columns]
-        on_object = (self.compliance.on_object[columns] @ force[:, :split, None])[:, :, 0]
-        dof = self.compliance.dof[columns]
-        on_sensor = torch.zeros((len(columns), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, dof, force[:, split:])
-        return torch.cat([on_object, self._sensor_solve(on_sensor.T).T.gather(1, dof)], dim=1) * self.free[columns]
+        rows = torch.arange(self.batch, device=self.device)[:, None, None]
+        a, c = self._on_object, self._on_sensor
+        free = self.free
+        return Compliance(self._object_compliance[rows, a[:, :, None], a[:, None, :]] * free[:, :split, None] * free[:, None, :split],
+                          self._sensor_compliance[c[:, :, None], c[:, None, :]] * free[:, split:, None] * free[:, None, split:])
 
     # ------------------------------------------------------------------------------------------ the rest-state answer
 
@@ -325,12 +354,7 @@ class PairSurfaces:
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
         split = 3 * self._split
-        three = torch.arange(3, device=self.device)
         force = force * self.real[touches]
-        a = (3 * self._nodes[touches, :self._split, None] + three).flatten(1)
-        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, a, force[:, :split])
-        c = (3 * (self._nodes[touches, self._split:, None] - self._width) + three).flatten(1)
-        size = len(self._sensor_compliance)
-        on_sensor = torch.zeros((len(touches), size), dtype=force.dtype, device=self.device).scatter_add_(1, c, force[:, split:])
+        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_object[touches], force[:, :split])
+        on_sensor = torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_sensor[touches], force[:, split:])
         return torch.cat([self._object.patch(touches, on_object), self._sensor_solve(on_sensor.T)])
-

@@ -112,14 +112,18 @@ class Solver:
                 out = self._linear_frame(previous, poses[t])
             else:
                 self._balance.count()
-                for pose in path.pieces(previous, poses[t], self._stride, self.bodies):
+                way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
+                for pose in way:
                     begin = self._balance.u.clone()
                     self._start(every, previous, pose)
                     self._advance(every, previous, pose, begin, deadline, self.options.halvings)
-                    self.touching.settle(every)
-                    previous = pose
                     self._remember(pose, self.touching.remember(every))
+                    if pose is not way[-1]:
+                        self.touching.settle(every)
+                    previous = pose
+                # only then do the anchors move on: as they were, the forces balance
                 out = self._report(self._balance.evaluate(every))
+                self.touching.settle(every)
             previous = poses[t]
             if keep:
                 self._keep()
@@ -163,7 +167,7 @@ class Solver:
         deadline = time.perf_counter() + self.options.seconds
         first, whole = balance.every[:1], balance.load
         touching.begin(pose, balance.u)
-        touching.move(pose)
+        touching.move(pose, balance.every)
         touching.softening[:] = 0.0  # nothing touches yet
         balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
         linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
@@ -188,7 +192,7 @@ class Solver:
         """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
         balance, touching = self._balance, self.touching
         touching.begin(before, balance.u)
-        touching.move(pose)
+        touching.move(pose, columns)
         if not touching.rubs:
             for seen, u, _ in reversed(self._known):
                 if np.array_equal(seen, pose):
@@ -200,11 +204,7 @@ class Solver:
         if not len(meets):
             return
         now = balance.u.clone()
-        guesses = [(now, last)]
-        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
-            (p1, u1, f1), (p0, u0, f0) = ((p, u, touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
-            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
-            guesses.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        guesses = self._guesses(now, last, pose)
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
         astray = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
         chosen = now.clone()
@@ -223,6 +223,15 @@ class Solver:
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
 
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """What a step may begin from: the last equilibrium, and the last two drawn on. Displacements (3 n, B) [m] and forces on the patches (B, 3 s) [N]."""
+        out = [(now, last)]
+        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
+            (p1, u1, f1), (p0, u0, f0) = ((p, u, self.touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
+            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
+            out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+        return out
+
     def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
                  halvings: int) -> None:
         """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before`` into balance at ``pose`` (B, K, 4, 4).
@@ -231,7 +240,7 @@ class Solver:
         """
         balance, touching = self._balance, self.touching
         touching.begin(before, begin)
-        touching.move(pose)
+        touching.move(pose, columns)
         memory = touching.memory()
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
@@ -256,7 +265,7 @@ class Solver:
         balance, touching = self._balance, self.touching
         state = balance.evaluate(columns)
         # a body that went deep into a soft wall in one frame: come to it through softer contact
-        hard = columns[((state["measure"] - 1.0).abs() < 0.03) | (state["measure"] > _HARD)]
+        hard = columns[self._hard(state["measure"])]
         if len(hard):
             balance.u[:, hard] = begin[:, hard]
             for softening in _SOFTENINGS:
@@ -280,6 +289,10 @@ class Solver:
                 return
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
+    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
+        """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead the way (k,) bool."""
+        return ((measure - 1.0).abs() < 0.03) | (measure > _HARD)
+
     # ------------------------------------------------------------------------------------------ the linear tier
 
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray) -> Rows:
@@ -287,7 +300,7 @@ class Solver:
         balance, touching = self._balance, self.touching
         every = balance.every
         touching.begin(before, balance.u)
-        touching.move(pose)
+        touching.move(pose, every)
         start = self._guess(pose)
         for _ in range(4):
             with clock.measure("contact"):

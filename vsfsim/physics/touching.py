@@ -36,6 +36,9 @@ class Touching:
         exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
+    near_balance = 0.05  # measure under which a step that halves it is good whatever the potential says, which rounding hides
+    patience = 10**9  # iterations in which the measure may fail to fall by a tenth before a touch is given up: their limit ends them
+
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  exact: bool = True):
         self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
@@ -154,8 +157,8 @@ class Touching:
         self._before, self._u_before = self._placed(before), u.clone()
         self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
 
-    def move(self, pose: np.ndarray) -> None:
-        """The bodies are at ``pose`` (B, K, 4, 4) from now on."""
+    def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
+        """The bodies are at ``pose`` (B, K, 4, 4) from now on (who is about to be solved, ``columns``, makes no difference here)."""
         self._pose = self._placed(pose)
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
@@ -197,6 +200,10 @@ class Touching:
     def memory(self) -> tuple[torch.Tensor, ...]:
         """Friction's memory, to return to if a step fails; see `restore`."""
         return (self._anchor.clone(), self._owner.clone(), self._limit.clone(), self._across.clone()) if self.rubs else ()
+
+    def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
+        """By how much friction's limits miss Coulomb's after `lag` (k,) [N]: not at all."""
+        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
 
     def restore(self, columns: torch.Tensor, memory: tuple[torch.Tensor, ...]) -> None:
         """Set friction's memory of ``columns`` back."""

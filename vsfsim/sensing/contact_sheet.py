@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from vsfsim.data.records import ObjectView, View
+from vsfsim.data.records import ObjectView, Touch, View
 from vsfsim.sensing.camera import RenderError
 
 
@@ -16,6 +16,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
 
     Touches are coloured alike in both panels on the right: a dot at the target with the last 20 mm of the way to it,
     and its curve. One that met nothing is a cross without a curve; a frame that did not converge is a black cross.
+    Of a bubble also its pressure over travel, its skin at the hardest frame (dent and contact forces on its nodes, seen from outside along
+    the mount's axis), and what the camera in it sees, if it is kept.
 
     Args:
         views: one or more.
@@ -31,11 +33,14 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(14.0, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained", facecolor="white")
+    air = any(touch.pressure is not None for seen in views for touch in seen.touches)
+    inside = any(touch.inside_rgb is not None for seen in views for touch in seen.touches)
+    columns = 4 + 2 * air + inside
+    figure = Figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     if title:
         figure.suptitle(title, fontsize=11)
-    panels = figure.subplots(len(views), 4, squeeze=False)
+    panels = figure.subplots(len(views), columns, squeeze=False)
     for row, seen in zip(panels, views):
         colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, max(len(seen.touches), 1)))
         window = _window(seen.view)
@@ -43,7 +48,13 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
         row[0].set_title(f"{seen.name}  ({seen.split})", fontsize=9, loc="left")
         _depth(figure, row[1], seen.view, window)
         _targets(row[2], seen, colours, window)
-        _forces(row[3], seen, colours)
+        _curves(row[3], seen, colours, "normal force [N]", Touch.normal_force)
+        if air:
+            _curves(row[4], seen, colours, "pressure change [Pa]", _pressure_change)
+            number, frame = _hardest(seen)
+            _skin(figure, row[5], seen, number, frame)
+            if inside:
+                _inside(row[6], seen, number, frame)
     figure.savefig(out_png)
 
 
@@ -99,17 +110,56 @@ def _targets(axes, seen: ObjectView, colours: np.ndarray, window: tuple[int, int
     axes.set_title(f"{len(seen.touches)} touches, {touched} in contact", fontsize=9, loc="left")
 
 
-def _forces(axes, seen: ObjectView, colours: np.ndarray) -> None:
+def _curves(axes, seen: ObjectView, colours: np.ndarray, title: str, of: Callable[[Touch], np.ndarray]) -> None:
     for touch, colour in zip(seen.touches, colours):
         if not touch.touched:
             continue
         # Travel along the press from the first frame; loading and unloading lie over each other if nothing slips.
         travel = 1e3 * (touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis
-        force = touch.normal_force()
-        axes.plot(travel, force, ".-", color=colour, lw=1.0, ms=3)
-        bad = ~np.asarray(touch.converged, bool)
-        axes.plot(travel[bad], force[bad], "kx", ms=6)
+        value, good = of(touch), np.asarray(touch.converged, bool)
+        # what did not converge is no reading: it is marked on the axis, and does not stretch it
+        axes.plot(travel, np.where(good, value, np.nan), ".-", color=colour, lw=1.0, ms=3)
+        axes.plot(travel[~good], np.zeros((~good).sum()), "kx", ms=6)
     axes.tick_params(labelsize=7)
     axes.grid(color="0.9")
     axes.set_xlabel("travel along the press [mm]", fontsize=8)
-    axes.set_title("normal force [N]", fontsize=9, loc="left")
+    axes.set_title(title, fontsize=9, loc="left")
+
+
+def _pressure_change(touch: Touch) -> np.ndarray:
+    if touch.pressure is None or touch.rest_pressure is None:
+        return np.full(len(touch.time), np.nan)
+    return touch.pressure - touch.rest_pressure
+
+
+def _hardest(seen: ObjectView) -> tuple[int, int]:
+    """The touch and its converged frame with the largest force."""
+    size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0) for touch in seen.touches]
+    number = int(np.argmax([values.max(initial=-1.0) for values in size])) if size else 0
+    return number, int(np.argmax(size[number])) if size else 0
+
+
+def _skin(figure, axes, seen: ObjectView, number: int, frame: int) -> None:
+    """The read-out mesh in the mount's frame: its dent as shades, contact forces on its nodes as dots."""
+    touch = seen.touches[number] if seen.touches else None
+    axes.set(xticks=[], yticks=[], aspect="equal")
+    if touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None or not touch.converged[frame]:
+        axes.set_title("no frame of the skin", fontsize=9, loc="left")
+        return
+    pose = touch.mount_pose[frame]
+    local = (touch.node_position[frame].astype(float) - pose[:3, 3]) @ pose[:3, :3]
+    dent = 1e3 * (touch.node_rest[:, 2] - local[:, 2])
+    shown = axes.tripcolor(*(1e3 * touch.node_rest[:, :2].T), touch.node_triangles, dent, shading="gouraud", cmap="viridis", vmin=min(0.0, float(dent.min())), vmax=max(1e-3, float(dent.max())))
+    size = np.linalg.norm(touch.node_force[frame].astype(float), axis=1)
+    axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white", edgecolors="black", linewidths=0.4)
+    bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
+    bar.ax.tick_params(labelsize=7)
+    axes.set_title(f"touch {number}, frame {frame}: dent [mm], forces to {size.max():.2f} N a node", fontsize=9, loc="left")
+
+
+def _inside(axes, seen: ObjectView, number: int, frame: int) -> None:
+    axes.set(xticks=[], yticks=[])
+    touch = seen.touches[number] if seen.touches else None
+    if touch is not None and touch.inside_rgb is not None:
+        axes.imshow(touch.inside_rgb[frame])
+        axes.set_title("from inside", fontsize=9, loc="left")

@@ -21,6 +21,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.vsf.stick_slip import stick_slip_kernel
@@ -67,7 +68,8 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
     """Drag a rigid probe through a cloud of particles.
 
     Particles start at rest. One that lies inside the probe at the first pose starts at the nearest point of the
-    probe's surface (from a sphere's very centre: along the probe's +z).
+    probe's surface (from a sphere's very centre: along the probe's +z). A dome is moved as it is, undented, and particles
+    stick to it whatever the friction, as to rubber; inside it at the first pose they stay free.
 
     Args:
         particles: rest positions, world (n, 3) [m].
@@ -92,6 +94,8 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
     if frames == 0 or len(near) == 0:
         return Displacements(np.zeros(frames + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     rotation, origin, frame_of = _substeps(probe, poses, particles[near], max_step)
+    if isinstance(probe, Dome):
+        return _stuck(particles, near, probe, rotation, origin, frame_of)
     # Float32 keeps its digits when positions are counted from the touch and not from the world's origin.
     shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
     real = wp.float64 if precision == "float64" else wp.float32
@@ -113,6 +117,16 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
             ], outputs=[moved])
             parts.append(_sparse(moved.numpy().astype(np.float64), index))
     return _joined(parts, frames)
+
+
+def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray, frame_of: np.ndarray) -> Displacements:
+    from vsfsim.vsf.sticking import stick
+
+    vertices = np.einsum("sij,nj->sni", rotation, dome.points) + origin[:, None]
+    all_steps = stick(particles[near], vertices, dome.faces).displacements()
+    kept = [all_steps.frame(int(s)) for s in np.flatnonzero(frame_of >= 0)]
+    pointer = np.concatenate([[0], np.cumsum([len(index) for index, _ in kept])]).astype(np.int64)
+    return Displacements(pointer, near[np.concatenate([index for index, _ in kept])].astype(np.int64), np.concatenate([moved for _, moved in kept]))
 
 
 def _sparse(moved: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -155,6 +169,8 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
             return math.hypot(radius, 0.5 * height), min(radius, 0.5 * height)
         case Box(size):
             return 0.5 * math.hypot(*size), 0.5 * min(size)
+        case Dome():
+            return probe.reach, probe.height
     return math.inf, math.inf
 
 
@@ -241,8 +257,8 @@ def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, fricti
     turn = poses[:, :3, :3]
     if len(poses) and (np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turn).min() < 0.0):
         raise VsfError("vsf.simulate: a pose is not rigid; its upper left 3x3 block must be a rotation (no scale, no mirror).")
-    if not isinstance(probe, (Sphere, Capsule, Cylinder, Box, Plane)):
-        raise VsfError(f"vsf.simulate: probe is {probe!r}; it must be a Sphere, Capsule, Cylinder, Box or Plane of vsfsim.core.shape.")
+    if not isinstance(probe, (Sphere, Capsule, Cylinder, Box, Plane, Dome)):
+        raise VsfError(f"vsf.simulate: probe is {probe!r}; it must be a Sphere, Capsule, Cylinder, Box or Plane of vsfsim.core.shape, or a Dome.")
     if not float(friction) >= 0.0:
         raise VsfError(f"vsf.simulate: friction is {friction!r}; it must be 0 or greater (math.inf sticks always).")
     if precision not in PRECISIONS:

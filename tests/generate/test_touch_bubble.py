@@ -1,0 +1,214 @@
+"""A dataset felt by a bubble: aims, paths and limits; through the command line, whole and readable; what is refused."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.dome import Dome, read_dome
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import parse_scene
+from vsfsim.core.shape import parse_probe_shape, probe_table
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.verify import verify
+from vsfsim.generate import touch_bubble
+from vsfsim.generate.run import make_recipe
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.sensing.bubble_touch import rim_of
+
+SCENE = """
+name = "felt"
+needs = ["bulging"]
+[object]
+shape = { box = [0.16, 0.14, 0.04] }
+resolution = 0.03
+poisson_ratio = 0.3
+young_modulus = { base = { loguniform = [5e4, 2e5] } }
+[sensor]
+kind = "bubble"
+nodes = 100
+camera = [16, 12]
+[touches]
+count = 2
+depth = 0.003
+approach = 0.005
+frames = { free = 1, in = 2, hold = 0, out = 0 }
+[camera]
+width = 64
+height = 48
+distance = 0.3
+elevation = 1.5
+fov = 0.3
+[dataset]
+objects = 1
+views = 1
+splits = { test = 1 }
+"""
+
+
+def command(*words, cwd):
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *map(str, words)], capture_output=True, text=True, cwd=cwd,
+                          env={**os.environ, "OMP_NUM_THREADS": "1"})
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("felt")
+    (folder / "felt.toml").write_text(SCENE)
+    out = command("generate", "felt.toml", "--out", "data", "--workers", 1, cwd=folder)
+    assert out.returncode == 0, out.stderr
+    return folder / "data"
+
+
+def test_it_verifies_and_every_frame_is_the_bubbles(made):
+    report = verify(made)
+    assert report.ok and report.touches == 2 and report.unconverged == 0, report.text()
+    (view,) = Dataset.open(made)
+    assert isinstance(view.probe, Dome) and view.probe.height == pytest.approx(0.0305, abs=0.001)
+    assert view.probe.base_area == pytest.approx(7.18e-3, rel=0.01)
+    gas, atmosphere = Bubble(), 101325.0
+    for touch in view.touches:
+        assert touch.touched and touch.rest_pressure == gas.gauge_pressure
+        # free, then in: pressure and force rise together
+        assert touch.pressure[0] == pytest.approx(gas.gauge_pressure, abs=1e-3) and (np.diff(touch.pressure) > 10.0).all()
+        force = touch.normal_force()
+        assert force[0] == 0.0 and force[2] > force[1] > 0.1
+        # what the nodes feel is the force, and its moment about the mount the stored one
+        node, push = touch.node_position.astype(float), touch.node_force.astype(float)
+        assert push.sum(axis=1) == pytest.approx(touch.force, abs=1e-4)
+        assert np.cross(node - touch.mount_pose[:, None, :3, 3], push).sum(axis=1) == pytest.approx(touch.moment, abs=1e-5)
+        # the rim is clamped to the mount, and so is the rest shape what the first frame shows
+        local = np.einsum("tni,tij->tnj", node - touch.mount_pose[:, None, :3, 3], touch.mount_pose[:, :3, :3])
+        rim = rim_of(touch.node_triangles, len(touch.node_rest))
+        assert local[:, rim] == pytest.approx(np.broadcast_to(touch.node_rest[rim], local[:, rim].shape), abs=1e-6)
+        assert local[0] == pytest.approx(touch.node_rest, abs=1e-6) and view.probe.points == pytest.approx(touch.node_rest, abs=1e-8)
+        # the sealed air: p V^gamma, with the volume between the skin and the rim plane, of the coarser read-out
+        volume = np.array([dome_volume(x, touch.node_triangles) for x in local])
+        dead = gas.gas_volume - volume[0]
+        kept = (touch.pressure + atmosphere) * (volume + dead) ** gas.gamma
+        assert kept == pytest.approx(kept[0], rel=1e-3)
+        assert touch.inside_rgb.shape == (3, 12, 16, 3) and (touch.inside_depth > 0.02).mean() > 0.5
+        # it came straight along the normal, and depth counts from first contact
+        way = (touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis
+        assert way == pytest.approx([0.0, 0.005 + 0.0015, 0.005 + 0.003], abs=1e-9)
+        assert touch.mount_pose[:, :3, 2] == pytest.approx(np.broadcast_to(touch.axis, (3, 3)))
+    assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
+
+
+def dome_volume(points, triangles):
+    """Between a surface over the rim plane and that plane [m^3]."""
+    a, b, c = (points[triangles[:, k]] for k in range(3))
+    area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+    return float((area * (a[:, 2] + b[:, 2] + c[:, 2]) / 3.0).sum())
+
+
+def test_its_summary_and_contact_sheet(made, tmp_path):
+    out = command("inspect", made, "--out", tmp_path / "sheet.png", cwd=tmp_path)
+    assert out.returncode == 0, out.stderr
+    assert "pressure" in out.stdout and (tmp_path / "sheet.png").stat().st_size > 20_000
+
+
+def test_a_dome_is_read_back_and_knows_its_heights(made):
+    (view,) = Dataset.open(made)
+    again = parse_probe_shape(probe_table(view.probe), "here")
+    assert again == view.probe
+    at = again.points[:, :2]
+    assert again.heights(at) == pytest.approx(again.points[:, 2], abs=1e-9)
+    assert again.heights(np.array([[0.0, 0.05], [0.06, 0.0]])).tolist() == [-np.inf, -np.inf]
+    with pytest.raises(SceneError, match="unknown key 'vertixes'"):
+        read_dome({"vertixes": []}, "here")
+    with pytest.raises(SceneError, match="that name them"):
+        read_dome({"vertices": [[0, 0, 0]], "triangles": [[0, 1, 2]]}, "here")
+
+
+# ------------------------------------------------------------------------------------------ aims
+
+
+def test_first_contact_is_where_the_dome_meets_the_body():
+    dome = touch_bubble.dome_of(build_bubble(Bubble(nodes=100)))
+    grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 81), np.linspace(-0.1, 0.1, 81)), axis=-1).reshape(-1, 2)
+    floor = np.column_stack([grid, np.zeros(len(grid))])
+    down = np.array([0.0, 0.0, -1.0])
+    assert touch_bubble.first_contact(dome, floor, np.zeros(3), down) == pytest.approx([0.0, 0.0, dome.height], abs=1e-4)
+    # a post beside the target, 20 mm high: met by the flank of the dome, whose skin is lower there
+    post = np.vstack([floor, [[0.03, 0.0, 0.02]]])
+    turn = touch_bubble.turn_to(down, touch_bubble._LEADS)
+    flank = dome.heights((np.array([[0.03, 0.0, 0.0]]) @ turn)[:, :2])[0]
+    assert touch_bubble.first_contact(dome, post, np.zeros(3), down)[2] == pytest.approx(0.02 + flank, abs=1e-9)
+    assert 0.02 + flank > dome.height
+
+
+def test_the_force_limit_of_a_flat_wall():
+    model = build_bubble(Bubble(nodes=390))
+    depth = np.array([touch_bubble.depth_at(model, force) for force in (5.0, 20.0, 60.0)])
+    assert (np.diff(depth) > 0.0).all() and np.isinf(touch_bubble.depth_at(model, 1e5))
+    # a cap of an ellipsoid with the apex curvatures of the real dome, 13.8 and 25.0 1/m: pi 2 d / sqrt(k1 k2); its pressure hardly rises yet
+    assert depth[0] == pytest.approx(5.0 / (7820.0 * 2.0 * np.pi / np.sqrt(13.8 * 25.0)), rel=0.2)
+
+
+def test_the_way_out_is_over_readings_of_the_way_in():
+    spec = dataclasses.replace(parse_scene(SCENE, "felt.toml").sample(0).touches, frames=(2, 3, 1, 2))
+    a = touch_bubble.Aim(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([0, 0, 0.03]), 0.006)
+    poses = touch_bubble.mount_path(spec, a)
+    assert poses[:, 2, 3] == pytest.approx([0.035, 0.035, 0.028, 0.026, 0.024, 0.024, 0.026, 0.028])
+    assert poses[:, :3, 2] == pytest.approx(np.tile([0.0, 0.0, -1.0], (8, 1)))
+
+
+# ------------------------------------------------------------------------------------------ what is refused
+
+
+def recipe(text, **more):
+    given = {"seed": 0, "objects": None, "views": None, "touches": None, "tier": None, "device": "cpu", "precision": "float64", "renderer": "warp", **more}
+    return make_recipe(parse_scene(text, "felt.toml"), **given)
+
+
+@pytest.mark.parametrize(("old", "new", "more", "message"), [
+    ("nodes = 100", "nodes = 3001", {}, r"\[sensor\]: nodes is 3001; against an object up to 3000"),
+    ("nodes = 100", "nodes = 100", {"precision": "float32"}, "--precision is 'float32'"),
+    ("nodes = 100", "nodes = 100", {"tier": "linear"}, "which tier 'linear' cannot show"),
+    ('["bulging"]', '["contact"]', {"tier": "vsf"}, r"tier 'vsf' cannot be touched by a \[sensor\]"),
+    ("depth = 0.003", "depth = 0.04", {}, r"\[touches\]: depth is 0.04 m, but the free dome"),
+    ("nodes = 100", "nodes = 100\ngas_volume = 1e-4", {}, "gas_volume is 100 mL"),
+])
+def test_what_cannot_be_touched_is_refused_before_anything_is_made(old, new, more, message):
+    text = SCENE.replace(old, new)
+    with pytest.raises(SceneError, match=message):
+        recipe(text, **more)
+
+
+def test_a_tier_is_chosen_that_bends(made):
+    assert Dataset.open(made).recipe.tier == "fem-coarse"
+    assert recipe(SCENE.replace('["bulging"]', '["contact"]')).tier == "fem-coarse"
+    assert recipe(SCENE, tier="fem").tier == "fem"
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("camera = [16, 12]", "camera = [16]", r"\[sensor\]: camera is \[16\]; it must be true"),
+    ("camera = [16, 12]", "camera = [4, 12]", "from 8 to 4096 pixels"),
+    ("camera = [16, 12]", "camera = 1", "camera is 1; it must be true"),
+    ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
+    ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]", r"this scene has \[\[obstacles\]\]"),
+])
+def test_mistakes_in_the_scene(old, new, message):
+    with pytest.raises(SceneError, match=message):
+        parse_scene(SCENE.replace(old, new), "felt.toml")
+
+
+def test_touches_need_an_object():
+    text = SCENE.split("[object]")[0] + "[sensor]" + SCENE.split("[sensor]")[1] + "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n"
+    with pytest.raises(SceneError, match=r"\[touches\]: the touches of a dataset are made on an \[object\]"):
+        parse_scene(text, "felt.toml")
+
+
+def test_an_object_in_the_way_of_every_target(tmp_path):
+    scene = parse_scene(SCENE.replace("approach = 0.005", "approach = 0.4"), "felt.toml").sample(0)
+    sensor = build_bubble(scene.sensor)
+    view = type("V", (), {"points": lambda self: np.array([[0.0, 0.0, 0.01]]), "camera_pose": np.eye(4) * 1.0})()
+    samples = np.array([[0.0, 0.0, 0.01], [0.02, 0.0, 0.05]])
+    body = type("M", (), {"mesh": type("K", (), {"points": samples, "faces": np.array([[0, 1, 1]])})()})()
+    with pytest.raises(SceneError, match=r"no target of 200 can be reached by the \[sensor\]"):
+        touch_bubble.aim(scene, scene.touches, body, sensor, view, lambda k: np.random.default_rng(k))

@@ -1,0 +1,107 @@
+"""A bubble on a soft block at the ends of what a scene may ask: every frame converges or says why not, and nothing is ever NaN."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.rotation import rotation_matrix
+from vsfsim.core.scene import parse_scene
+from vsfsim.physics import tiers
+from vsfsim.physics.bubble import build_bubble
+from vsfsim.physics.coupled import CoupledSolver
+from vsfsim.physics.frames import Frames, Reason
+
+MATCHED = Bubble().modulus / 0.02
+"""Young's modulus [Pa] whose block of 20 mm elements is as stiff as the skin: E h = E x 0.02 m."""
+
+
+def block(modulus, resolution=0.02):
+    text = f'''
+name = "block"
+[object]
+shape = {{ box = [0.14, 0.12, 0.05] }}
+resolution = {resolution}
+poisson_ratio = 0.3
+young_modulus = {modulus!r}
+'''
+    return tiers.build(parse_scene(text, "block.toml").sample(0), "fem-coarse")
+
+
+def press(body, sensor, depths, *, slant=0.0, device="cpu", friction=2.0):
+    """Frames at ``depths`` [m] past the apex' first contact with the top, the mount tilted by ``slant`` [rad] and going straight down."""
+    turn = np.diag([1.0, -1.0, -1.0]) @ rotation_matrix((0.0, slant, 0.0))
+    lowest = (sensor.mesh.points @ turn.T)[:, 2].min()
+    poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
+    poses[:, 0, :3, :3] = turn
+    # off the planes of symmetry, so that nothing cancels
+    poses[:, 0, :3, 3] = np.array([0.003, 0.002, 0.05 - lowest]) - np.asarray(depths)[:, None] * [0.0, 0.0, 1.0]
+    solver = CoupledSolver(body, sensor, friction=friction, device=device, options=dataclasses.replace(tiers.options("fem-coarse"), seconds=1e9, cg_frame=600))
+    frames = solver.run(poses, keep=True)
+    for field in dataclasses.fields(Frames):
+        assert np.isfinite(np.asarray(getattr(frames, field.name), float)).all(), field.name
+    for kept in (solver.pressure, solver.volume, solver.sensor_position, solver.sensor_force):
+        assert np.isfinite(np.stack(kept)).all()
+    good = frames.converged
+    assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
+    assert (frames.residual[good] <= 1e-3).all()
+    print(f"{int(good.sum())} of {len(depths)} converged, reasons {[Reason(int(r)).name for r in frames.reason.ravel()]}, force {np.linalg.norm(frames.force[:, 0], axis=1).round(4).tolist()} N, "
+          f"{frames.iterations.ravel().tolist()} Newton, {frames.cg_iterations.ravel().tolist()} CG, penetration {frames.penetration.max() / sensor.element_size:.1e} of an edge, {frames.seconds.sum():.1f} s")
+    return frames
+
+
+@pytest.fixture(scope="module")
+def coarse():
+    return build_bubble(Bubble(nodes=200))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1e-3, 1.0, 1e3])
+def test_either_may_be_a_thousand_times_as_stiff(coarse, device, ratio):
+    frames = press(block(ratio * MATCHED), coarse, [0.001, 0.002, 0.003], device=device)
+    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+    assert (frames.force_balance < 1e-3).all() and (frames.penetration < 0.01 * coarse.element_size).all()
+
+
+@pytest.mark.slow
+def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
+    """Over six decades the force grows from the block's own to that of a wall, and no further."""
+    force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2] for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
+    assert (np.diff(force) > 0.0).all() and force[-1] < 1.01 * force[-2] and force[0] < 0.01 * force[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("change", "depth"), [
+    ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.003),  # deflated, no tension but its own
+    ({"gauge_pressure": 200.0}, 0.001),  # deflated: the dome is 1.6 mm high
+    ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.003),  # a thousand times as stiff
+    ({"sealed": False}, 0.004),
+])
+def test_other_bubbles(device, change, depth):
+    sensor = build_bubble(dataclasses.replace(Bubble(nodes=200), **change))
+    frames = press(block(MATCHED), sensor, np.linspace(depth / 4, depth, 4), device=device)
+    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+
+
+@pytest.mark.slow
+def test_eight_tenths_of_the_dome(coarse, device):
+    height = coarse.mesh.points[:, 2].max()
+    frames = press(block(MATCHED), coarse, np.linspace(0.05, 0.8, 16) * height, device=device)
+    # one equilibrium after the other up to half of it; beyond, the folded flank may not balance, and is marked
+    assert frames.converged[:10].all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_45_degrees(coarse, device, side):
+    frames = press(block(10.0 * MATCHED), coarse, [0.001, 0.002, 0.003, 0.004], slant=side * 0.25 * np.pi, device=device)
+    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nodes", [100, 1000, 3000])
+def test_meshes_of_the_bubble(device, nodes):
+    sensor = build_bubble(Bubble(nodes=nodes))
+    frames = press(block(MATCHED), sensor, [0.001, 0.002, 0.003, 0.004], device=device)
+    assert frames.converged.all()
