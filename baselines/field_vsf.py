@@ -13,8 +13,9 @@ import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import skin_touch
+from vsfsim.baselines.skin import noise_unit, skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
@@ -68,7 +69,8 @@ class NeuralVsf:
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
         dense = all(r.surface is not None for r in support)
-        touches = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        found = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        touches = [touch for touch in found if touch is not None]
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.
@@ -78,14 +80,14 @@ class NeuralVsf:
         """Readings (T, 1) of touches not made yet.
 
         Raises:
-            MethodError: the probe is not a ball, or its readings are not forces along the press.
+            MethodError: the probe is neither a ball nor a bubble, or its readings are neither forces along the press nor pressures.
         """
         from vsfsim.vsf.neural import predict_totals
 
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] for touch in asked]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action) for touch, action in zip(asked, touches)]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
@@ -128,18 +130,20 @@ def _fitted(work):
 def _total(reading: Reading):
     if reading.value.shape[1:] != (1,):
         raise MethodError(f"the readings have {reading.value.shape[1:]} numbers a frame; without a sensor's surface the field is fitted to one force a frame.")
-    return _surface_of(reading.action, np.where(reading.valid, reading.value[:, 0], np.nan))
+    return _surface_of(reading.action, np.where(reading.valid, noise_unit(reading.action) * reading.value[:, 0], np.nan))
 
 
 def _surface_of(action: Action, force: np.ndarray):
-    """The front half of a ball, on its way."""
+    """The front half of a ball, or a bubble's dome as if undented, on its way; ``force`` (T,) [N]."""
     from vsfsim.vsf.palpation import dome
     from vsfsim.vsf.swept import TotalTouch
 
-    if not isinstance(action.probe, Sphere):
-        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball, or needs a sensor with contact forces on its vertices.")
-    if action.observation != "normal-force":
-        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
+    if not isinstance(action.probe, (Sphere, Dome)):
+        raise MethodError(f"the probe is a {type(action.probe).__name__}; the continuous VSF knows the surface of a ball and of a bubble, or needs a sensor with contact forces on its vertices.")
+    if action.observation not in ("normal-force", "pressure"):
+        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force' or 'pressure'.")
+    if isinstance(action.probe, Dome):
+        return TotalTouch(np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3], action.probe.faces, np.asarray(action.axis), force)
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])
