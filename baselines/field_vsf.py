@@ -80,14 +80,14 @@ class NeuralVsf:
         """Readings (T, 1) of touches not made yet.
 
         Raises:
-            MethodError: the probe is neither a ball nor a bubble, or its readings are neither forces along the press nor pressures.
+            MethodError: the probe is neither a ball nor a bubble's dome, or its readings are not forces along the press (or, of a dome, its pressure).
         """
         from vsfsim.vsf.neural import predict_totals
 
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action) for touch, action in zip(asked, touches)]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action) for action, touch in zip(touches, asked, strict=True)]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
@@ -130,20 +130,21 @@ def _fitted(work):
 def _total(reading: Reading):
     if reading.value.shape[1:] != (1,):
         raise MethodError(f"the readings have {reading.value.shape[1:]} numbers a frame; without a sensor's surface the field is fitted to one force a frame.")
-    return _surface_of(reading.action, np.where(reading.valid, noise_unit(reading.action) * reading.value[:, 0], np.nan))
+    return _surface_of(reading.action, np.where(reading.valid, reading.value[:, 0], np.nan))
 
 
 def _surface_of(action: Action, force: np.ndarray):
-    """The front half of a ball, or a bubble's dome as if undented, on its way; ``force`` (T,) [N]."""
+    """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their unit."""
     from vsfsim.vsf.palpation import dome
     from vsfsim.vsf.swept import TotalTouch
 
-    if not isinstance(action.probe, (Sphere, Dome)):
-        raise MethodError(f"the probe is a {type(action.probe).__name__}; the continuous VSF knows the surface of a ball and of a bubble, or needs a sensor with contact forces on its vertices.")
-    if action.observation not in ("normal-force", "pressure"):
-        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force' or 'pressure'.")
-    if isinstance(action.probe, Dome):
-        return TotalTouch(np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3], action.probe.faces, np.asarray(action.axis), force)
+    if isinstance(action.probe, Dome) and action.observation in ("normal-force", "pressure"):
+        places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
+        return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
+    if not isinstance(action.probe, Sphere):
+        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
+    if action.observation != "normal-force":
+        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])

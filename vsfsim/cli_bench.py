@@ -101,7 +101,7 @@ def features(task: Annotated[str, typer.Option(help="Task whose training objects
 def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
                  plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
                  nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
-                 area: Annotated[float, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2].")] = 7.18e-3,
+                 area: Annotated[float | None, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2]; default: inside the rim of the dataset's bubble, a Punyo's 7.18e-3 without one.")] = None,
                  out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
     from vsfsim.cli import _check_writable
@@ -111,8 +111,13 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
     stdout = out is not None and str(out) == "-"
     for name, path in (("--plot", plot), ("--json", None if stdout else out)):
         _check_writable(name, path)
-    found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True)) if dataset is None else law.readings(Dataset.open(dataset, blind=True))
-    result = law.study(found, area=area)
+    rim = (law.BASE_AREA, law.SEMI_AXIS)
+    if dataset is None:
+        found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    else:
+        data = Dataset.open(dataset, blind=True)
+        found, rim = law.readings(data), law.rim_of_dataset(data.load(data.names()[0]))
+    result = law.study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
     if plot is not None:
         law.plot(found, result, plot)
     if stdout:
@@ -164,6 +169,9 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
            objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: 3 on a CPU, the scene's own number on a GPU.")] = None,
            views: Annotated[int | None, typer.Option(min=1, help="Views of each; default: 1 on a CPU, the scene's own number on a GPU.")] = None,
            touches: Annotated[int | None, typer.Option(min=1, help="Touches of each view; default: 6 on a CPU, the scene's own number on a GPU.")] = None,
+           seconds: Annotated[float | None, typer.Option(min=1.0, help="End about this long after the kernels are ready; what was done by then is counted.")] = None,
+           workers: Annotated[int | None, typer.Option(min=1, help="Processes that prepare and finish views; default: 1 on a CPU, one a core on a GPU.")] = None,
+           lanes: Annotated[int | None, typer.Option(min=1, max=32, help="Threads of a GPU for one touch, of which one works; default 32.")] = None,
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Touches and readings a second of plants under an arm, split by stage."""
     from vsfsim.cli import _check_device, _check_writable
@@ -175,7 +183,7 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
         _check_writable("--json", out)
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
-    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds, workers=workers, lanes=lanes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     if stdout:
         print(json.dumps(result, indent=1))
         return

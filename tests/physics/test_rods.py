@@ -91,7 +91,7 @@ def test_a_batch_gives_the_bits_of_touches_alone(device):
     shapes = [Capsule(0.03, 0.1)]
     together = RodSolver(models, shapes, device=device).run(which, poses, friction=0.3)
     for b in range(4):
-        alone = RodSolver([models[which[b]]], shapes, device=device, options=RodOptions(chunk=5)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
+        alone = RodSolver([models[which[b]]], shapes, device=device, options=RodOptions(share=5, lanes=4)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
         assert (alone.force[:, 0] == together.force[:, b]).all() and (alone.energy[:, 0] == together.energy[:, b]).all()
 
 

@@ -33,6 +33,10 @@ class Dome:
         rounded = np.round(np.asarray(vertices, float), _DIGITS) + 0.0
         return cls(tuple(map(tuple, rounded.tolist())), tuple(map(tuple, np.asarray(triangles, int).tolist())))
 
+    def __repr__(self) -> str:
+        # hundreds of vertices in a message help nobody; the hash tells two domes apart
+        return f"Dome({len(self.vertices)} vertices, {1e3 * self.height:.1f} mm high, {hash((self.vertices, self.triangles)) & 0xFFFFFFFF:08x})"
+
     @cached_property
     def points(self) -> np.ndarray:
         """Vertices as an array (N, 3) [m]."""

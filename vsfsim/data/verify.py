@@ -24,6 +24,10 @@ CONTACT_FORCE = 1e-3
 """Force [N] from which a frame counts as in contact; under 1 % of the 0.15 N noise of a real sensor. Below it, a
 relative balance compares rounding with rounding."""
 
+SKIN_LIMIT = 1e-4
+"""Largest difference [N] of the force on a soft sensor from the sum over the nodes of its skin, besides `BALANCE_LIMIT` of it: the nodes' are stored in
+single precision, hundreds of up to a few newtons each."""
+
 _MEND = "Delete this file and run the same `vsfsim generate` again; it makes only what is missing."
 
 
@@ -119,11 +123,24 @@ def verify(path: str | Path) -> Report:
                 frame = int(np.flatnonzero(contact & (balance == top))[0])
                 problems.append(Problem(entry.file, f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of the larger one, over {BALANCE_LIMIT:g}.",
                                         "The solver lost force; report it with the scene and the seed, and do not use this touch."))
+            lost = skin_loss(touch)
+            if lost is not None:
+                problems.append(Problem(entry.file, f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add up to {lost[1]:.2g} N off the force.",
+                                        "The read-out lost force; report it with the scene and the seed, and do not use this touch."))
             counts["touches"] += 1
             counts["frames"] += len(touch.time)
             counts["unconverged"] += int((~touch.converged).sum())
             counts["untouched"] += int(not touch.touched)
     return Report(path, tuple(problems), **counts, worst_balance=worst)
+
+
+def skin_loss(touch: Touch) -> tuple[int, float] | None:
+    """The first converged frame whose node forces do not add up to the force, and by how much they are off [N]; None if all do, or there is no skin."""
+    if touch.node_force is None:
+        return None
+    off = np.linalg.norm(touch.node_force.astype(float).sum(axis=1) - touch.force, axis=1)
+    bad = np.flatnonzero(touch.converged & ~(off <= SKIN_LIMIT + BALANCE_LIMIT * np.linalg.norm(touch.force, axis=1)))
+    return (int(bad[0]), float(off[bad[0]])) if len(bad) else None
 
 
 def contact_frames(touch: Touch) -> np.ndarray:

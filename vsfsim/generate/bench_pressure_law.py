@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from vsfsim.core.bubble import Bubble
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import ObjectView, Touch
@@ -27,6 +28,9 @@ from vsfsim.sensing.membrane_fe import SensorError
 
 BASE_AREA = 7.18e-3
 """Area inside the Punyo's rim [m^2]: openvsf's mesh, and pi times 57.25 mm times 40 mm to 0.2 %."""
+
+SEMI_AXIS = Bubble().semi_axes[0]
+"""The Punyo's long one [m]."""
 
 CONTACT = 0.05
 """Force [N] from which a frame counts: a third of a real sensor's noise."""
@@ -91,6 +95,13 @@ def readings(views: Iterable[ObjectView]) -> LawReadings:
     return out
 
 
+def rim_of_dataset(view: ObjectView) -> tuple[float, float]:
+    """Area inside the rim [m^2] and the long semi-axis [m] of the bubble that touched ``view``; a Punyo's where the file does not say."""
+    if isinstance(view.probe, Dome):
+        return view.probe.base_area, float(view.probe.points[:, 0].max())
+    return BASE_AREA, SEMI_AXIS
+
+
 def _of_touch(touch: Touch, number: int) -> tuple[np.ndarray, ...]:
     axis = touch.mount_pose[:, :3, 2]  # out of the dome
     used = touch.converged & (np.linalg.norm(np.nan_to_num(touch.force), axis=1) > CONTACT)
@@ -141,7 +152,7 @@ def law(name: str, force: np.ndarray, change: np.ndarray, *, scale: float | None
     return Law(name, used, float(error.mean() / change.mean()), best, float(left.std()), float(left.std() / size), float(np.sqrt(np.mean(error**2))), len(change))
 
 
-def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = 0.05725) -> dict[str, Any]:
+def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEMI_AXIS) -> dict[str, Any]:
     """All laws on all frames, and by the distance of the contact from the dome's axis.
 
     Args:

@@ -33,7 +33,7 @@ from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-BATCH = 1200  # touches that are solved together, views whole; on a CPU one thread does them one after the other, and the bits are the same
+BATCH = 4096  # touches that are solved together, views whole: 5 GB of a GPU; on a CPU one thread does them one after the other, and the bits are the same
 
 
 @dataclass
@@ -150,8 +150,13 @@ def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int],
     return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[tuple[RodFrames, slice]]:
-    """The equilibria of some views' touches: for each view its frames, and which columns of them are its."""
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
+          limit: float | None = None) -> list[tuple[RodFrames, slice]]:
+    """The equilibria of some views' touches: for each view its frames, and which columns of them are its.
+
+    Args:
+        options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, see `RodSolver.run`.
+    """
     seconds = seconds or Seconds()
     since = seconds.begin()
     arm, scene = arm_of(subjects[0]), subjects[0].scene
@@ -170,8 +175,8 @@ def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int],
             poses[:len(own), b] = own
             poses[len(own):, b] = own[-1]
         since = seconds.charge("kinematics", since)
-        solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=RodOptions(force_limit=scene.touches.force_limit))
-        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress)
+        solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=dataclasses.replace(options or RodOptions(), force_limit=scene.touches.force_limit))
+        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress, seconds=limit)
         begin = 0
         for member in group:
             own_frames = frames.columns(slice(begin, begin + len(member.aims)))

@@ -32,7 +32,7 @@ from vsfsim.sensing.bubble_touch import touch_fields
 BATCH = {"cpu": 9, "cuda": 256}  # touches that advance together; part of what fixes the bits
 KINDS = ("tet10", "triangle", "hinge", "gas")  # of the elements of object and bubble
 _LEADS = Plane()  # as a plane's, a sensor's +z leads
-_PATIENCE = 400  # conjugate gradients of a touch in one frame
+_PATIENCE = 200  # conjugate gradients of a touch in one frame
 _GRID = 1e-3  # of the places at which the dome is cut by a wall [m]
 
 
@@ -165,7 +165,7 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
 def options(tier: str) -> SolverOptions:
     """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do not depend on the machine's load.
 
-    A frame on its way takes some 50 conjugate gradients; what has not arrived after `_PATIENCE` seldom does, and one such touch would hold up its batch.
+    A frame on its way takes some 50 conjugate gradients, seldom 100; what has not arrived after `_PATIENCE` seldom does, and one such touch would hold up its batch.
     """
     return dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=_PATIENCE)
 

@@ -219,7 +219,7 @@ class Equilibrium:
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < 0.5 * measure[pending]) & (measure[pending] < self.touching.near_balance)
+            shrinks = (new["measure"] < self.touching.shrinks * measure[pending]) & (measure[pending] < self.touching.near_balance)
             if self.touching.rubs:
                 shrinks |= new["measure"] <= tolerance  # forces that depend on the way have no potential that must fall
             good = (falls | shrinks) & (new["astray"] <= astray[pending])

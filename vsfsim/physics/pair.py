@@ -70,7 +70,7 @@ class PairTouching(PairSurfaces):
         stride: longest way of the sensor in a step [m].
     """
 
-    near_balance = 1.0  # see `Touching`: with blended normals the forces are not quite those of a potential
+    near_balance, shrinks = 1.0, 0.9  # see `Touching`: with blended normals the forces are not quite those of a potential
     patience = 8  # see `Touching`: from flat facets a step may go round in a circle, and half of it ends elsewhere
 
     # ------------------------------------------------------------------------------------------ evaluation
@@ -111,7 +111,7 @@ class PairTouching(PairSurfaces):
         for side in self._sides:
             self._launch(k.lag, side, columns, [
                 *side.arrays("stiffness faces"), softening, self._friction, *side.arrays("candidates"), before, swept,
-                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across damping change miss")])
+                *side.arrays("gap face shape normal"), *side.arrays("anchored anchor_face anchor_shape limit across anchorings damping change miss")])
 
     def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
         """By how much friction's limits miss Coulomb's (k,) [N]: what damping has held back of their last change."""

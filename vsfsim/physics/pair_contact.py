@@ -24,6 +24,7 @@ from vsfsim.physics.contact import FACING
 
 CANDIDATES = 12  # faces of the other surface that one point may meet in one step
 FIXED, NEW = 1, 2  # an anchor: from a step before, or made in this one, which may still move it
+ANCHORINGS = 3  # times that an iteration of friction may still move it: a point whose anchor goes along with it creeps on for ever
 
 
 @functools.cache
@@ -38,6 +39,8 @@ def kernels() -> Any:
     near = closest_point.functions(real, module)
     facing = wp.constant(real(FACING))
     most = wp.constant(CANDIDATES)
+    most_anchorings = wp.constant(ANCHORINGS)
+    fixed, new = wp.constant(FIXED), wp.constant(NEW)
 
     @wp.func(module=module)
     def meet(p: vec3, b: int, q: int, nodes: int, candidates: wp.array3d(dtype=wp.int32), faces: wp.array3d(dtype=wp.int32),
@@ -285,6 +288,7 @@ def kernels() -> Any:
         anchor_shape_out: wp.array2d(dtype=vec6),
         limit_out: wp.array2d(dtype=real),
         across_out: wp.array2d(dtype=vec3),
+        anchorings_out: wp.array2d(dtype=wp.int32),
         damping_out: wp.array2d(dtype=real),
         change_out: wp.array2d(dtype=real),
         miss_out: wp.array2d(dtype=real),
@@ -297,7 +301,8 @@ def kernels() -> Any:
         if g < real(0.0):
             limit = -friction * softening[b] * stiffness[b, q] * g
             across_out[b, q] = normal_in[b, q]
-            if anchored_out[b, q] != 1:
+            if anchored_out[b, q] == 0 or (anchored_out[b, q] == new and anchorings_out[b, q] < most_anchorings):
+                anchorings_out[b, q] = anchorings_out[b, q] + 1
                 # where the other surface came upon the point in this step, had both kept their shapes; where it is now, if it bulged up
                 face = face_in[b, q]
                 shape = shape_in[b, q]
@@ -318,11 +323,13 @@ def kernels() -> Any:
                         face, shape, _g2, _n2 = meet(moved, b, q, nodes, candidates_in, faces, x_swept)
                 anchor_face_out[b, q] = face
                 anchor_shape_out[b, q] = shape
-                anchored_out[b, q] = 2
-        # where friction lifts the point off and touch brings it back, the whole change would go to and fro for ever: ever smaller parts of it meet
+                anchored_out[b, q] = new
+        # where friction lifts the point off and touch brings it back, the whole change would go to and fro for ever. So the part of it that is made goes by
+        # the secant of the last two changes (Aitken's relaxation)
         change = limit - limit_out[b, q]
-        if change * change_out[b, q] < real(0.0) and wp.abs(change) > real(0.5) * wp.abs(change_out[b, q]):
-            damping_out[b, q] = wp.max(real(0.5) * damping_out[b, q], real(1.0 / 64.0))
+        last = change_out[b, q]
+        if (last - change) * last > real(0.0):
+            damping_out[b, q] = wp.clamp(damping_out[b, q] * last / (last - change), real(1.0 / 16.0), real(1.0))
         change_out[b, q] = change
         limit_out[b, q] = limit_out[b, q] + damping_out[b, q] * change
         miss_out[b, q] = (real(1.0) - damping_out[b, q]) * wp.abs(change)
@@ -353,7 +360,7 @@ def kernels() -> Any:
         if gap_in[b, q] >= real(0.0):
             anchored_out[b, q] = 0
         elif anchored_out[b, q] > 0:
-            anchored_out[b, q] = 1
+            anchored_out[b, q] = fixed
             m = across_in[b, q]
             at = place(b, anchor_face_out[b, q], nodes, anchor_shape_out[b, q], faces, x_in)
             d = x_in[b, first + q] - at

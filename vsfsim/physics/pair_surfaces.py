@@ -38,7 +38,7 @@ class Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
-    iteration: of friction's limit in this step: damping of its changes, the last change, and what is missing of it (B, Q).
+    iteration: of friction in this step (B, Q): how often an anchor was set, the limit's damping, its last change, and what is missing of it.
     views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
     around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
@@ -219,7 +219,7 @@ class PairSurfaces:
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        iteration = {"damping": zeros() + 1.0, "change": zeros(), "miss": zeros()}
+        iteration = {"anchorings": zeros(dtype=torch.int32), "damping": zeros() + 1.0, "change": zeros(), "miss": zeros()}
         candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
         smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
         k = self.kernels

@@ -36,7 +36,7 @@ class Touching:
         exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
-    near_balance = 0.05  # measure under which a step that halves it is good whatever the potential says, which rounding hides
+    near_balance, shrinks = 0.05, 0.5  # measure under which a step that brings it to this part is good whatever the potential says, which rounding hides
     patience = 10**9  # iterations in which the measure may fail to fall by a tenth before a touch is given up: their limit ends them
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,

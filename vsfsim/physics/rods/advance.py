@@ -1,4 +1,8 @@
-"""A whole touch in one thread: frame after frame, each in strides that nothing can be jumped in, retried in shorter ones, its forces written out."""
+"""A touch in one thread: frame after frame, each in strides that nothing can be jumped in, retried in shorter ones, its forces written out.
+
+A launch goes on until every touch has used up its share of Newton iterations, so that no touch waits long for a harder one, and the next launch goes on where it stopped: the bits do not
+depend on the shares. On a GPU one thread of every ``lanes`` works: touches that share a warp wait for one another wherever they part.
+"""
 
 import warp as wp
 
@@ -60,20 +64,44 @@ def settle(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, side: i
             w.stuck[side, b, c] = 0
     for i in range(n):
         w.strained[b, i] = 0
+    kept = int(1)  # 0: unloaded parts went back to their shape
+    through = int(0)
     if found == 1 and weighs == 0:
         # what nothing presses any more is unloaded: it is put where its joint carries it, to the last bit
         for c in range(w.count[side, b]):
             if w.stuck[side, b, c] == 1:
                 w.strained[b, w.node[side, b, c]] = 1
-        for back in range(1, n):
-            i = n - back
+        for up in range(1, n):
+            i = n - up
             if w.strained[b, i] == 1:
                 w.strained[b, tree.parent[o + i]] = 1
-        for i in range(1, n):
-            w.active[b, i] = w.strained[b, i]
+        for i in range(n):
+            w.x_keep[b, i] = w.x[b, i]
+            w.q_keep[b, i] = w.q[b, i]
+            w.active[b, i] = wp.where(i == 0, 1, w.strained[b, i])
         ride(tree, w, b, o, n)
-    else:
+        for c in range(w.count[side, b]):
+            if w.stuck[side, b, c] == 0:
+                i = w.node[side, b, c]
+                k = w.body[side, b, c]
+                j = w.sample[side, b, c]
+                p = tree.parent[o + i]
+                y = point_at(tree.along[j], tree.offset[j], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
+                gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
+                if gap.value < ZERO:
+                    through = 1  # a soft leaf, bent by less than the tolerance, would go back through a link: it stays as it is
+        if through == 0:
+            kept = 0
+        else:
+            for i in range(n):
+                w.x[b, i] = w.x_keep[b, i]
+                w.q[b, i] = w.q_keep[b, i]
+                w.active[b, i] = 0
+                w.strained[b, i] = 0
+            w.active[b, 0] = 1
+    if kept == 1:
         for a in range(1, count):
+            w.active[b, w.order[b, a]] = 1
             w.strained[b, w.order[b, a]] = 1
 
 
@@ -87,6 +115,7 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
     deepest = ZERO
     touching = int(0)
     slipping = int(0)
+    root = vec6()
     for c in range(w.count[side, b]):
         i = w.node[side, b, c]
         k = w.body[side, b, c]
@@ -97,6 +126,9 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
         gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
             fn = -normal_force(-gap.value, tree.penalty[j]) * gap.normal
+            at_root = wp.where(p == 0, ONE - tree.along[j], ZERO)  # the share of it that the clamp takes without bending anything
+            lp = wp.quat_rotate(w.q[b, p], tree.offset[j])
+            root = root + at_root * six(fn, wp.cross(lp, fn))
             force = fn
             moment = wp.cross(y - cx, fn)
             tau = w.tau[side, b, c]
@@ -104,6 +136,8 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
                 ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
                 u = slip(w.normal[side, b, c], ys, w.hold[side, b, c])
                 ft = friction_force(u, tree.penalty[j], tau)
+                lps = lp + wp.quat_rotate(w.q[b, p], wp.quat_rotate_inv(w.q_start[b, p], w.lever[side, b, c]))
+                root = root + at_root * six(ft, wp.cross(lps, ft))
                 force = force + ft
                 moment = moment + wp.cross(ys - cx, ft)
                 if tree.penalty[j] * wp.length(u) > tau:
@@ -114,7 +148,6 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, b: int, o: int, n
             deepest = wp.max(deepest, -gap.value)
             touching = touching + 1
     stored = ZERO
-    root = vec6()
     for a in range(1, count):
         i = w.order[b, a]
         p = tree.parent[o + i]
@@ -140,15 +173,19 @@ def advance(
     # model
     tree: Trees,
     touch: Touches,
-    begin: int,
-    end: int,
+    live: wp.array(dtype=wp.int32),
+    lanes: int,
+    share: int,
     weighs: int,
     # state in and out
     w: Work,
     # state out
     out: Results,
 ):
-    b = wp.tid()
+    thread = wp.tid()
+    if thread % lanes != 0:
+        return
+    b = live[thread / lanes]
     plant = touch.plant[b]
     o = tree.first[plant]
     n = tree.first[plant + 1] - o
@@ -156,8 +193,9 @@ def advance(
     if weighs == 1:
         for i in range(n):
             load = load + wp.length(tree.load[o + i])
-    for t in range(begin, wp.min(end, touch.frames[b])):
-        if w.ended[b] == 0:
+    taken = int(0)
+    for t in range(w.next[b], touch.frames[b]):
+        if w.ended[b] == 0 and taken < share:
             way = capsules_at(touch, w, b, t, ZERO, ONE)
             base = ONE / wp.ceil(wp.max(way / STRIDE, ONE))
             h = base
@@ -196,5 +234,7 @@ def advance(
             out.residual[t, b] = residual
             out.iterations[t, b] = used
             out.reason[t, b] = reason
+            taken = taken + used + 1
+            w.next[b] = t + 1
             if total > touch.force_limit:
                 w.ended[b] = t + 1  # this frame is not kept

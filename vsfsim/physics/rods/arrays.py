@@ -60,7 +60,7 @@ class Work:
     tree; clear: of segments from capsules, room: of nodes to move in (B, N) [m]. g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment`; relative: spin over it (B, N). cap_*: capsules now and at the start (B, K).
     Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
     gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
-    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). ended: 1 past the force limit (B,).
+    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
@@ -110,6 +110,7 @@ class Work:
     hold: wp.array3d(dtype=wp.vec3d)
     count: wp.array2d(dtype=wp.int32)
     side: wp.array(dtype=wp.int32)
+    next: wp.array(dtype=wp.int32)
     ended: wp.array(dtype=wp.int32)
 
 

@@ -244,13 +244,6 @@ def foresee(tree: Trees, w: Work, b: int, o: int, side: int):
 
 
 @wp.func
-def press(w: Work, b: int, side: int):
-    """Sets on what presses now, and nothing else."""
-    for c in range(w.count[side, b]):
-        w.on[side, b, c] = wp.where(w.depth[side, b, c] > ZERO, 1, 0)
-
-
-@wp.func
 def unbalanced(tree: Trees, w: Work, b: int, o: int, count: int):
     """Sum of the lengths of the unbalanced forces, moments over the segment's length counted as forces [N]."""
     out = ZERO

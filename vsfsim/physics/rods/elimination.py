@@ -11,7 +11,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 vec6 = wp.spatial_vectord
 
 
-@wp.func
+@wp.func(inline=False)
 def cholesky(a: mat66):
     """Lower factor of a 6 x 6 block, and 1, or 0 where it is not positive definite."""
     out = mat66()

@@ -4,7 +4,7 @@ import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Touches, Trees, Work
-from vsfsim.physics.rods.assembly import assemble, contact_energy, foresee, model, press, renew, unbalanced
+from vsfsim.physics.rods.assembly import assemble, contact_energy, foresee, model, renew, unbalanced
 from vsfsim.physics.rods.elimination import solve, solve_coulomb
 from vsfsim.physics.rods.search import activate, gather, ride
 from vsfsim.physics.rods.segment import HALF, ONE, TINY, ZERO, energy, quat, real, six, strain, vec3
@@ -135,32 +135,28 @@ def restore(w: Work, b: int, count: int):
 
 
 @wp.func
-def step(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, coulomb: int, sets: int):
+def step(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, geometric: real, coulomb: int, sets: int):
     """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at most. 1, or 0 where there is none."""
     fine = int(0)
-    geometric = ONE
     for _pick in range(sets):
         model(tree, touch, w, b, o, count, side, geometric, coulomb)
         if coulomb == 1:
             fine = solve_coulomb(tree, w, b, o, count)
         else:
             fine = solve(tree, w, b, o, count)
-            if fine == 0 and geometric > ZERO:
-                # without the terms of the stresses the tangent cannot lose its definiteness
-                geometric = ZERO
-                assemble(tree, touch, w, b, o, count, side, geometric)
-                model(tree, touch, w, b, o, count, side, geometric, coulomb)
-                fine = solve(tree, w, b, o, count)
-        if fine == 0:
-            return 0
-        if sets == 1 or foresee(tree, w, b, o, side) == 0:
-            return 1
-    return 1
+        if fine == 0 or sets == 1:
+            break
+        if foresee(tree, w, b, o, side) == 0:
+            break
+    return fine
 
 
 @wp.func
 def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: int, new: int, weighs: int, load: real):
-    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations, residual, active nodes."""
+    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations, residual, active nodes.
+
+    Each large function is called in one place only, and a step that failed comes round again by another turn of the loop: CUDA's compiler takes in what is called, once for each place.
+    """
     count = int(0)
     moved = real(2.0)  # so that the lists are made at once
     listed = int(0)
@@ -168,16 +164,25 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
     used = int(0)
     residual = ZERO
     small = int(0)
-    plain = int(0)
+    plain = int(0)  # steps down the potential that are still owed
     tried = int(0)
     before = ZERO
     again = int(0)
     part = ONE
     way = ZERO
     spent = int(0)
-    for _it in range(TRAVEL):
-        if spent >= NEWTON:
+    same = int(0)  # 1: the state is the one before, and the step is sought in another way
+    geometric = ONE
+    pressing = int(0)  # 1: with the contacts that press now
+    rest = ZERO
+    slope = ZERO
+    turn = ZERO
+    turns = int(0)
+    for _it in range(3 * TRAVEL):
+        if spent >= NEWTON or turns >= TRAVEL:
             break
+        if same == 0:
+            turns = turns + 1
         if moved > ONE and tried == 0:
             ride(tree, w, b, o, n)
             listed = gather(tree, touch, w, b, o, n, MARGIN, old, new)
@@ -190,79 +195,112 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
                 reason = OK
                 break
         force = renew(tree, touch, w, b, o, new) + load
-        slips = assemble(tree, touch, w, b, o, count, new, ONE)
-        rest = unbalanced(tree, w, b, o, count)
+        slips = assemble(tree, touch, w, b, o, count, new, geometric)
+        leap = int(0)  # 1: the step is taken at `part` of its length, no potential decides
         if again == 1:
             # back where the step was made: it is tried once more, shorter
             again = 0
-            attempt(tree, w, b, o, count, part)
-            accept(w, b, count)
-            continue
-        if tried > 0 and not rest < (ONE - SHRINK * part) * before:
-            # no potential vouches for the step with friction that follows the normal force, so the unbalanced force must shrink; else back, and at last down the potential
-            restore(w, b, count)
-            if tried < TRIES:
-                tried = tried + 1
-                part = real(0.35) * part
-                again = 1
-            else:
-                tried = 0
-                plain = CAREFUL
-            continue
-        if tried > 0:
-            moved = moved + part * way
-        tried = 0
-        residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
-        if not wp.isfinite(rest):
-            reason = NOT_FINITE
-            break
-        if residual <= touch.tolerance:
-            reason = OK
-            break
-        used = used + 1
-        if slips > 0 and plain == 0:
-            if step(tree, touch, w, b, o, count, new, 1, SETS) == 1:
+            leap = 1
+        else:
+            rest = unbalanced(tree, w, b, o, count)
+            if tried > 0 and not rest < (ONE - SHRINK * part) * before:
+                # no potential vouches for the step with friction that follows the normal force, so the unbalanced force must shrink; else back, and at last down the potential
+                restore(w, b, count)
+                if tried < TRIES:
+                    tried = tried + 1
+                    part = real(0.35) * part
+                    again = 1
+                else:
+                    tried = 0
+                    plain = CAREFUL
+                continue
+            if tried > 0:
+                moved = moved + part * way
+            tried = 0
+            residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
+            if not wp.isfinite(rest):
+                reason = NOT_FINITE
+                break
+            if residual <= touch.tolerance:
+                reason = OK
+                break
+            if same == 0:
+                used = used + 1
+            same = 0
+            coulomb = int(0)
+            sets = int(SETS)
+            bend = BEND
+            if pressing == 1:
+                sets = 1
+                bend = real(10.0)
+            elif slips > 0 and plain == 0:
+                coulomb = 1
+                bend = real(10.0)
+            elif small > 0:
+                sets = 1
+            fine = step(tree, touch, w, b, o, count, new, geometric, coulomb, sets)
+            if fine == 1:
                 rates(tree, w, b, o, count)
-                slope, way, turn = extent(tree, w, b, o, count, real(10.0))
-                if wp.isfinite(slope) and way < MOVE and turn < TURN:
+                slope, way, turn = extent(tree, w, b, o, count, bend)
+            if coulomb == 1:
+                if fine == 1 and wp.isfinite(slope) and way < MOVE and turn < TURN:
                     spent = spent + 1
                     before = rest
                     tried = 1
                     part = ONE
+                    leap = 1
                     keep(w, b, count)
-                    attempt(tree, w, b, o, count, ONE)
-                    accept(w, b, count)
+                else:
+                    plain = 1
+                    same = 1
                     continue
-            plain = 1
-            assemble(tree, touch, w, b, o, count, new, ONE)
-        plain = wp.max(plain - 1, 0)
-        if step(tree, touch, w, b, o, count, new, 0, wp.where(small > 0, 1, SETS)) == 0:
-            reason = NOT_FINITE
-            break
-        rates(tree, w, b, o, count)
-        slope, way, turn = extent(tree, w, b, o, count, BEND)
-        if slope >= ZERO:
-            # the choice of contacts went round in circles; with those that press now the step leads down
-            press(w, b, new)
-            if step(tree, touch, w, b, o, count, new, 0, 1) == 0:
-                reason = NOT_FINITE
-                break
-            rates(tree, w, b, o, count)
-            slope, way, turn = extent(tree, w, b, o, count, real(10.0))
-        if not wp.isfinite(slope):
-            reason = NOT_FINITE
-            break
-        spent = spent + 1
+            else:
+                if fine == 0:
+                    if geometric > ZERO:
+                        # without the terms of the stresses the tangent cannot lose its definiteness
+                        geometric = ZERO
+                        same = 1
+                        plain = wp.max(plain, 1)
+                        continue
+                    reason = NOT_FINITE
+                    break
+                if not (slope < ZERO) and pressing == 0:
+                    # the choice of contacts went round in circles; with those that press now the step leads down
+                    pressing = 1
+                    same = 1
+                    plain = wp.max(plain, 1)
+                    continue
+                if not wp.isfinite(slope):
+                    reason = NOT_FINITE
+                    break
+                geometric = ONE
+                pressing = 0
+                plain = wp.max(plain - 1, 0)
+                spent = spent + 1
         alpha = wp.min(ONE, wp.min(MOVE / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
-        start = attempt(tree, w, b, o, count, ZERO) + contact_energy(tree, touch, w, b, o, new, w.x, w.q)
+        start = ZERO
         found = int(0)
-        for _trial in range(HALVINGS):
-            there = attempt(tree, w, b, o, count, alpha) + contact_energy(tree, touch, w, b, o, new, w.x_try, w.q_try)
-            # rounding of the sum decides below its last digits
-            if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
-                found = 1
+        for trial in range(HALVINGS + 1):
+            at = alpha
+            if leap == 1:
+                at = part
+            elif trial == 0:
+                at = ZERO
+            there = attempt(tree, w, b, o, count, at)
+            if leap == 1:
                 break
-            alpha = HALF * alpha
+            there = there + contact_energy(tree, touch, w, b, o, new, w.x_try, w.q_try)
+            if trial == 0:
+                start = there
+            else:
+                # rounding of the sum decides below its last digits
+                if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
+                    found = 1
+                    break
+                alpha = HALF * alpha
+        if leap == 1:
+            accept(w, b, count)
+            continue
         if found == 0:
             small = small + 1
             if small > 2:
@@ -270,7 +308,7 @@ def balance(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, old: i
                 break
             continue
         small = 0
-        if found == 1 and alpha * way > HALF * MOVE:
+        if alpha * way > HALF * MOVE:
             spent = spent - 1  # on its way: a branch that springs back goes as far as it must
         accept(w, b, count)
         moved = moved + alpha * way

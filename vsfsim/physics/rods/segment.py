@@ -60,7 +60,7 @@ class Blocks:
     mixed: wp.spatial_matrixd  # rows: child, columns: parent
 
 
-@wp.func
+@wp.func(inline=False)
 def strain(xp: vec3, qp: quat, xc: vec3, qc: quat, frame: quat, length: real):
     s = Strain()
     left = wp.mul(qp, frame)
@@ -103,7 +103,7 @@ def times_c(s: Strain, mu: vec3):
     return s.c * mu + (k_of(s.angle, s.c) * wp.dot(s.psi, mu)) * s.psi
 
 
-@wp.func
+@wp.func(inline=False)
 def gradient(s: Strain, kd: vec3, kphi: vec3):
     """Force on the child's node, and moments on the child's and the parent's, in the world; the force on the parent's is minus the first."""
     q = wp.cw_mul(kd, s.d)
@@ -139,7 +139,7 @@ def six(force: vec3, moment: vec3):
     return wp.spatial_vectord(force[0], force[1], force[2], moment[0], moment[1], moment[2])
 
 
-@wp.func
+@wp.func(inline=False)
 def second(s: Strain, kd: vec3, kphi: vec3, geometric: real):
     """The second derivative; ``geometric`` 1: exact, 0: without the terms of the stresses, which is never negative."""
     q = wp.cw_mul(kd, s.d)

@@ -1,11 +1,12 @@
 """Touches of plants by an arm's capsules: the host's side of the rod solver.
 
-All touches of a batch advance together, each in one thread, and may be of different plants.
+All touches of a batch advance together, each in one thread, and may be of different plants; the host only counts them between launches.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -20,19 +21,22 @@ from vsfsim.physics.rods.model import RodError, RodModel
 
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
+CPU_SHARE, GPU_SHARE = 1000, 200  # Newton iterations of a touch in one launch: some seconds for a view on a CPU core, and for thousands of touches on a GPU
 
 
 @dataclass(frozen=True)
 class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
     0.1 mN m, a thousandth of the noise of its sensor. force_limit: a touch ends before the first frame past it [N].
-    room: places for contacts of a touch. chunk: frames of one launch, for the progress and for memory."""
+    room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
+    lanes: threads of a GPU that one touch has to itself; one of them works."""
 
     tolerance: float = 1e-4
     faint: float = 1.0
     force_limit: float = np.inf
     room: int = ROOM
-    chunk: int = 32
+    share: int | None = None
+    lanes: int = 32
 
 
 @dataclass(frozen=True)
@@ -91,12 +95,13 @@ class RodSolver:
         self._weighs = int(any(m.weight.any() for m in self.models))
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0, frames: np.ndarray | None = None, keep_nodes: bool = False,
-            progress: Callable[[int], None] | None = None) -> RodFrames:
+            progress: Callable[[int], None] | None = None, seconds: float | None = None) -> RodFrames:
         """Carry out touches.
 
         Args:
             plant: number of the touched plant of each touch (B,). poses: of the capsules, z along their axes (T, B, K, 4, 4) [m]. friction: (B,) or one for all [-].
             frames: of each touch (B,), None for T. keep_nodes: return where the nodes are. progress: called with the number of frames newly done.
+            seconds: after this time on the clock no launch is begun; touches then end early. For measurements.
 
         Raises:
             RodError: shapes that do not fit, or poses that are not finite.
@@ -125,13 +130,19 @@ class RodSolver:
             touch.force_limit, touch.tolerance, touch.faint = float(self.options.force_limit), float(self.options.tolerance), float(self.options.faint)
             work = self._make_work(plant, b, wide, k)
             out = _make_results(t, b, k, wide if keep_nodes else 0)
-            for begin in range(0, t, self.options.chunk):
-                end = min(t, begin + self.options.chunk)
-                wp.launch(advance, dim=b, inputs=[self._trees, touch, begin, end, self._weighs], outputs=[work, out])
+            gpu = wp.get_device(self.device).is_cuda
+            lanes, share = (self.options.lanes, GPU_SHARE) if gpu else (1, CPU_SHARE)
+            live, done, until = np.arange(b), 0, None if seconds is None else time.perf_counter() + seconds
+            while len(live) and (until is None or time.perf_counter() < until):
+                wp.launch(advance, dim=len(live) * lanes, inputs=[self._trees, touch, wp.array(live, dtype=wp.int32), lanes, self.options.share or share, self._weighs],
+                          outputs=[work, out], block_dim=32 if gpu else 256)
+                there = work.next.numpy()
+                live = np.flatnonzero((there < count) & (work.ended.numpy() == 0))
                 if progress is not None:
-                    wp.synchronize_device()
-                    progress(int(np.clip(count - begin, 0, end - begin).sum()))
-            return self._frames(out, count, work.ended.numpy(), plant, keep_nodes)
+                    progress(int(there.sum()) - done)
+                done = int(there.sum())
+            ended = work.ended.numpy()
+            return self._frames(out, np.minimum(count, work.next.numpy()), ended, plant, keep_nodes)
 
     def _make_trees(self) -> Trees:
         m, tree = self.models, Trees()
@@ -188,7 +199,7 @@ class RodSolver:
         for name in ("gap0", "tau", "depth"):
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.float64))
         w.count = wp.zeros((2, b), dtype=wp.int32)
-        w.side, w.ended = wp.zeros(b, dtype=wp.int32), wp.zeros(b, dtype=wp.int32)
+        w.side, w.next, w.ended = (wp.zeros(b, dtype=wp.int32) for _ in range(3))
         return w
 
     def _frames(self, out: Results, count: np.ndarray, ended: np.ndarray, plant: np.ndarray, keep_nodes: bool) -> RodFrames:

@@ -136,7 +136,7 @@ def add_point(h: mat33, lp: vec3, lc: vec3, s: real, row: int, column: int):
     return add_mixed(h, lr, lcol, wr * wc)
 
 
-@wp.func
+@wp.func(inline=False)
 def add_mixed(h: mat33, row_lever: vec3, column_lever: vec3, weight: real):
     """J_r^T h J_c for points that move with nodes by the levers given: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
     jr = wp.skew(row_lever)  # J^T of a spin: (-[l])^T = [l]
