@@ -13,8 +13,7 @@ import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import skin_touch
-from vsfsim.baselines.vsf_object import noise_unit
+from vsfsim.baselines.skin import noise_unit, skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
@@ -70,7 +69,8 @@ class NeuralVsf:
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
         dense = all(r.surface is not None for r in support)
-        touches = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        found = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        touches = [touch for touch in found if touch is not None]
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.

@@ -5,30 +5,43 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
-from vsfsim.bench.method import Reading
+from vsfsim.bench.method import Action, Reading
 from vsfsim.core.errors import MethodError
 from vsfsim.vsf.palpation import DenseTouch
 
+BASE_AREA = 7.18e-3
+"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML eq. 8)."""
 
-def skin_touch(reading: Reading) -> DenseTouch:
-    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading of them).
+
+def noise_unit(action: Action) -> float:
+    """Factor from a reading to the unit of a method's noise, and to a force: a pressure becomes a force, all else stays."""
+    return BASE_AREA if action.observation == "pressure" else 1.0
+
+
+def skin_touch(reading: Reading) -> DenseTouch | None:
+    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading of them); None if it was seen in fewer than two,
+    or with no force behind the first of them.
 
     The triangles are those of the Delaunay triangulation over the rim's plane, wound outwards.
 
     Raises:
-        MethodError: vertices and forces do not fit each other, or the skin was seen in fewer than two frames.
+        MethodError: vertices and forces do not fit each other, or a frame has some of the forces only.
     """
     assert reading.surface is not None
     vertices, force = (np.asarray(x, float) for x in (reading.surface.vertices, reading.surface.force))
     if vertices.ndim != 3 or vertices.shape != force.shape or vertices.shape[2] != 3:
         raise MethodError(f"the sensor's surface has vertices {vertices.shape} and forces {force.shape}; both must be (T, N, 3).")
     seen = np.isfinite(vertices).all(axis=(1, 2))
-    if np.count_nonzero(seen) < 2:
-        raise MethodError(f"the sensor's surface was seen in {np.count_nonzero(seen)} of {len(seen)} frames; a touch needs two.")
+    force = np.where(reading.valid[:, None, None], force, np.nan)[seen]
+    known = ~np.isnan(force).all(axis=(1, 2))
+    if not np.isfinite(force[known]).all():
+        raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the whole frame out.")
+    if not known[1:].any():
+        return None
     first = int(np.argmax(seen))
     pose = reading.action.poses[first]
     local = (vertices[first] - pose[:3, 3]) @ pose[:3, :3]
     corners = Delaunay(local[:, :2]).simplices
     a, b, c = (local[corners[:, k], :2] for k in range(3))
     turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    return DenseTouch(vertices[seen], np.where(turned[:, None], corners[:, ::-1], corners), np.where(reading.valid[:, None, None], force, np.nan)[seen])
+    return DenseTouch(vertices[seen], np.where(turned[:, None], corners[:, ::-1], corners), force)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.baselines.locating import Locating, locate
 from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import skin_touch
+from vsfsim.baselines.skin import BASE_AREA, noise_unit, skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
@@ -50,10 +50,6 @@ class VsfSettings:
     table_height: float
     device: str
     skin_std: float | None = None
-
-
-BASE_AREA = 7.18e-3
-"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML eq. 8)."""
 
 
 @dataclass
@@ -143,9 +139,9 @@ class VsfObject:
         key = _digest(reading.surface.vertices, reading.surface.force, reading.valid)
         if key not in self.skins:
             touch = skin_touch(reading)
+            if touch is None:
+                return sparse.csr_matrix((0, len(self.particles))), np.zeros(0)
             known = ~np.isnan(touch.force).all(axis=(1, 2))
-            if not np.isfinite(touch.force[known]).all():
-                raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the whole frame out.")
             w = dense_force_rows(stick(self.particles, touch.vertices, touch.triangles), len(self.particles), touch.triangles, touch.vertices.shape[1])
             w = w[np.flatnonzero(np.repeat(known, touch.force[0].size))]
             moved = np.unique(w.indices)
@@ -156,11 +152,6 @@ class VsfObject:
             rows = sparse.csr_matrix(((root[:, None] * turn[:, keep].T).ravel(), np.tile(moved, len(root)), np.arange(len(root) + 1) * len(moved)), shape=(len(root), w.shape[1]))
             self.skins[key] = rows, (turn[:, keep].T @ (part.T @ touch.force[known].ravel())) / root
         return self.skins[key]
-
-
-def noise_unit(action: Action) -> float:
-    """Factor from a reading to the unit of `VsfSettings.noise_std`: a pressure becomes a force, all else stays."""
-    return BASE_AREA if action.observation == "pressure" else 1.0
 
 
 @dataclass

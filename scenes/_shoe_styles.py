@@ -85,8 +85,8 @@ class ShoeOptions:
 
     variation: form values the scene does not give are drawn within this fraction of the style's.
     appearance_informative: probability that a region looks like what it is made of.
-    materials: "style", the style's own, whose colours and textures tell them; or "any", every part but the sole of any class of
-    `_materials.TEXTURED` in any colour, so that the texture alone tells it.
+    materials: "style", the style's own, whose colours and textures tell them; or "any", the parts but the sole of mostly one class of
+    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it.
     """
 
     style: str

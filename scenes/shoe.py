@@ -35,6 +35,8 @@ _LEAN = 0.10
 # A cell is at most this many walls long: a flat panel of such cells bends within 2 % of plate theory, and no usual wall (5.7 mm and
 # more) is affected at the coarsest tier. A curved wall wants more: its bending dies away over sqrt(radius * wall).
 _SLENDER = 3.0
+# Share of the parts of a shoe "of any material" that are of another one than the rest.
+_OTHER_PART = 0.2
 
 
 def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
@@ -67,14 +69,19 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
 
 
 def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
-    """Young's modulus [Pa] and class of every region; without ``materials`` any part but the sole is of any textured class."""
+    """Young's modulus [Pa] and class of every region; without ``materials`` all parts but the sole are of one textured class, now and
+    then a part of another."""
     table = CLASSES if materials else TEXTURED
     upper = tuple(name for name in TEXTURED if name != SOLE_MATERIAL)
+    most = upper[int(rng.integers(len(upper)))] if not materials else ""
     classes, values = [], []
     for region in REGIONS:
-        allowed = materials[region] if materials else (SOLE_MATERIAL,) if region == "sole" else upper
-        classes.append(allowed[int(rng.integers(len(allowed)))])
-        values.append(draw_modulus(classes[-1], rng, table=table))
+        allowed = materials[region] if materials else upper
+        name = allowed[int(rng.integers(len(allowed)))]
+        if not materials:
+            name = SOLE_MATERIAL if region == "sole" else name if rng.uniform() < _OTHER_PART else most
+        classes.append(name)
+        values.append(draw_modulus(name, rng, table=table))
     if not materials:
         return np.array(values), classes
     # A toe cap and a heel counter are there to stiffen the upper.

@@ -10,20 +10,20 @@ from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.locating import Locating, locate
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
-from vsfsim.baselines.skin import skin_touch
-from vsfsim.baselines.vsf_object import BASE_AREA
+from vsfsim.baselines.skin import BASE_AREA, skin_touch
 from vsfsim.bench.check import check
 from vsfsim.bench.hidden import Hidden, pose_scores
 from vsfsim.bench.method import Action, Reading, Surface
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task
+from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.material import Inclusion
 from vsfsim.core.shape import Box, Sphere
 from vsfsim.vsf.estimate import map_estimate
 from vsfsim.vsf.observe import dense_force_rows
-from vsfsim.vsf.palpation import palpate
+from vsfsim.vsf.palpation import dome, palpate
 from vsfsim.vsf.sticking import stick
 
 QUICK = {"iterations": 10, "batch": 200, "samples": 6}
@@ -115,14 +115,23 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     lost = np.where(np.arange(5)[:, None, None] == 3, np.nan, readings[0].surface.vertices)
     method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost, np.where(np.isnan(lost), np.nan, readings[0].surface.force)))])
     blind = dataclasses.replace(readings[0], surface=Surface(np.full_like(lost, np.nan), lost))
-    with pytest.raises(MethodError, match="seen in 0 of 5 frames"):
-        method.adapt(view, [blind])
+    method.adapt(view, [blind])
+    assert method._posterior.rows.shape[0] == 0, "a skin that was never seen says nothing"
+    half = np.where(np.arange(lost.shape[1])[None, :, None] == 4, np.nan, readings[0].surface.force)
+    with pytest.raises(MethodError, match="not finite in a frame that has others"):
+        method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, half))])
 
 
 def test_a_pressure_is_a_force_over_the_base():
     view, readings = mock_view(0).view, pressed()
     as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action, observation="force-magnitude")) for r in readings]
     as_pressure = [dataclasses.replace(r, value=r.value / BASE_AREA, action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
+    vertices, triangles = dome(radius=0.03, height=0.015, rings=4)
+    bubble = Dome.of(vertices * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.015], triangles[:, ::-1])
+    field = GridVsf(iterations=30, batch=500, samples=8)
+    field.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, probe=bubble)) for r in as_pressure])
+    peak = as_pressure[0].value.max()
+    assert 0.2 * peak < field.predict([dataclasses.replace(as_pressure[0].action, probe=bubble)])[0].max() < 5.0 * peak, "of the right size, in pascals"
     force, pressure = PointVsf(), PointVsf()
     force.adapt(view, as_force)
     pressure.adapt(view, as_pressure)

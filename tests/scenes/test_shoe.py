@@ -184,7 +184,8 @@ def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
     assert abs(np.corrcoef(moduli.ravel(), bright.ravel())[0, 1]) < 4.0 / math.sqrt(150.0)
     assert np.abs(moduli.mean(axis=0) - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(150.0), "no part is softer than another"
     assert np.corrcoef(moduli.ravel(), contrast.ravel())[0, 1] < -0.8
-    assert np.corrcoef(moduli[:, 0], moduli[:, 1])[0, 1] < 4.0 / math.sqrt(150.0)
+    # Two parts are of the shoe's own class in 0.8^2 of the shoes; classes follow each other on a scale that each fills a fifth of.
+    assert 0.4 < np.corrcoef(moduli[:, 0], moduli[:, 1])[0, 1] < 0.85
 
 
 def test_refusals() -> None:
