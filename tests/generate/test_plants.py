@@ -234,6 +234,14 @@ def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
     assert "touches a second" in table(found) and "stage" in table(found)
 
 
+def test_the_full_scene_has_the_papers_size():
+    """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a depth camera's noise; 3,255 touches and 807,103 readings in all."""
+    scene = load_scene(find_scene("plants")).sample(0)
+    assert scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70 and sum(scene.touches.frames) == 250
+    assert abs(12 * 4 * scene.touches.count / 3255 - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
+    assert scene.object.shape.parameters["species"] == "by-object"
+
+
 @pytest.mark.parametrize(("old", "new", "word"), [
     ('mode = "kinematic"', 'mode = "quick"', "mode"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
 ])

@@ -6,6 +6,8 @@ neighbours, so that the halves of two discs share a cut. A cut's place is linear
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from stems import plant, touch
@@ -93,7 +95,7 @@ def beams(cut: int, travel: np.ndarray):
 def solid(rings: int, step: float, travel: np.ndarray):
     body = fork(rings, step)
     model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6, where="fork")
-    solver = Solver(model, Capsule(0.02, 0.04), options=tiers.options("fem"))
+    solver = Solver(model, Capsule(0.02, 0.04), options=dataclasses.replace(tiers.options("fem"), newton=120, seconds=600.0))
     frames = solver.run(push(travel)[:, :, 0], keep=True)
     assert frames.converged.all(), frames.reason
     ends = [np.linalg.norm(model.mesh.points - (JOINT + BRANCH * axis), axis=1).argmin() for axis in AXES[1:]]
@@ -114,14 +116,14 @@ def test_the_tubes_join_without_a_gap():
 
 @pytest.mark.slow
 def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
-    """Pushed by 30 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch follows."""
-    travel = np.linspace(0.0, 0.03, 7)[1:]
+    """Pushed by 20 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch follows."""
+    travel = np.array([0.001, 0.003, 0.006, 0.01, 0.015, 0.02])
     force, ends = beams(16, travel)
     coarse, _, few, _ = solid(1, 0.008, travel)
     fine, fine_ends, many, _ = solid(2, 0.005, travel)
     rest = np.stack([JOINT + BRANCH * a for a in AXES[1:]])
     ours, theirs = ends - rest, fine_ends - rest
-    print(f"force at 30 mm: beams {force[-1, 0]:.4f} N, {few} tetrahedra {coarse[-1, 0]:.4f} N, {many} tetrahedra {fine[-1, 0]:.4f} N")
+    print(f"force at 20 mm: beams {force[-1, 0]:.4f} N, {few} tetrahedra {coarse[-1, 0]:.4f} N, {many} tetrahedra {fine[-1, 0]:.4f} N")
     print("beams over tetrahedra, force:", np.round(force[:, 0] / fine[:, 0] - 1, 4))
     print("ends, mm, beams:", np.round(1e3 * ours[-1], 3).tolist(), "tetrahedra:", np.round(1e3 * theirs[-1], 3).tolist())
     # the fork of beams is a point, that of tetrahedra a body of a radius or so, which is 4 % of a branch and bends with the rest
