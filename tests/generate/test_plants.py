@@ -20,6 +20,8 @@ from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
+from vsfsim.data.summary import summary
+from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.bench_plants import bench, table
 from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
@@ -64,6 +66,16 @@ def test_the_file_holds_what_was_made(made):
                 assert np.array_equal(x, y, equal_nan=y.dtype.kind == "f"), field.name
         assert a.q.shape == a.torque.shape == (len(a.time), 7) and a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
     assert any(t.touched for t in there.touches)
+
+
+def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
+    _, view, job = made
+    recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
+    with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
+        write_view(writer.file_of(view.name), view)
+        writer.finish()
+    text = summary(tmp_path / "d")
+    assert "penetration" in text and "min det" not in text  # beams have no det F
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
