@@ -219,3 +219,25 @@ def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     print(table(result))
     if out is not None:
         out.write_text(json.dumps(result, indent=1) + "\n")
+
+
+@app.command()
+def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu or cuda:0.")] = "cpu",
+        scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants-mini",
+        touches: Annotated[int, typer.Option(min=1, help="Touches of one plant.")] = 6,
+        out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+    """The two arm modes side by side: joint torques of a moving arm less J^T f, part by part, and the time of both."""
+    from vsfsim.cli import _check_device, _check_writable
+    from vsfsim.generate.bench_arm import bench, table
+
+    _check_device(device)
+    stdout = out is not None and str(out) == "-"
+    if not stdout:
+        _check_writable("--json", out)
+    result = bench(device=device, scene=scene, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    if stdout:
+        print(json.dumps(result, indent=1))
+        return
+    print(table(result))
+    if out is not None:
+        out.write_text(json.dumps(result, indent=1) + "\n")

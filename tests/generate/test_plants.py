@@ -20,6 +20,8 @@ from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
+from vsfsim.data.summary import summary
+from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.bench_plants import bench, table
 from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
@@ -64,6 +66,16 @@ def test_the_file_holds_what_was_made(made):
                 assert np.array_equal(x, y, equal_nan=y.dtype.kind == "f"), field.name
         assert a.q.shape == a.torque.shape == (len(a.time), 7) and a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
     assert any(t.touched for t in there.touches)
+
+
+def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
+    _, view, job = made
+    recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
+    with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
+        write_view(writer.file_of(view.name), view)
+        writer.finish()
+    text = summary(tmp_path / "d")
+    assert "penetration" in text and "min det" not in text  # beams have no det F
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
@@ -232,6 +244,14 @@ def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
     found = bench(device="cpu", scene=str(path), objects=1, views=1, touches=1, progress=lambda what: None)
     assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
     assert "touches a second" in table(found) and "stage" in table(found)
+
+
+def test_the_full_scene_has_the_papers_size():
+    """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a depth camera's noise; 3,255 touches and 807,103 readings in all."""
+    scene = load_scene(find_scene("plants")).sample(0)
+    assert scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70 and sum(scene.touches.frames) == 250
+    assert abs(12 * 4 * scene.touches.count / 3255 - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
+    assert scene.object.shape.parameters["species"] == "by-object"
 
 
 @pytest.mark.parametrize(("old", "new", "word"), [

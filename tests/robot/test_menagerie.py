@@ -30,6 +30,11 @@ def dressed():
     return spec
 
 
+@pytest.fixture(autouse=True)
+def no_folder(monkeypatch):
+    monkeypatch.delenv("VSFSIM_MENAGERIE", raising=False)
+
+
 @pytest.fixture
 def package(monkeypatch):
     made_up = types.ModuleType("mujoco_menagerie")
@@ -59,6 +64,33 @@ def test_friction_reaches_it(package):
 def test_without_the_package_the_error_says_what_to_do(monkeypatch):
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     with pytest.raises(ArmError, match=r"pip install mujoco-menagerie.*or use the arm 'gen3'"):
+        load_arm("menagerie")
+
+
+@pytest.mark.parametrize("inside", [True, False], ids=["all of Menagerie", "its folder kinova_gen3"])
+def test_a_copy_on_this_machine_is_used(monkeypatch, tmp_path, inside):
+    """Ours, written out with a mesh on a link, as a file of Menagerie's name: no package, no network, and the mesh is there."""
+    spec = dressed()
+    spec.compile()
+    text = spec.to_xml()
+    (tmp_path / "kinova_gen3").mkdir()
+    (tmp_path / "kinova_gen3" / "tip.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    text = text.replace("<worldbody>", '<asset><mesh name="tip" file="tip.obj"/></asset>\n<worldbody>', 1)
+    place = text.index(">", text.index('name="bracelet_link"')) + 1
+    text = text[:place] + '<geom type="mesh" mesh="tip" mass="0"/>' + text[place:]
+    (tmp_path / "kinova_gen3" / "gen3.xml").write_text(text)
+    monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
+    monkeypatch.setenv("VSFSIM_MENAGERIE", str(tmp_path if inside else tmp_path / "kinova_gen3"))
+    q = np.random.default_rng(3).uniform(-2, 2, (3, 7))
+    theirs, ours = load_arm("menagerie"), load_arm()
+    assert theirs.model.nmesh == 1
+    # a file holds six digits
+    assert np.abs(theirs.body_poses(q) - ours.body_poses(q)).max() < 1e-5 and np.abs(theirs.gravity_torque(q) - ours.gravity_torque(q)).max() < 1e-3
+
+
+def test_a_folder_without_the_model_says_how_to_get_it(monkeypatch, tmp_path):
+    monkeypatch.setenv("VSFSIM_MENAGERIE", str(tmp_path))
+    with pytest.raises(ArmError, match=r"neither kinova_gen3/gen3.xml nor gen3.xml is there.*git clone --depth 1 .*mujoco_menagerie.*or use the arm 'gen3'"):
         load_arm("menagerie")
 
 

@@ -31,7 +31,7 @@ def summary(path: str | Path) -> str:
             balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
             touched += touch.touched
             for (name, _), values in audit.items():
-                if name in touch.audit:
+                if touch.audit.get(name) is not None:  # a plant has no det F
                     values.append(np.asarray(touch.audit[name])[touch.converged])
             for code in touch.reason[touch.reason > 0]:
                 why = touch.reason_names[int(code) - 1]

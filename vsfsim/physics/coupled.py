@@ -79,8 +79,8 @@ class Both:
         return np.concatenate([self.object.grounding(), self.sensor.grounding()])
 
     def least_force(self) -> float:
-        """As `Model.least_force`."""
-        return self.object.least_force()
+        """As `Model.least_force`: a sensor that has just let go balances its own gas to that only, however little the object's forces are."""
+        return max(self.object.least_force(), 100.0 * self.sensor.least_force())
 
 
 class _Carried:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,27 +14,47 @@ from vsfsim.robot.arm import ArmError
 if TYPE_CHECKING:
     import mujoco
 
-MODEL = "kinova_gen3"
+MODEL, FILE = "kinova_gen3", "gen3.xml"
+FOLDER = "VSFSIM_MENAGERIE"  # environment variable: a copy of Menagerie on this machine
+_CLONE = f"git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie && export {FOLDER}=$PWD/mujoco_menagerie"
+_INSTEAD = "or use the arm 'gen3', which has the same frames, masses and capsules and needs no download."
 
 
 def menagerie_spec(joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
-    """The model, downloaded by the package `mujoco-menagerie` on its first use. Bodies, masses and meshes are Menagerie's, capsules ours.
+    """The model from the folder that ``$VSFSIM_MENAGERIE`` names, or downloaded by the package `mujoco-menagerie` on its first use. Bodies, masses and meshes are Menagerie's, capsules ours.
 
     Raises:
-        ArmError: the package is not installed, the model cannot be downloaded, or it is not the arm that we know.
+        ArmError: no model there, the package is not installed, the model cannot be downloaded, or it is not the arm that we know.
     """
-    instead = "or use the arm 'gen3', which has the same frames, masses and capsules and needs no download."
+    folder = os.environ.get(FOLDER, "")
+    spec = _from_folder(Path(folder)) if folder else _from_package()
+    return adopt(spec, joints, timestep=timestep)
+
+
+def _from_folder(folder: Path) -> mujoco.MjSpec:
+    """The model of a copy of Menagerie, or of its folder kinova_gen3."""
+    import mujoco
+
+    for file in (folder / MODEL / FILE, folder / FILE):
+        if file.is_file():
+            try:
+                return mujoco.MjSpec.from_file(str(file))
+            except ValueError as error:
+                raise ArmError(f"{FOLDER}: MuJoCo cannot read '{file}': {error}") from error
+    raise ArmError(f"{FOLDER} is '{folder}', but neither {MODEL}/{FILE} nor {FILE} is there. Get it with `{_CLONE}`, {_INSTEAD}")
+
+
+def _from_package() -> mujoco.MjSpec:
     try:
         import mujoco_menagerie
     except ImportError:
-        raise ArmError(f"the arm 'menagerie' needs the package mujoco-menagerie: `pip install mujoco-menagerie`, {instead}") from None
+        raise ArmError(f"the arm 'menagerie' needs the package mujoco-menagerie: `pip install mujoco-menagerie`; or get the models with `{_CLONE}`, {_INSTEAD}") from None
     try:
         robot = mujoco_menagerie.get(MODEL)
-        spec = robot.spec(robot.default_model)
+        return robot.spec(robot.default_model)
     except (mujoco_menagerie.MenagerieError, OSError) as error:
         raise ArmError(f"the model {MODEL} of MuJoCo Menagerie cannot be had: {error}. "
-                       f"It is downloaded on its first use, so this needs a way to github.com once; {instead}") from error
-    return adopt(spec, joints, timestep=timestep)
+                       f"It is downloaded on its first use, so this needs a way to github.com once; or get it elsewhere with `{_CLONE}`, {_INSTEAD}") from error
 
 
 def adopt(spec: mujoco.MjSpec, joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:

@@ -1,0 +1,132 @@
+"""A forked branch as beams and as quadratic tetrahedra: the same push on both.
+
+The tetrahedra fill three round tubes that meet in a mitred joint: each tube is a disc swept along its axis, cut by the planes that halve the angles to its two
+neighbours, so that the halves of two discs share a cut. A cut's place is linear in the distance from the fork's axis, and mirrored points meet.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from stems import plant, touch
+
+from vsfsim.core.shape import Capsule
+from vsfsim.core.solid import Solid
+from vsfsim.physics import blocks, tiers
+from vsfsim.physics.model import build_model
+from vsfsim.physics.solver import Solver
+
+RADIUS, E, NU = 0.006, 5e8, 0.35
+TRUNK, BRANCH, SPREAD = 0.15, 0.15, np.radians(35.0)
+JOINT = np.array([0.0, 0.0, TRUNK])
+AXES = [np.array([0.0, 0.0, -1.0]), np.array([0.0, np.sin(SPREAD), np.cos(SPREAD)]), np.array([0.0, -np.sin(SPREAD), np.cos(SPREAD)])]  # outwards from the fork
+LENGTHS = (TRUNK, BRANCH, BRANCH)
+OUT = np.array([1.0, 0.0, 0.0])  # across the plane of the fork
+
+
+def fork(rings: int, step: float) -> Solid:
+    """The three tubes, cut into layers of about ``step`` [m]; discs of as many rings."""
+    disc, triangles = blocks.disc(RADIUS, rings)
+    sides = 6 * rings
+    disc = disc * np.sqrt(2.0 * np.pi / (sides * np.sin(2.0 * np.pi / sides)))  # the polygon has the circle's area
+    points, tets = [], []
+    for axis, length in zip(AXES, LENGTHS, strict=True):
+        side = np.cross(OUT, axis)
+        across = disc[:, 1]
+        cut = np.zeros(len(disc))
+        for other in AXES:
+            if other is axis:
+                continue
+            half = 0.5 * np.arccos(np.clip(axis @ other, -1.0, 1.0))
+            towards = np.sign(other @ side) * across > 1e-12  # this half of the disc meets that neighbour
+            cut[towards] = np.abs(across[towards]) / np.tan(half)
+        layers = max(4, round(length / step))
+        along = cut[None] + (length - cut)[None] * (np.arange(layers + 1) / layers)[:, None]
+        where = JOINT + along[..., None] * axis + (across[None, :, None] * side) + disc[None, :, :1] * OUT
+        first = sum(map(len, points))
+        points.append(where.reshape(-1, 3))
+        for k in range(layers):
+            for a, b, c in triangles:
+                low = first + k * len(disc) + np.array([a, b, c])
+                tets += prism(low, low + len(disc), np.array([a, b, c]))
+    together = np.concatenate(points)
+    _, kept, number = np.unique(np.rint(together / 1e-8).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    cells = number.ravel()[np.array(tets)]
+    corners = together[kept][cells]
+    flipped = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
+    cells[flipped] = cells[flipped][:, [1, 0, 2, 3]]
+    return Solid(together[kept], cells, np.zeros(len(cells), np.int64), ("wood",))
+
+
+def prism(low: np.ndarray, high: np.ndarray, rank: np.ndarray) -> list[list[int]]:
+    """Three tetrahedra; the corner of least rank gets the diagonals, so that neighbours agree on theirs."""
+    i, j, k = np.argsort(rank)
+    return [[low[i], low[j], low[k], high[k]], [low[i], low[j], high[k], high[j]], [low[i], high[j], high[k], high[i]]]
+
+
+def push(travel: np.ndarray) -> np.ndarray:
+    """Poses (T, 1, 1, 4, 4) of a capsule along one branch's level, driven across the plane of the fork from where it just touches."""
+    place = JOINT + 0.8 * BRANCH * AXES[1]
+    out = np.tile(np.eye(4), (len(travel), 1, 1, 1, 1))
+    out[:, 0, 0, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
+    out[:, 0, 0, :3, 3] = place
+    out[:, 0, 0, 0, 3] = -(0.02 + RADIUS) + travel
+    return out
+
+
+def beams(cut: int, travel: np.ndarray):
+    """Force on the capsule (T, 3) [N] and ends of both branches (T, 2, 3) [m]."""
+    nodes, parent, ends = [np.zeros(3)], [-1], []
+    for axis, start, length in [(-AXES[0], np.zeros(3), TRUNK), (AXES[1], JOINT, BRANCH), (AXES[2], JOINT, BRANCH)]:
+        at = 0 if not ends else ends[0]
+        for k in range(1, cut + 1):
+            nodes.append(start + k / cut * length * axis)
+            parent.append(at)
+            at = len(nodes) - 1
+        ends.append(at)
+    body = plant(np.array(nodes), parent, radius=RADIUS, young_modulus=E)
+    frames = touch(body, push(travel), radius=0.02, length=0.04)
+    assert frames.converged.all()
+    return frames.force[:, 0, 0], frames.nodes[:, 0, ends[1:]]
+
+
+def solid(rings: int, step: float, travel: np.ndarray):
+    body = fork(rings, step)
+    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6, where="fork")
+    solver = Solver(model, Capsule(0.02, 0.04), options=dataclasses.replace(tiers.options("fem"), newton=120, seconds=600.0))
+    frames = solver.run(push(travel)[:, :, 0], keep=True)
+    assert frames.converged.all(), frames.reason
+    ends = [np.linalg.norm(model.mesh.points - (JOINT + BRANCH * axis), axis=1).argmin() for axis in AXES[1:]]
+    moved = np.stack([h.reshape(-1, 3)[ends] for h in solver.history])
+    return frames.force[:, 0], model.mesh.points[ends] + moved, len(body.tets), body
+
+
+def test_the_tubes_join_without_a_gap():
+    body = fork(2, 0.01)
+    # three straight tubes of the circle's area up to the fork; what mitres add on one half they take on the other
+    cuts = sum(np.trapezoid(np.abs(u) / np.tan(0.5 * np.arccos(a @ b)) * 2 * np.sqrt(np.maximum(RADIUS**2 - u**2, 0)), u) / 2
+               for a in AXES for b in AXES if a is not b for u in [np.linspace(-RADIUS, RADIUS, 2001)])
+    assert body.volume() == pytest.approx(np.pi * RADIUS**2 * sum(LENGTHS) - cuts, rel=1e-3)
+    faces, _ = body.surface()
+    edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # the surface is closed
+
+
+@pytest.mark.slow
+def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
+    """Pushed by 20 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch follows."""
+    travel = np.array([0.001, 0.003, 0.006, 0.01, 0.015, 0.02])
+    force, ends = beams(16, travel)
+    coarse, _, few, _ = solid(1, 0.008, travel)
+    fine, fine_ends, many, _ = solid(2, 0.005, travel)
+    rest = np.stack([JOINT + BRANCH * a for a in AXES[1:]])
+    ours, theirs = ends - rest, fine_ends - rest
+    print(f"force at 20 mm: beams {force[-1, 0]:.4f} N, {few} tetrahedra {coarse[-1, 0]:.4f} N, {many} tetrahedra {fine[-1, 0]:.4f} N")
+    print("beams over tetrahedra, force:", np.round(force[:, 0] / fine[:, 0] - 1, 4))
+    print("ends, mm, beams:", np.round(1e3 * ours[-1], 3).tolist(), "tetrahedra:", np.round(1e3 * theirs[-1], 3).tolist())
+    # the fork of beams is a point, that of tetrahedra a body of a radius or so, which is 4 % of a branch and bends with the rest
+    assert np.abs(force[:, 0] / fine[:, 0] - 1).max() < 0.03
+    assert np.abs(ours - theirs).max() < 0.02 * np.abs(theirs).max()
+    assert np.abs(coarse[-1, 0] / fine[-1, 0] - 1) < 0.03  # what the mesh leaves open is no more
