@@ -65,6 +65,16 @@ def test_either_may_be_a_thousand_times_as_stiff(coarse, device, ratio):
 
 
 @pytest.mark.slow
+def test_unloading_comes_back(coarse, device):
+    """In, and out over the same depths down to a fifth of a millimetre: with friction the way matters, but where both bodies stick it hardly does."""
+    depths = [0.001, 0.002, 0.003, 0.004, 0.003, 0.002, 0.001, 0.0002]
+    frames = press(block(MATCHED), coarse, depths, device=device)
+    assert frames.converged.all()
+    force = frames.force[:, 0, 2]
+    assert force[4:7] == pytest.approx(force[2::-1], rel=0.05) and 0.0 < force[7] < force[6]
+
+
+@pytest.mark.slow
 def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
     """Over six decades the force grows from the block's own to that of a wall, and no further."""
     force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2] for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
