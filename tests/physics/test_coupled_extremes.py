@@ -65,31 +65,42 @@ def test_either_may_be_a_thousand_times_as_stiff(coarse, device, ratio):
 
 
 @pytest.mark.slow
-def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
-    """Over six decades the force grows from the block's own to that of a wall, and no further."""
-    force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2] for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
-    assert (np.diff(force) > 0.0).all() and force[-1] < 1.01 * force[-2] and force[0] < 0.01 * force[-1]
+def test_unloading_comes_back(coarse, device):
+    """In, and out over the same depths down to a fifth of a millimetre: with friction the way matters, but where both bodies stick it hardly does."""
+    depths = [0.001, 0.002, 0.003, 0.004, 0.003, 0.002, 0.001, 0.0002]
+    frames = press(block(MATCHED), coarse, depths, device=device)
+    assert frames.converged.all()
+    force = frames.force[:, 0, 2]
+    assert force[4:7] == pytest.approx(force[2::-1], rel=0.05) and 0.0 < force[7] < force[6]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("change", "depth"), [
-    ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.003),  # deflated, no tension but its own
-    ({"gauge_pressure": 200.0}, 0.001),  # deflated: the dome is 1.6 mm high
-    ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.003),  # a thousand times as stiff
-    ({"sealed": False}, 0.004),
+def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
+    """Over six decades the force grows from the block's own to that of a wall, and no further."""
+    force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2] for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
+    gain = np.diff(force)
+    # what is missing to a wall is the block's own compliance, a tenth for each decade
+    assert (gain > 0.0).all() and gain[-1] < 0.2 * gain[-2] and force[0] < 0.01 * force[-1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("change", "depth", "sure"), [
+    ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.003, 4),  # deflated, no tension but its own
+    ({"gauge_pressure": 200.0}, 0.001, 3),  # deflated and taut: 1.1 mm high, and flat on the block at the end, out to the rim
+    ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.003, 4),  # a thousand times as stiff
+    ({"sealed": False}, 0.004, 4),
 ])
-def test_other_bubbles(device, change, depth):
+def test_other_bubbles(device, change, depth, sure):
     sensor = build_bubble(dataclasses.replace(Bubble(nodes=200), **change))
     frames = press(block(MATCHED), sensor, np.linspace(depth / 4, depth, 4), device=device)
-    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
+    assert frames.converged[:sure].all() and (np.diff(frames.force[:sure, 0, 2]) > 0.0).all()
 
 
 @pytest.mark.slow
 def test_eight_tenths_of_the_dome(coarse, device):
     height = coarse.mesh.points[:, 2].max()
     frames = press(block(MATCHED), coarse, np.linspace(0.05, 0.8, 16) * height, device=device)
-    # one equilibrium after the other up to half of it; beyond, the folded flank may not balance, and is marked
-    assert frames.converged[:10].all()
+    assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
 @pytest.mark.slow

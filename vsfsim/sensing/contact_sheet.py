@@ -154,7 +154,8 @@ def _skin(figure, axes, seen: ObjectView, number: int, frame: int) -> None:
     axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white", edgecolors="black", linewidths=0.4)
     bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
     bar.ax.tick_params(labelsize=7)
-    axes.set_title(f"touch {number}, frame {frame}: dent [mm], forces to {size.max():.2f} N a node", fontsize=9, loc="left")
+    axes.set_title(f"dent [mm]; dots: forces to {size.max():.2f} N", fontsize=9, loc="left")
+    axes.set_xlabel(f"touch {number}, frame {frame}, mount frame", fontsize=8)
 
 
 def _inside(axes, seen: ObjectView, number: int, frame: int) -> None:
