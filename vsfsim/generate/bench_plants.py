@@ -51,7 +51,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     jobs = jobs_of(recipe, loaded.path, None, Path("."), None)
     began = time.perf_counter()
     progress("compiling kernels, or finding them")
-    compile_kernels(_kernels("float64", plants=True), device)
+    compile_kernels(_kernels("float64", loaded.sample(0)), device)
     compiling = time.perf_counter() - began
     progress(f"kernels ready after {compiling:.1f} s")
     count = workers or (1 if device == "cpu" else os.cpu_count() or 1)
