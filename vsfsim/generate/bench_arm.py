@@ -31,7 +31,7 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
     recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=touches, tier=None, device=device, precision="float64", renderer="warp")
     job = jobs_of(recipe, loaded.path, None, Path("."), None)[0]
     progress("compiling kernels, or finding them")
-    compile_kernels(_kernels("float64", plants=True), device)
+    compile_kernels(_kernels("float64", loaded.sample(0)), device)
     subject = prepare_job(job, device=device)
     progress("touching")
     (frames, _), = solve([subject], device=device)
