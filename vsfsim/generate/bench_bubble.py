@@ -72,7 +72,7 @@ class Poke:
 class Batch:
     """Many touches of one object together.
 
-    touches, frames: how many. seconds: of all [s]. per_minute: touches. newton, cg: iterations of a frame in contact, on average [-]. converged: share of the
+    touches, frames: how many. seconds: of all [s]. per_minute: touches a minute [1/min]. newton, cg: iterations of a frame in contact, on average [-]. converged: share of the
     frames [-]. reasons: number of frames by why not. difference: largest difference of a force from the CPU's over the largest force [-], or None.
     """
 
@@ -91,6 +91,8 @@ class Batch:
 
 @dataclass(frozen=True)
 class _Subject:
+    """What is pressed. scene: concrete. body, sensor: the object and the bubble. aims: of the touches. spec: their frames. seconds: to build body and sensor [s]."""
+
     scene: Scene
     body: Model
     sensor: BubbleModel
