@@ -86,6 +86,7 @@ def measure(particles: int, presses: int, frames: int, *, device: str = "cpu", p
     w, z, touch = readings(particles, presses, frames)
     before = held_memory(reset=True)
     if cuda:
+        torch.cuda.init()  # else there is no device yet whose peak could be reset
         torch.cuda.reset_peak_memory_stats(device)
     start = time.perf_counter()
     evidence = Evidence.of(w, z, noise_std=_NOISE, touch=touch, device=device)
