@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from vsfsim.core.shape import Sphere
-from vsfsim.physics import pcg
+from vsfsim.physics import factor, pcg
 from vsfsim.physics.equilibrium import Equilibrium
 from vsfsim.physics.factor import RestFactor, response, spread
 from vsfsim.physics.rigid import RigidBodies
@@ -150,6 +150,15 @@ def test_compliance_is_symmetric_and_equal_to_direct_solves(model):
     # solved together with others or alone: rounding of the factor at contrast 1e4
     assert np.abs(a[:, 21:24] - direct).max() < 1e-9 * np.abs(direct).max()
     assert np.linalg.eigvalsh(a).min() > 0.0
+
+
+def test_columns_that_no_longer_fit_are_made_again(model, monkeypatch):
+    top = np.flatnonzero(model.mesh.points[:, 2] == 0.04)
+    expected = model.factor.whole_columns(top[:12])
+    monkeypatch.setattr(factor, "_COLUMNS_BYTES", 8.0 * model.factor.size * 3 * 12)
+    model.factor.whole_columns(top[8:20])  # known ones and new ones, more together than are kept
+    again = model.factor.whole_columns(top[:12])
+    assert again == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
 
 
 def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device):

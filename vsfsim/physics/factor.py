@@ -94,7 +94,9 @@ class RestFactor:
                 right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
             answer = self.solve(right)
             if whole and 8 * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
-                self._whole.clear()
+                # those asked for stay: their caller has sized them, `_COLUMNS_BYTES` at the most for all its touches
+                asked = {int(i) for i in nodes}
+                self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
             for j, i in enumerate(part):
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
