@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -17,6 +17,17 @@ app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: ti
 @app.callback()
 def _group() -> None:
     pass
+
+
+def _tell(result: Any, words: str, out: Path | None) -> None:
+    """Print the table, and write the numbers to ``out``; only the numbers if that is -."""
+    numbers = json.dumps(result, indent=1)
+    if str(out) == "-":
+        print(numbers)
+        return
+    print(words)
+    if out is not None:
+        out.write_text(numbers + "\n")
 
 
 @app.command()
@@ -38,12 +49,7 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
         _check_writable("--json", out)
     result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches, compare=compare,
                    progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print(table(result))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    _tell(result, table(result), out)
 
 
 @app.command()
@@ -184,12 +190,7 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
     result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds, workers=workers, lanes=lanes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print(table(result))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    _tell(result, table(result), out)
 
 
 @app.command()
@@ -213,12 +214,7 @@ def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
         _check_writable("--json", out)
     result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes, compare=compare,
                    progress=lambda what: print(f"  {what}", file=sys.stderr, flush=True))
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print(table(result))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    _tell(result, table(result), out)
 
 
 @app.command()
@@ -235,9 +231,4 @@ def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu 
     if not stdout:
         _check_writable("--json", out)
     result = bench(device=device, scene=scene, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print(table(result))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    _tell(result, table(result), out)

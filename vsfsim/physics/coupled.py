@@ -21,9 +21,8 @@ from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.pair import PairTouching
 from vsfsim.physics.pair_surfaces import SENSOR_NODES, farthest
-from vsfsim.physics.solver import Rows, Solver
+from vsfsim.physics.solver import HARD, Rows, Solver
 
-_HARD = 100.0  # unbalanced over acting force at the start of a step, from which on softer contact leads the way
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
 _TRIES = 60
@@ -173,7 +172,7 @@ class CoupledSolver(Solver):
 
     def _hard(self, measure: torch.Tensor) -> torch.Tensor:
         # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
-        return measure > _HARD
+        return measure > HARD
 
     def _keep(self) -> None:
         u = self._balance.u

@@ -30,7 +30,7 @@ from vsfsim.physics.touching import Touching
 Rows = dict[str, np.ndarray]
 
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
-_HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
+HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
 _WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
 _RENEWALS, _RENEWED = 60, 5e-4  # of friction's limit in a linear frame: how often, and the change that ends it (the `fem` tier's tolerance)
@@ -291,7 +291,7 @@ class Solver:
 
     def _hard(self, measure: torch.Tensor) -> torch.Tensor:
         """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead the way (k,) bool."""
-        return ((measure - 1.0).abs() < 0.03) | (measure > _HARD)
+        return ((measure - 1.0).abs() < 0.03) | (measure > HARD)
 
     # ------------------------------------------------------------------------------------------ the linear tier
 
