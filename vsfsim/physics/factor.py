@@ -15,6 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
+from vsfsim.physics.multifrontal import Multifrontal, trusted
+
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
 _KEPT = 4  # factors kept in this process, by content
 _COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
@@ -41,14 +43,18 @@ class RestFactor:
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
-        self.stiffness, self.free = stiffness, free
-        mask = sp.diags(free)
-        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
+        self._begin(stiffness, free, surface_nodes)
         k = self._held
-        self.size = k.shape[0]
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         self._solver = cholespy.CholeskySolverD(
             self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)
+        self.seconds = time.perf_counter() - began
+
+    def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
+        self.stiffness, self.free = stiffness, free
+        mask = sp.diags(free)
+        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
+        self.size = len(free)
         self._surface = np.asarray(surface_nodes)
         self._row_of = np.full(self.size // 3, -1)
         self._row_of[self._surface] = np.arange(len(self._surface))
@@ -56,7 +62,7 @@ class RestFactor:
         self._whole: dict[int, np.ndarray] = {}
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
-        self.seconds = time.perf_counter() - began
+        self._quick: RestFactor | None = None
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
@@ -82,6 +88,15 @@ class RestFactor:
             self._solver.solve(part, result)
             out[:, start:start + _CHUNK] = result
         return out
+
+    def quick(self, points: np.ndarray) -> RestFactor:
+        """The same body answered in single precision, in less than half the time, to predict and to precondition with; this very factor if that would not do.
+
+        Made once and kept. points: of the nodes (n, 3) [m].
+        """
+        if self._quick is None:
+            self._quick = QuickFactor.of_trusted(self, points) or self
+        return self._quick
 
     def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
         """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all rows if ``whole``."""
@@ -135,6 +150,27 @@ class RestFactor:
             k = self.stiffness.tocsr()
             self._moved, self._on = torch.sparse_csr_tensor(k.indptr, k.indices, k.data, k.shape, device=device), device
         return self._moved
+
+
+class QuickFactor(RestFactor):
+    """A rest-state factor whose answers come from `multifrontal`, in single precision."""
+
+    def __init__(self, exact: RestFactor, solver: Multifrontal):
+        began = time.perf_counter()
+        self._begin(exact.stiffness, exact.free, exact._surface)
+        self._solver = solver
+        self.seconds = time.perf_counter() - began
+
+    @classmethod
+    def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
+        """The quick factor, or None if single precision loses something of this body: tried with pushes along each axis on all of it and with forces at random."""
+        solver = Multifrontal(exact._held, points)
+        loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)), np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
+        return cls(exact, solver) if trusted(exact._held, solver, loads * exact.free[:, None]) else None
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """As `RestFactor.solve`, approximately."""
+        return self._solver.solve(right)
 
 
 class Response(Protocol):

@@ -202,7 +202,8 @@ class PairSurfaces:
         self._rest = real(np.concatenate([rest, many(own.points)], axis=1))
         free = real(np.concatenate([self.model.free, self.sensor.free]))
         self._free = free[self._dof.clamp(min=0)] * (self._dof >= 0)
-        self._object: Response = response(self.model.factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
+        factor = self.model.factor.quick(mesh.points) if self.device == "cpu" else self.model.factor
+        self._object: Response = response(factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False)
         self._object_compliance = self._object.compliance()
         self._x = self._rest.clone()
         self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
