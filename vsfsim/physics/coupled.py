@@ -165,6 +165,10 @@ class CoupledSolver(Solver):
         super()._start(columns, before, pose)
         if bool(self.touching.touches(columns).any()):
             self.touching.foresee(columns, self._balance.u)
+            if self.touching.rubs:
+                # what is predicted tells friction's limits better than the step before, and points that touch for the first time have none yet
+                self._balance.evaluate(columns)
+                self.touching.lag(columns)
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
         # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one

@@ -24,8 +24,6 @@ from vsfsim.physics.touching import Touching
 
 State = dict[str, torch.Tensor]
 
-_WITHIN = 0.03  # measure at which friction's limit is renewed for the first time
-
 
 class Equilibrium:
     """Displacements u (3 n, B) [m] of a batch and the means to bring them into balance.
@@ -104,7 +102,7 @@ class Equilibrium:
         rubs = self.touching.rubs
         stuck = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
         held = torch.full((len(columns),), rubs, dtype=torch.bool, device=self.device)  # whose friction limit is not the present one
-        within = torch.full_like(state["measure"], _WITHIN)  # measure at which the limit is renewed
+        within = torch.full_like(state["measure"], self.touching.within)  # measure at which the limit is renewed
         renew = torch.ones_like(stuck)  # whose tangent must be made anew
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
         least = torch.full_like(within, float("inf"))  # measure since friction was renewed, and iterations in which it did not fall by a tenth

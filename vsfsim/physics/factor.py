@@ -113,10 +113,11 @@ class RestFactor:
                 asked = {int(i) for i in nodes}
                 self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
+            rows = np.ascontiguousarray(answer.T) if whole else None
             for j, i in enumerate(part):
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
-                if whole:
-                    self._whole[i] = np.ascontiguousarray(answer[:, 3 * j:3 * j + 3].T)
+                if rows is not None:
+                    self._whole[i] = rows[3 * j:3 * j + 3]
 
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""

@@ -22,7 +22,7 @@ from vsfsim.core.errors import MeshError
 from vsfsim.physics.dissection import Front, fronts
 
 _PAD = 16  # single-precision numbers that a row is a multiple of: whole vectors of the processor
-_WIDE = 8  # right-hand sides that share one reading of the factor
+_WIDE = 16  # right-hand sides that share one reading of the factor
 _FEW = 4  # fewer are answered one by one
 _TRUST = 1e-2  # relative error of an answer, in the energy norm, up to which it preconditions as well as the exact one
 
@@ -134,7 +134,7 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, blo
             left[f] = dense[p:, p:] - gain @ ties.T, boundary
 
 
-# One right-hand side: a row of a block times the pivots' values in 16 sums side by side. Eight of them: four rows at a time, eight sums each.
+# One right-hand side: a row of a block times the pivots' values in 16 sums side by side. Sixteen of them, in one vector: four rows at a time.
 _SINGLE = """
     const long long* t = table.data; const int* below = rows.data; const float* block = blocks.data; float* v = x.data; float* own = work.data;
     for (int f = 0; f < fronts; ++f) {
@@ -172,28 +172,30 @@ _SINGLE = """
         for (long long i = 0; i < p; ++i) a[i] = own[i];
     }
 """
-_EIGHT = """
-    const long long* t = table.data; const int* below = rows.data; const float* block = blocks.data; float* v = x.data; float* own = work.data;
+_MANY = """
+    typedef float lanes __attribute__((vector_size(64), aligned(4)));
+    const long long* t = table.data; const int* below = rows.data; const float* block = blocks.data;
+    lanes* v = (lanes*)x.data; lanes* own = (lanes*)work.data;
     for (int f = 0; f < fronts; ++f) {
         const long long p = t[6*f], width = t[6*f+1], q = t[6*f+2];
-        const float* a = v + 8 * t[6*f+3];
+        const lanes* a = v + t[6*f+3];
         const float* gain = block + t[6*f+4] + p * width;
         const int* at = below + t[6*f+5];
         for (long long i = 0; i < q; i += 4) {
             const int most = q - i < 4 ? (int)(q - i) : 4;
             const float* r0 = gain + i * width; const float* r1 = r0 + (most > 1) * width;
             const float* r2 = r1 + (most > 2) * width; const float* r3 = r2 + (most > 3) * width;
-            float sum[4][8] = {{0}};
-            for (long long j = 0; j < p; ++j) for (int l = 0; l < 8; ++l) {
-                const float u = a[8 * j + l];
-                sum[0][l] += r0[j] * u; sum[1][l] += r1[j] * u; sum[2][l] += r2[j] * u; sum[3][l] += r3[j] * u;
-            }
-            for (int k = 0; k < most; ++k) { float* to = v + 8LL * at[i + k]; for (int l = 0; l < 8; ++l) to[l] -= sum[k][l]; }
+            lanes s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
+            for (long long j = 0; j < p; ++j) { const lanes u = a[j]; s0 += r0[j] * u; s1 += r1[j] * u; s2 += r2[j] * u; s3 += r3[j] * u; }
+            v[at[i]] -= s0;
+            if (most > 1) v[at[i + 1]] -= s1;
+            if (most > 2) v[at[i + 2]] -= s2;
+            if (most > 3) v[at[i + 3]] -= s3;
         }
     }
     for (int f = fronts - 1; f >= 0; --f) {
         const long long p = t[6*f], width = t[6*f+1], q = t[6*f+2];
-        float* a = v + 8 * t[6*f+3];
+        lanes* a = v + t[6*f+3];
         const float* inverse = block + t[6*f+4];
         const float* gain = inverse + p * width;
         const int* at = below + t[6*f+5];
@@ -201,36 +203,33 @@ _EIGHT = """
             const int most = p - i < 4 ? (int)(p - i) : 4;
             const float* r0 = inverse + i * width; const float* r1 = r0 + (most > 1) * width;
             const float* r2 = r1 + (most > 2) * width; const float* r3 = r2 + (most > 3) * width;
-            float sum[4][8] = {{0}};
-            for (long long j = 0; j < p; ++j) for (int l = 0; l < 8; ++l) {
-                const float u = a[8 * j + l];
-                sum[0][l] += r0[j] * u; sum[1][l] += r1[j] * u; sum[2][l] += r2[j] * u; sum[3][l] += r3[j] * u;
-            }
-            for (int k = 0; k < most; ++k) for (int l = 0; l < 8; ++l) own[8 * (i + k) + l] = sum[k][l];
+            lanes s0 = {0}, s1 = {0}, s2 = {0}, s3 = {0};
+            for (long long j = 0; j < p; ++j) { const lanes u = a[j]; s0 += r0[j] * u; s1 += r1[j] * u; s2 += r2[j] * u; s3 += r3[j] * u; }
+            own[i] = s0;
+            if (most > 1) own[i + 1] = s1;
+            if (most > 2) own[i + 2] = s2;
+            if (most > 3) own[i + 3] = s3;
         }
         long long i = 0;
         for (; i + 4 <= q; i += 4) {
             const float* r0 = gain + i * width; const float* r1 = r0 + width; const float* r2 = r1 + width; const float* r3 = r2 + width;
-            float s[4][8];
-            for (int k = 0; k < 4; ++k) for (int l = 0; l < 8; ++l) s[k][l] = v[8LL * at[i + k] + l];
-            for (long long j = 0; j < p; ++j) for (int l = 0; l < 8; ++l)
-                own[8 * j + l] -= r0[j] * s[0][l] + r1[j] * s[1][l] + r2[j] * s[2][l] + r3[j] * s[3][l];
+            const lanes s0 = v[at[i]], s1 = v[at[i + 1]], s2 = v[at[i + 2]], s3 = v[at[i + 3]];
+            for (long long j = 0; j < p; ++j) own[j] -= r0[j] * s0 + r1[j] * s1 + r2[j] * s2 + r3[j] * s3;
         }
         for (; i < q; ++i) {
             const float* row = gain + i * width;
-            float s[8];
-            for (int l = 0; l < 8; ++l) s[l] = v[8LL * at[i] + l];
-            for (long long j = 0; j < p; ++j) for (int l = 0; l < 8; ++l) own[8 * j + l] -= row[j] * s[l];
+            const lanes s0 = v[at[i]];
+            for (long long j = 0; j < p; ++j) own[j] -= row[j] * s0;
         }
-        for (long long k = 0; k < 8 * p; ++k) a[k] = own[k];
+        for (long long k = 0; k < p; ++k) a[k] = own[k];
     }
 """
 
 
 @functools.cache
 def _kernels() -> dict[int, Any]:
-    """The solve for one and for eight right-hand sides: one thread, since each front waits for the ones below it."""
-    return {1: _kernel("single", _SINGLE), _WIDE: _kernel("eight", _EIGHT)}
+    """The solve for one and for sixteen right-hand sides: one thread, since each front waits for the ones below it."""
+    return {1: _kernel("single", _SINGLE), _WIDE: _kernel("many", _MANY)}
 
 
 def _kernel(name: str, text: str) -> Any:

@@ -71,6 +71,7 @@ class PairTouching(PairSurfaces):
     """
 
     near_balance, shrinks = 1.0, 0.9  # see `Touching`: with blended normals the forces are not quite those of a potential
+    within = 0.3  # see `Touching`: rubber mostly sticks, and the limits are those of the prediction already
     patience = 8  # see `Touching`: from flat facets a step may go round in a circle, and half of it ends elsewhere
 
     # ------------------------------------------------------------------------------------------ evaluation

@@ -37,6 +37,7 @@ class Touching:
     """
 
     near_balance, shrinks = 0.05, 0.5  # measure under which a step that brings it to this part is good whatever the potential says, which rounding hides
+    within = 0.03  # measure at which friction's limit is renewed for the first time
     patience = 10**9  # iterations in which the measure may fail to fall by a tenth before a touch is given up: their limit ends them
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
