@@ -124,15 +124,14 @@ class RestFactor:
         self._make(nodes, whole=True)
         return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size))
 
-    def compliance(self, nodes: np.ndarray) -> np.ndarray:
-        """Displacement of ``nodes`` (s,) on the surface per unit force on them, (3 s, 3 s) [m/N]; 0 where held."""
-        self._make(nodes, whole=False)
+    def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
+        """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N]; 0 where held."""
+        self._make(pushed, whole=False)
         rows = self._row_of[nodes]
-        out = np.empty((len(nodes), 3, len(nodes), 3))
-        for j, i in enumerate(nodes):
+        out = np.empty((len(nodes), 3, len(pushed), 3))
+        for j, i in enumerate(pushed):
             out[:, :, j, :] = self._columns[int(i)][rows]
-        out = out.reshape(3 * len(nodes), 3 * len(nodes))
-        return 0.5 * (out + out.T)
+        return out.reshape(3 * len(nodes), 3 * len(pushed))
 
     def dense(self, device: str) -> torch.Tensor:
         """The inverse (3 n, 3 n) [m/N] on a GPU, rows and columns of held degrees of freedom 0; made once and kept."""
@@ -180,24 +179,27 @@ class Response(Protocol):
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
+    def prepare(self, nodes: torch.Tensor) -> None:
+        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only who is `response` lazily must be told."""
+
     def compliance(self) -> torch.Tensor:
-        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held and where the patch is padded."""
+        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that are not prepared."""
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
 
 
-def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True) -> Response:
+def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True, lazy: bool = False) -> Response:
     """The answer of a body to forces on given patches.
 
     Args:
         factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
         exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the time
-            (good for predictions and as a preconditioner).
+            (good for predictions and as a preconditioner). lazy: what only some nodes need is made when `Response.prepare` names them.
     """
     if device != "cpu" and factor.size <= _DENSE:
         return _Dense(factor, dof, device)
-    return _Sparse(factor, dof, device, exact)
+    return _Sparse(factor, dof, device, exact, lazy)
 
 
 def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
@@ -207,25 +209,36 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
 
 
 class _Sparse:
-    """Triangular solves on the host; for few touches also the columns of the inverse under their patches."""
+    """Triangular solves on the host; for few touches also the columns of the inverse under their patches.
 
-    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool):
+    ``lazy``: columns are there only for nodes that `prepare` was told of.
+    """
+
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
         self._factor, self._dof = factor, dof
-        nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
+        self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
-        self._whole: torch.Tensor | None = None
-        if len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES:
-            whole = np.zeros((len(dof), width, factor.size), np.float64 if exact else np.float32)
-            for b, own in enumerate(nodes):
-                whole[b, :3 * len(own)] = factor.whole_columns(own)
-            self._whole = torch.as_tensor(whole, device=device)
-        table = np.zeros((len(dof), width, width))
-        for b, own in enumerate(nodes):
-            table[b, :3 * len(own), :3 * len(own)] = factor.compliance(own)
-        self._compliance = torch.as_tensor(table, device=device)
+        few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES
+        self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32, device=device) if few else None
+        self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
+        self._ready = np.zeros((len(dof), width // 3), bool)
+        if not lazy:
+            self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
+
+    def prepare(self, nodes: torch.Tensor) -> None:
+        """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
+        for b, asked in enumerate(nodes.cpu().numpy() & ~self._ready):
+            if not asked.any():
+                continue
+            self._ready[b] |= asked
+            new, own = self._nodes[b][asked[:len(self._nodes[b])]], self._nodes[b]
+            at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
+            if self._whole is not None:
+                self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
+            self._compliance[b, :3 * len(own), at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
 
     def compliance(self) -> torch.Tensor:
-        return self._compliance
+        return 0.5 * (self._compliance + self._compliance.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         return torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
@@ -262,6 +275,9 @@ class _Dense:
         place = torch.zeros(factor.size, dtype=torch.int64, device=dof.device)
         place[together] = torch.arange(len(together), device=dof.device)
         self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
+
+    def prepare(self, nodes: torch.Tensor) -> None:
+        """All of the inverse is there."""
 
     def compliance(self) -> torch.Tensor:
         real = (self._dof >= 0).to(torch.float64)

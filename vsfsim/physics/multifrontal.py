@@ -66,21 +66,26 @@ class Multifrontal:
                         wp.array(np.concatenate([*rows, [0]]).astype(np.int32), dtype=wp.int32, device="cpu"),
                         wp.array(self._blocks, dtype=wp.float32, device="cpu")]
         self._fronts = len(tree)
+        self._vectors: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of a solve, by its width
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """An approximation of the inverse times ``right``, both (3 n, k) in double."""
         out = np.empty(right.shape)
         width = _WIDE if right.shape[1] >= _FEW else 1
+        if width not in self._vectors:
+            self._vectors[width] = np.zeros((self._slots, width), np.float32), np.zeros(self._widest * width, np.float32)
+        x, work = self._vectors[width]  # the padding stays 0
+        inputs = [self._fronts, *self._arrays, *(wp.array(a.reshape(-1), device="cpu", copy=False) for a in (x, work))]
         for start in range(0, right.shape[1], width):
             part = right[:, start:start + width]
-            x = np.zeros((self._slots, width), np.float32)
+            k = part.shape[1]
             # single precision has no room for forces that are far below one: every column by its own measure
             scale = np.maximum(np.abs(part).max(axis=0), 1e-300)
-            x[self._place, :part.shape[1]] = part / scale
-            work = np.zeros(self._widest * width, np.float32)
-            wp.launch(_kernels()[width], dim=1, device="cpu", inputs=[self._fronts, *self._arrays, wp.array(x.reshape(-1), device="cpu", copy=False),
-                                                                      wp.array(work, device="cpu", copy=False)])
-            out[:, start:start + width] = x[self._place, :part.shape[1]] * scale
+            if k < width:
+                x[:] = 0.0
+            x[self._place, :k] = part * (1.0 / scale)
+            wp.launch(_kernels()[width], dim=1, device="cpu", inputs=inputs)
+            out[:, start:start + width] = x[self._place, :k] * scale
         return out
 
 
