@@ -140,16 +140,18 @@ def test_factor_solves_with_a_contrast_of_ten_thousand(model):
 def test_compliance_is_symmetric_and_equal_to_direct_solves(model):
     top = np.flatnonzero(model.mesh.points[:, 2] == 0.04)
     first, later = top[: len(top) // 2], top
-    model.factor.compliance(first)  # some columns are kept from before
-    a = model.factor.compliance(later)
-    assert np.array_equal(a, a.T)
+    model.factor.compliance(first, first)  # some columns are kept from before
+    a = model.factor.compliance(later, later)
+    # one solve a column: rounding of the factor at contrast 1e4
+    assert np.abs(a - a.T).max() < 1e-9 * np.abs(a).max()
+    assert np.array_equal(model.factor.compliance(later, first), a[:, :3 * len(first)])
     right = np.zeros((len(model.free), 3))
     node = later[7]
     right[3 * node + np.arange(3), np.arange(3)] = 1.0
     direct = model.factor.solve(right).reshape(-1, 3, 3)[later].reshape(-1, 3)
     # solved together with others or alone: rounding of the factor at contrast 1e4
     assert np.abs(a[:, 21:24] - direct).max() < 1e-9 * np.abs(direct).max()
-    assert np.linalg.eigvalsh(a).min() > 0.0
+    assert np.linalg.eigvalsh(0.5 * (a + a.T)).min() > 0.0
 
 
 def test_columns_that_no_longer_fit_are_made_again(model, monkeypatch):
@@ -217,3 +219,25 @@ def test_forces_on_patches_are_answered_like_forces_on_the_body(model, device, f
     assert (answer.patch(which, force[which]) - expected).abs().max() < 1e-9 * expected.abs().max()
     compliance = answer.compliance()[0]
     assert (compliance @ force[0] - expected[table[0], 1]).abs().max() < 1e-9 * expected.abs().max()
+
+
+def test_what_is_prepared_late_is_what_would_have_been_there(model):
+    """A lazy answer knows the nodes that it was told of, as the eager one knows all; the others are left out."""
+    surface = model.mesh.surface_nodes()[:12]
+    dof = torch.as_tensor((3 * surface[:, None] + np.arange(3)).reshape(1, -1))
+    eager, lazy = response(model.factor, dof, device="cpu"), response(model.factor, dof, device="cpu", lazy=True)
+    assert not lazy.compliance().any()
+    asked = torch.zeros((1, 12), dtype=torch.bool)
+    for some in ([2, 5], [5, 7, 8]):
+        asked[0, some] = True
+        lazy.prepare(asked)
+    known = (3 * asked[0].nonzero() + torch.arange(3)).flatten()
+    unknown = torch.as_tensor(np.setdiff1d(np.arange(36), known.numpy()))
+    found, expected = lazy.compliance()[0], eager.compliance()[0]
+    assert (found[known][:, known] - expected[known][:, known]).abs().max() < 1e-9 * expected.abs().max()
+    assert not found[unknown][:, unknown].any()
+    force = torch.zeros((1, 36), dtype=torch.float64)
+    force[0, known] = torch.linspace(-1.0, 2.0, len(known), dtype=torch.float64)
+    touch = torch.tensor([0])
+    answered = eager.patch(touch, force)
+    assert (lazy.patch(touch, force) - answered).abs().max() < 1e-9 * answered.abs().max()

@@ -369,7 +369,7 @@ def test_the_rest_factor_of_a_bubble_inverts_the_whole_tangent(tmp_path):
     assert answer[moves] == pytest.approx(np.linalg.solve(whole, right[moves]), rel=1e-8, abs=1e-10 * np.abs(answer).max())
     assert (answer[model.free == 0.0] == 0.0).all()
     nodes = np.arange(40, 50)
-    compliance = model.factor.compliance(nodes)
+    compliance = model.factor.compliance(nodes, nodes)
     place = np.searchsorted(moves, (3 * nodes[:, None] + np.arange(3)).ravel())
     held = np.isin((3 * nodes[:, None] + np.arange(3)).ravel(), moves)
     inverse = np.linalg.inv(whole)
