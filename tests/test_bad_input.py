@@ -56,7 +56,7 @@ EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.to
 
 
 def run(*words, cwd, **options):
-    """`vsfsim WORDS` in folder ``cwd``."""
+    """`vsfsim WORDS` in folder ``cwd``, as a process of its own; most tests take the fixture ``vsfsim``, which gives the same sooner."""
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench")}
     return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
@@ -75,7 +75,7 @@ def assert_refused(out, message):
 
 
 @pytest.fixture
-def toy(tmp_path):
+def toy(tmp_path, monkeypatch):
     """A mock dataset and a task on it."""
     views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
     recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
@@ -85,6 +85,7 @@ def toy(tmp_path):
             writer.add(view)
         writer.finish()
     (tmp_path / "toy-v1.toml").write_text(TASK)
+    monkeypatch.syspath_prepend(HERE / "bench")  # of toy_methods
     return tmp_path
 
 
@@ -95,8 +96,8 @@ def toy(tmp_path):
     (GENERATE, "young_modulus = 1e5", "young_modulus = { uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
     (PRESS, "young_modulus = 1e5", "young_modulus = { base = 1e5, inclusions = [{ sphere = [0, 0, 0, 0.01], value = -1.0 }] }", "inclusions[0]: value is -1.0"),
     (PRESS, *MESH, "volume"),
-    (GENERATE, *MESH, "volume"),
-    (GENERATE, MESH[0], 'mesh = "none.obj"', "none.obj"),
+    ((*GENERATE, "--workers", "1"), *MESH, "volume"),
+    (PRESS, MESH[0], 'mesh = "none.obj"', "none.obj"),
     (PRESS, "shape = { sphere = 0.02 }", 'shape = { mesh = "none.stl" }', "[touches]: the touches of a dataset are made with one simple probe"),
     (PRESS, "from = [0.0, 0.0, 0.05]", "path = [[0, 0, 0.05], [0, 0, 0.04]]", "box.toml [press]: there is a path, and to; give either path"),
     (PRESS, "frames = 2", "frames = 2\nrotation = [0, 0, 90]", "box.toml [press]: rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
@@ -104,12 +105,12 @@ def toy(tmp_path):
     (PRESS, 'tier = "linear"', 'tier = "fine"', "tier is 'fine'. Did you mean 'fem-fine'?"),
     (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
 ])
-def test_a_wrong_scene_is_refused_and_leaves_nothing(tmp_path, words, old, new, message):
+def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, old, new, message):
     assert old in BOX
     (tmp_path / "box.toml").write_text(BOX.replace(old, new))
     (tmp_path / "flat.obj").write_text(FLAT)
     before = contents(tmp_path)
-    assert_refused(run(*words, cwd=tmp_path), message)
+    assert_refused(vsfsim(*words, cwd=tmp_path), message)
     assert contents(tmp_path) == before
 
 
@@ -118,12 +119,12 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(tmp_path, words, old, new, 
     ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"), ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
     ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
 ])
-def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(tmp_path, probe, message):
+def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
     (tmp_path / "box.toml").write_text(BOX[:BOX.index("[touches]")].replace("{ sphere = 0.02 }", probe))
     (tmp_path / "flat.obj").write_text(FLAT)
     (tmp_path / "text.obj").write_text("not a mesh")
     before = contents(tmp_path)
-    assert_refused(run(*PRESS, cwd=tmp_path), message)
+    assert_refused(vsfsim(*PRESS, cwd=tmp_path), message)
     assert contents(tmp_path) == before
 
 
@@ -143,46 +144,46 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(tm
     (("inspect", "toy", "--out", "nowhere/x.png"), "there is no folder 'nowhere'"),
     (("leaderboard", "nowhere.json", "--task", "toy-v1.toml"), "nowhere.json does not exist"),
 ])
-def test_a_wrong_word_is_refused_and_leaves_nothing(toy, words, message):
+def test_a_wrong_word_is_refused_and_leaves_nothing(vsfsim, toy, words, message):
     before = contents(toy)
-    assert_refused(run(*words, cwd=toy), message)
+    assert_refused(vsfsim(*words, cwd=toy), message)
     assert contents(toy) == before
 
 
 @pytest.mark.parametrize("where", [0.1, 0.5, 0.999])
 @pytest.mark.parametrize("name", ["mock-0000-v0.h5", "mock-0002-v0.h5", "dataset.json"])
-def test_one_flipped_byte_of_a_dataset_is_never_scored(toy, name, where):
+def test_one_flipped_byte_of_a_dataset_is_never_scored(vsfsim, toy, name, where):
     path = toy / "toy" / name
     content = bytearray(path.read_bytes())
     content[int(where * len(content))] ^= 4
     path.write_bytes(bytes(content))
     before = contents(toy)
-    assert_refused(run(*EVALUATE, cwd=toy), name)
+    assert_refused(vsfsim(*EVALUATE, cwd=toy), name)
     assert contents(toy) == before
 
 
-def test_verify_names_the_damaged_file_and_the_cure(toy):
+def test_verify_names_the_damaged_file_and_the_cure(vsfsim, toy):
     path = toy / "toy" / "mock-0001-v0.h5"
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
-    out = run("verify", "toy", cwd=toy)
+    out = vsfsim("verify", "toy", cwd=toy)
     assert out.returncode == 2 and "mock-0001-v0.h5: was changed after it was written" in out.stdout and "vsfsim generate" in out.stdout
 
 
-def test_the_folder_of_another_scene_is_refused_and_left_alone(toy):
+def test_the_folder_of_another_scene_is_refused_and_left_alone(vsfsim, toy):
     (toy / "box.toml").write_text(BOX)
     before = contents(toy)
-    assert_refused(run("generate", "box.toml", "--out", "toy", cwd=toy), "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
+    assert_refused(vsfsim("generate", "box.toml", "--out", "toy", cwd=toy), "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
     assert contents(toy) == before
 
 
-def test_a_folder_of_something_else_is_refused_and_left_alone(tmp_path):
+def test_a_folder_of_something_else_is_refused_and_left_alone(vsfsim, tmp_path):
     (tmp_path / "box.toml").write_text(BOX)
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "me.png").write_bytes(b"x")
     before = contents(tmp_path)
-    assert_refused(run("generate", "box.toml", "--out", "photos", cwd=tmp_path), "folder photos is not empty and holds no dataset (me.png)")
+    assert_refused(vsfsim("generate", "box.toml", "--out", "photos", cwd=tmp_path), "folder photos is not empty and holds no dataset (me.png)")
     assert contents(tmp_path) == before
 
 
@@ -194,7 +195,7 @@ def test_a_full_disk_under_a_result(toy):
     assert {k: v for k, v in contents(toy).items() if v is not None} == {k: v for k, v in before.items() if v is not None}
 
 
-def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(tmp_path):
+def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp_path):
     unshare = shutil.which("unshare")
     mount = [unshare or "unshare", "-m" if os.geteuid() == 0 else "-rm", "sh", "-c"]
     disk = tmp_path / "disk"
@@ -210,9 +211,9 @@ def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(tmp_path):
     kept = tmp_path / "kept"
     assert sorted(p.name for p in kept.iterdir()) == ["box-0000-v0.h5", "dataset.part.json"], "whole files only"
     first = (kept / "box-0000-v0.h5").read_bytes()
-    assert run("generate", "box.toml", "--out", "kept", "--workers", "1", cwd=tmp_path).returncode == 0
+    assert vsfsim("generate", "box.toml", "--out", "kept", "--workers", "1", cwd=tmp_path).returncode == 0
     assert (kept / "box-0000-v0.h5").read_bytes() == first
-    assert run("verify", "kept", cwd=tmp_path).stdout.rstrip().endswith("ok")
+    assert vsfsim("verify", "kept", cwd=tmp_path).stdout.rstrip().endswith("ok")
 
 
 @pytest.mark.parametrize("words", [("--debug", *PRESS), (*PRESS, "--debug")])

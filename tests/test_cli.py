@@ -46,8 +46,8 @@ finally:
     (("check", "gausian"), "Did you mean 'gaussian'?"),
     (("leaderboard", "--task", "x.toml"), "task file 'x.toml' does not exist"),
 ])
-def test_a_mistake_is_one_paragraph_and_exit_code_2(words, message, tmp_path):
-    out = run(*words, cwd=tmp_path)
+def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):
+    out = vsfsim(*words, cwd=tmp_path)
     assert out.returncode == 2, out.stderr
     assert out.stderr.startswith("error: ") and message in out.stderr
     assert "Traceback" not in out.stderr and out.stdout == ""

@@ -1,10 +1,6 @@
 """`vsfsim press` as a user runs it: a scan, each kind of probe, and paths that make no sense."""
 
 import json
-import os
-import subprocess
-import sys
-from importlib.metadata import version
 
 import numpy as np
 import pytest
@@ -28,20 +24,16 @@ BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", prob
 
 
 @pytest.fixture
-def press(tmp_path):
+def press(vsfsim, tmp_path, monkeypatch):
     """Runs `vsfsim press` on a scene made of keywords: press(*words, **scene)."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # a mesh cache of the test's own
 
     def run(*words, **scene):
         text, given = scene.pop("text", SCENE), {**BOX, **scene}
         for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"), ("TO", "stop"), ("FRAMES", "frames")):
             text = text.replace(word, str(given[key]))
         (tmp_path / "s.toml").write_text(text)
-        # a mesh cache of the test's own, but the compiled kernels of everybody
-        home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-        kernels = os.environ.get("WARP_CACHE_PATH") or f"{home}/warp/{version('warp-lang')}"
-        env = {**os.environ, "OMP_NUM_THREADS": "1", "XDG_CACHE_HOME": str(tmp_path / "cache"), "WARP_CACHE_PATH": kernels}
-        return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "press", "s.toml", *words],
-                              capture_output=True, text=True, cwd=tmp_path, env=env, stdin=subprocess.DEVNULL)
+        return vsfsim("press", "s.toml", *words, cwd=tmp_path)
 
     return run
 

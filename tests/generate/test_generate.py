@@ -138,25 +138,38 @@ def test_another_seed_gives_another_dataset_and_more_objects_keep_the_first(made
     assert all(np.array_equal(p.force, q.force) for p, q in zip(a.touches, b.touches))
 
 
-def test_sigkill_at_random_moments_then_again_gives_the_same_bits(made, scene, tmp_path):
-    words = command("generate", scene.path, "--out", tmp_path / "d", "--workers", 2)
+def killed(words, moment):
+    """Start a command and kill it as soon as ``moment()`` says so; returns how long it ran [s]."""
     began = time.perf_counter()
-    first = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    # the first kill comes as soon as a file is there: half a dataset
-    while first.poll() is None and not list((tmp_path / "d").glob("*.h5*") if (tmp_path / "d").is_dir() else []):
+    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and not moment():
         assert time.perf_counter() - began < 120.0
         time.sleep(0.005)
-    length = time.perf_counter() - began
-    first.send_signal(signal.SIGKILL)
-    first.wait()
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    time.sleep(random.uniform(0.2, 1.0) * length)
     process.send_signal(signal.SIGKILL)
     process.wait()
+    return time.perf_counter() - began
+
+
+def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
+    """Killed with its two workers when the first file is there; see `tests/data` for every moment of the writing."""
+    out = tmp_path / "d"
+    killed(command("generate", scene.path, "--out", out, "--workers", 2), lambda: out.is_dir() and list(out.glob("*.h5*")))
+    generate(scene, out, workers=1)
+    assert contents(out) == contents(made.path)
+    assert verify(out).ok
+
+
+@pytest.mark.slow
+def test_sigkill_at_random_moments_then_again_gives_the_same_bits(made, scene, tmp_path):
+    out = tmp_path / "d"
+    words = command("generate", scene.path, "--out", out, "--workers", 2)
+    length = killed(words, lambda: out.is_dir() and list(out.glob("*.h5*")))
+    end = time.perf_counter() + random.uniform(0.2, 1.0) * length
+    killed(words, lambda: time.perf_counter() > end)
     last = subprocess.run(words, capture_output=True, text=True)
     assert last.returncode == 0, last.stderr
-    assert contents(tmp_path / "d") == contents(made.path)
-    assert verify(tmp_path / "d").ok
+    assert contents(out) == contents(made.path)
+    assert verify(out).ok
 
 
 def test_splits_keep_their_proportions(scene):

@@ -32,6 +32,7 @@ young_modulus = { base = { loguniform = [5e4, 2e5] } }
 [sensor]
 kind = "bubble"
 nodes = 100
+fine = true
 camera = [16, 12]
 [touches]
 count = 2
@@ -92,6 +93,14 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
         dead = gas.gas_volume - volume[0]
         kept = (touch.pressure + atmosphere) * (volume + dead) ** gas.gamma
         assert kept == pytest.approx(kept[0], rel=1e-3)
+        # the mesh that was solved carries the same forces and starts from the same dome
+        assert touch.fine_position.shape == touch.fine_force.shape == (3, 100, 3) and touch.fine_triangles.shape == (2 * 100 - 2 - int(rim_of(touch.fine_triangles, 100).sum()), 3)
+        assert touch.fine_force.astype(float).sum(axis=1) == pytest.approx(touch.force, abs=1e-4)
+        fine = np.einsum("tni,tij->tnj", touch.fine_position - touch.mount_pose[:, None, :3, 3], touch.mount_pose[:, :3, :3])
+        assert fine[0] == pytest.approx(touch.fine_rest, abs=1e-6)
+        assert fine[:, rim_of(touch.fine_triangles, 100), 2] == pytest.approx(0.0, abs=1e-6)
+        kept = (touch.pressure + atmosphere) * (np.array([dome_volume(x, touch.fine_triangles) for x in fine]) + gas.gas_volume - dome_volume(fine[0], touch.fine_triangles)) ** gas.gamma
+        assert kept == pytest.approx(kept[0], rel=1e-6), "the solved gas law, to the rounding of the stored positions"
         assert touch.inside_rgb.shape == (3, 12, 16, 3) and (touch.inside_depth > 0.02).mean() > 0.5
         # it came straight along the normal, and depth counts from first contact
         way = (touch.mount_pose[:, :3, 3] - touch.mount_pose[0, :3, 3]) @ touch.axis
@@ -197,6 +206,8 @@ def test_a_tier_is_chosen_that_bends(made):
     ("camera = [16, 12]", "camera = [16]", r"\[sensor\]: camera is \[16\]; it must be true"),
     ("camera = [16, 12]", "camera = [4, 12]", "from 8 to 4096 pixels"),
     ("camera = [16, 12]", "camera = 1", "camera is 1; it must be true"),
+    ("fine = true", "fine = 1", r"\[sensor\]: fine is 1; it must be true"),
+    ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
     ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
     ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]", r"this scene has \[\[obstacles\]\]"),
 ])

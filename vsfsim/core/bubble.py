@@ -27,7 +27,9 @@ class Bubble:
     Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own length [-].
     gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with the dome free [m^3].
     gamma: of p V^gamma, 1 isothermal to 1.4 adiabatic [-]. ambient_pressure: absolute, outside [Pa].
-    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh. friction: Coulomb coefficient with what it touches [-].
+    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh, even all over. contact_edge: longest edge of the triangles where a rigid body
+    touches [m], for which the mesh is made finer there; None: a third of the radius of balls and capsules. friction: Coulomb coefficient with what it touches [-].
+    fine: whether a dataset also keeps the mesh that was solved, of ``nodes`` nodes, beside the read-out mesh.
     camera: width and height of the pictures that a dataset keeps of the skin from inside (2,) [px], or None for none.
     """
 
@@ -41,7 +43,9 @@ class Bubble:
     ambient_pressure: float = ATMOSPHERE
     sealed: bool = True
     nodes: int = NODES
+    contact_edge: float | None = None
     friction: float = 2.0
+    fine: bool = False
     camera: tuple[int, int] | None = None
 
     @property
@@ -77,6 +81,9 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
     sealed = t.table.get("sealed", real.sealed)
     if not isinstance(sealed, bool):
         raise SceneError(f"{where}: sealed is {sealed!r}; it must be true (the air is shut in) or false (a supply keeps the pressure).")
+    fine = t.table.get("fine", real.fine)
+    if not isinstance(fine, bool):
+        raise SceneError(f"{where}: fine is {fine!r}; it must be true (a dataset also keeps the mesh that was solved) or false (the read-out mesh alone).")
     return Bubble(
         semi_axes=(long, short),
         young_modulus=t.number("young_modulus", real.young_modulus, 1e3, 1e10, "Pa"),
@@ -88,7 +95,9 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
         ambient_pressure=t.number("ambient_pressure", real.ambient_pressure, 0.0, 1e8, "Pa"),
         sealed=sealed,
         nodes=t.count("nodes", real.nodes, 100, 20_000),
+        contact_edge=t.number("contact_edge", 0.0, 1e-4, 0.1, "m") if "contact_edge" in t.table else None,
         friction=t.number("friction", real.friction, 0.0, MAX_FRICTION),
+        fine=fine,
         camera=_camera(t.table.get("camera", False), where),
     )
 

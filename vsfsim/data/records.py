@@ -80,6 +80,10 @@ class Touch:
     node_rest: read-out vertices of the free dome, mount frame (N, 3) [m], or None if not kept.
     node_reference: their coordinates on the stress-free skin (N, 2) [m], or None if not kept.
     node_triangles: of the read-out mesh, wound outwards (F, 3) int, or None if not kept.
+    fine_position: vertices of the mesh that was solved, world (T, V, 3) [m], or None if not kept.
+    fine_force: contact force on each of them, world (T, V, 3) [N], or None if not kept.
+    fine_rest: the same vertices of the free dome, mount frame (V, 3) [m], or None if not kept.
+    fine_triangles: of that mesh, wound outwards (K, 3) int, or None if not kept.
     inside_depth: what the camera in the bubble sees, distance along its axis, 0 where there is no skin (T, h, w) [m], or None if not kept.
     inside_rgb: colour of the same (T, h, w, 3) uint8 sRGB, or None if not kept.
     """
@@ -111,6 +115,10 @@ class Touch:
     node_rest: np.ndarray | None = None
     node_reference: np.ndarray | None = None
     node_triangles: np.ndarray | None = None
+    fine_position: np.ndarray | None = None
+    fine_force: np.ndarray | None = None
+    fine_rest: np.ndarray | None = None
+    fine_triangles: np.ndarray | None = None
     inside_depth: np.ndarray | None = None
     inside_rgb: np.ndarray | None = None
 

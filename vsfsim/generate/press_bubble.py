@@ -24,6 +24,8 @@ from vsfsim.physics import bubble, tiers
 from vsfsim.physics.coupled import CoupledSolver, free_way
 from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
 from vsfsim.physics.frames import Frames, SolverOptions
+from vsfsim.physics.membrane_refine import wishes
+from vsfsim.physics.rigid import RigidBodies
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
 from vsfsim.sensing.bubble import readout_of
@@ -63,7 +65,7 @@ class BubblePress:
     reaction: of the mount on the sensor, in the world (T, 3) [N]. pressure: gauge (T,) [Pa]. pressure_change: since the free dome (T,) [Pa].
     volume: of all the gas (T,) [m^3]. converged: (T,) bool. residual: (T,) [-]. iterations: Newton (T,). cg_iterations: conjugate gradients (T,).
     slipping: share of the points in contact that slip (T,) [-]. seconds: of each frame (T,) [s]. audit: force_balance [-], min_det_f [-], energy [J], penetration [m], each (T,).
-    apex: height of the free dome over the rim [m]. dome_volume: under the free dome [m^3]. edge: mean edge of the mesh [m].
+    apex: height of the free dome over the rim [m]. dome_volume: under the free dome [m^3]. edge: mean edge of the mesh where it is touched [m].
     build_seconds: inflation, or reading it, and factor [s]. triangles, nodes, device, precision: of the model. tolerance: of the residual [-]. inward: number of frames before
     hold and retract. notes: what a user should know. statement: of convergence, in words. state: of every frame, if asked for; not part of `table`.
     """
@@ -154,11 +156,16 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
                          "leaves more of it unbalanced than a light touch pushes.")
     began = time.perf_counter()
     model = bubble.build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=cache)
-    built = time.perf_counter() - began
     mount = press_path(spec, Plane())  # a plane's +z leads, as a sensor's does
+    poses = in_mount(scene, mount)
+    if scene.object is None:
+        finer = wishes(model.mesh.points, model.element_size, RigidBodies(scene.bodies), poses, scene.sensor.contact_edge)
+        if finer:
+            model = bubble.build_bubble(scene.sensor, finer=finer, where=f"{scene.source} [sensor]", cache=cache)
+    built = time.perf_counter() - began
     axis, start = _first_way(scene)
     if scene.object is None:
-        run = _on_obstacles(scene, model, mount, axis, start, device, precision, progress)
+        run = _on_obstacles(scene, model, mount, poses, axis, start, device, precision, progress)
     else:
         run = _on_object(scene, model, mount, axis, start, device, precision, tier, seed, cache, progress)
     frames = run.frames
@@ -177,10 +184,9 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
         state=BubbleState(model, mount, run.node, run.push) if keep else None)
 
 
-def _on_obstacles(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis: np.ndarray, start: np.ndarray, device: str, precision: str,
+def _on_obstacles(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, poses: np.ndarray, axis: np.ndarray, start: np.ndarray, device: str, precision: str,
                   progress: Callable[[int, int, str], None] | None) -> _Run:
     compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
-    poses = in_mount(scene, mount)
     first = np.eye(4)
     first[:3, :3], first[:3, 3] = mount[0, :3, :3], start
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis) for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
@@ -253,6 +259,12 @@ def _first_way(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return direction(scene), np.array(scene.press.start)
 
 
+def way_in(scene: Scene) -> np.ndarray:
+    """The way of standing bodies into the dome along the first part of the path, in the mount frame (3,)."""
+    assert scene.press is not None
+    return -press_path(scene.press, Plane())[0, :3, :3].T @ _first_way(scene)[0]
+
+
 def text(result: BubblePress) -> str:
     """The result as a table for people."""
     rows = ["  depth mm    force N      fx       fy       fz   pressure Pa   change Pa  volume mL   balance  penetr. %  residual  iterations     s"]
@@ -267,7 +279,7 @@ def text(result: BubblePress) -> str:
                 f"({', '.join(f'{v + 0.0:.5f}' for v in w[3:])}) N m; {100 * result.slipping[result.inward - 1]:.0f} % of the points in contact slip.")
     rows.append(result.statement)
     rows.append(f"Free dome: apex {1e3 * result.apex:.2f} mm, {1e6 * result.dome_volume:.2f} mL, {result.pressure[0] - result.pressure_change[0]:.1f} Pa gauge. "
-                f"{result.triangles} triangles, {result.nodes} nodes, mean edge {1e3 * result.edge:.2f} mm, "
+                f"{result.triangles} triangles, {result.nodes} nodes, mean edge where it is touched {1e3 * result.edge:.2f} mm, "
                 f"{result.precision} on {result.device}; built in {result.build_seconds:.1f} s, solved in {result.seconds.sum():.1f} s.")
     rows.extend(f"note: {sentence}" for sentence in result.notes)
     return "\n".join(rows)

@@ -26,10 +26,9 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     keep = picture is not None or save is not None
     scene = loaded.sample(seed)
     if scene.sensor is not None:
-        for option, given in (("--refine", refine), ("--picture", picture)):
-            if given is not None:
-                raise SceneError(f"{option} {given}: a press of a [sensor] has no such output yet; leave {option} out.")
-        return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, plot=plot, save=save, progress=progress)
+        if picture is not None:
+            raise SceneError(f"--picture {picture}: a press of a [sensor] has no such output yet; leave --picture out.")
+        return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, refine=refine, plot=plot, save=save, progress=progress)
     if scene.arm is not None:
         raise SceneError(f"{loaded.path}: its plant is made of beams and touched by an [arm]; `vsfsim generate {loaded.name} --objects 1 --touches 1` makes such a touch, `vsfsim press` presses solid bodies.")
     words, found = [], {}
@@ -62,16 +61,26 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     return "\n".join([table(result), *words]), {**result.table(), **found}, good
 
 
-def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, device: str, precision: str, plot: Path | None, save: Path | None,
+def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, device: str, precision: str, refine: int | None, plot: Path | None, save: Path | None,
                   progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
     from vsfsim.generate import press_bubble, press_bubble_file, press_plot
 
-    result = press_bubble.press(scene, tier=tier, seed=seed, device=device, precision=precision, keep=save is not None, progress=progress)
-    words = []
+    words, found = [], {}
+    if refine is None:
+        result = press_bubble.press(scene, tier=tier, seed=seed, device=device, precision=precision, keep=save is not None, progress=progress)
+        good = bool(result.converged.all())
+    else:
+        from vsfsim.generate import refine_bubble as refinement
+
+        results, force, pressure = refinement.refine(scene, refine, device=device, precision=precision, cache=None, progress=progress)
+        result, good = results[-1], all(bool(r.converged.all()) for r in results)
+        rows = refinement.rows_of(results, press_bubble.way_in(scene))
+        words = ["", f"The press on {refine} meshes, at half and at full depth:", refinement.text(rows, force, pressure)]
+        found = {"refinement": {"meshes": rows, "force": force.table(), "pressure_change": pressure.table()}}
     if plot is not None:
         press_plot.plot_pressure(result, name, plot)
         words.append(f"plot: {plot}")
     if save is not None:
         press_bubble_file.save(result, save)
         words.append(f"saved: {save}")
-    return "\n".join([press_bubble.text(result), *words]), result.table(), bool(result.converged.all())
+    return "\n".join([press_bubble.text(result), *words]), {**result.table(), **found}, good

@@ -16,11 +16,12 @@ import scipy.sparse as sp
 from vsfsim.core.bubble import NODES, Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
-from vsfsim.physics import disk_cache, inflation, membrane_mesh
+from vsfsim.physics import disk_cache, inflation, membrane_mesh, membrane_refine
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.membrane_factor import MembraneFactor
 from vsfsim.physics.membrane_mesh import TriangleMesh, closed
+from vsfsim.physics.membrane_refine import Wishes
 from vsfsim.physics.mesh import assemble
 from vsfsim.physics.model import Model
 from vsfsim.physics.sheet import Sheet
@@ -59,7 +60,8 @@ class BubbleModel(Model):
     """A bubble in its mount frame: a `Model` whose rest, u = 0, is the free inflated dome.
 
     mesh: linear triangles, a `TriangleMesh`. young_modulus: E h over the mean edge (1,) [Pa], what the contact counts as its modulus.
-    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of the inflated mesh [m].
+    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of the inflated mesh [m], where it was
+    made finer of the nodes that are touched.
     spec: what it was built from. flat: places of the nodes in the clamped, uninflated sheet (n, 2) [m].
     pressure: gauge, of the free dome [Pa]. dead_volume: of the chamber behind the rim plane [m^3]. read_out: the 390 nodes.
     """
@@ -75,18 +77,19 @@ class BubbleModel(Model):
         return 1e-7 * self.pressure * np.pi * self.spec.semi_axes[0] * self.spec.semi_axes[1]
 
 
-def build_bubble(spec: Bubble, *, where: str = "[sensor]", cache: Path | None = None) -> BubbleModel:
+def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]", cache: Path | None = None) -> BubbleModel:
     """The model of a bubble; the same spec again costs nothing, and in a new process only the factor.
 
     Args:
-        spec: the bubble. where: scene and section, for messages. cache: folder for inflated shapes; None is the user's own.
+        spec: the bubble. finer: where its mesh is to be finer than even. where: scene and section, for messages. cache: folder for inflated shapes; None is the user's own.
 
     Raises:
         SceneError: the gauge pressure is beyond the membrane's limit point, or there is less gas than the dome holds.
     """
-    key = hashlib.sha256(repr((astuple(spec), _RECIPE)).encode()).hexdigest()
+    finer = tuple((edge, nodes) for edge, nodes in finer if nodes)
+    key = hashlib.sha256(repr((astuple(spec), finer, _RECIPE)).encode()).hexdigest()
     if key not in _models:
-        _models[key] = _build(spec, where, disk_cache.folder() if cache is None else Path(cache))
+        _models[key] = _build(spec, finer, where, cache)
         while len(_models) > _KEPT:
             _models.popitem(last=False)
     _models.move_to_end(key)
@@ -166,22 +169,42 @@ def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix
     return sp.csr_matrix((weights.ravel(), (np.repeat(rows, 3), faces[near[rows, best]].ravel())), shape=(len(at), len(flat)))
 
 
-def _build(spec: Bubble, where: str, folder: Path) -> BubbleModel:
+def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> BubbleModel:
     # the gas plays no part in the inflation: only what does is in the file's name
-    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes, _RECIPE)
-    stored = folder / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
-    flat, faces, rim = flat_mesh(spec)
+    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes, *finer, _RECIPE)
+    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
+    if finer:
+        even = build_bubble(spec, where=where, cache=cache)
+        flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes, even.mesh.points, finer)
+    else:
+        flat, faces, rim = flat_mesh(spec)
+
+    def inflated() -> np.ndarray:
+        return _between(even, flat, faces, rim, where) if finer else inflate(spec, where)
+
     with disk_cache.locked(stored):
         kept = disk_cache.read(stored)
         if kept is None or kept.get("u", np.zeros(0)).shape != (len(flat), 3):
-            disk_cache.write(stored, u=inflate(spec, where))
-            kept = disk_cache.read(stored) or {"u": inflate(spec, where)}
+            disk_cache.write(stored, u=inflated())
+            kept = disk_cache.read(stored) or {"u": inflated()}
     points = np.column_stack([flat, np.zeros(len(flat))]) + kept["u"]
-    return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where)
+    touched = sorted({node for _, nodes in finer for node in nodes})
+    return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where, touched=np.array(touched, int))
 
 
-def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str) -> BubbleModel:
-    """The model whose free dome is at ``points`` (n, 3) [m]; other arguments as `sheet` and `build_bubble`."""
+def _between(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, where: str) -> np.ndarray:
+    """Displacements (n, 3) [m] from flat to free dome of a mesh that begins from the dome of the even one."""
+    own = sheet(even.spec, flat, faces, rim)
+    dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
+    found = own.at_pressure((locate(even.flat, even.mesh.faces, flat) @ dome).ravel() * own.free, even.spec.gauge_pressure, iterations=20)
+    if found is None:
+        found = inflation.inflate(own, _dome(even.spec, flat), even.spec.gauge_pressure, where=where)
+    return found.displacement.reshape(-1, 3)
+
+
+def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str, *,
+                    touched: np.ndarray | None = None) -> BubbleModel:
+    """The model whose free dome is at ``points`` (n, 3) [m]; ``touched``: the nodes whose elements count as its size, or None for all; other arguments as `sheet` and `build_bubble`."""
     mesh = TriangleMesh.of(points, faces, rim)
     inside = float(mesh.volume[0])
     dead = spec.gas_volume - inside
@@ -193,7 +216,7 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
     blocks = (*elastic_blocks(spec, points, flat, faces), air)
     free = _free(len(points), rim)
     factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(), *gas.rest_coupling(air, len(points)))
-    edge = mesh.edge()
+    edge = mesh.edge(touched)
     total, edges = membrane_mesh.READ_OUT
     seen, seen_faces, seen_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
     read_out = ReadOut(seen_faces.astype(np.int32), seen_rim, seen, locate(flat, faces, seen))

@@ -24,23 +24,27 @@ class ContactBlock:
     @classmethod
     def of(cls, rows: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
         """From the rows R (k, m, 3 s) [sqrt(N/m)] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
-        # of the patch only the nodes that touch count
-        used = (rows != 0.0).any(dim=1).view(len(rows), -1, 3).any(dim=2)
-        most = max(1, int(used.sum(dim=1).amax()))
-        nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
-        dof = (3 * nodes[:, :, None] + torch.arange(3, device=rows.device)).flatten(1)
-        width = rows.shape[2]
+        dof = _used((rows != 0.0).any(dim=1))
         rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
-        own = compliance[torch.arange(len(rows), device=rows.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
+        own = _between(compliance, dof)
         if rows.shape[1] > rows.shape[2]:
-            # more rows than degrees of freedom, as on the many Gauss points of linear faces: their product R^T R says the same
-            stiff = rows.mT @ rows
-            inner = own @ stiff
-            inner.diagonal(dim1=1, dim2=2).add_(1.0)
-            return cls(dof, stiff, torch.linalg.inv(inner), width, joined=True)
+            # more rows than degrees of freedom: their product R^T R says the same
+            return cls._joined(dof, rows.mT @ rows, own, compliance.shape[2])
         inner = rows @ own @ rows.mT
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
-        return cls(dof, rows, torch.linalg.cholesky(inner), width)
+        return cls(dof, rows, torch.linalg.cholesky(inner), compliance.shape[2])
+
+    @classmethod
+    def joined_of(cls, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
+        """From the stiffness C (k, 3 s, 3 s) [N/m] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
+        dof = _used(stiffness.diagonal(dim1=1, dim2=2) != 0.0)
+        return cls._joined(dof, _between(stiffness, dof), _between(compliance, dof), compliance.shape[2])
+
+    @classmethod
+    def _joined(cls, dof: torch.Tensor, stiff: torch.Tensor, own: torch.Tensor, width: int) -> ContactBlock:
+        inner = own @ stiff
+        inner.diagonal(dim1=1, dim2=2).add_(1.0)
+        return cls(dof, stiff, torch.linalg.inv(inner), width, joined=True)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
@@ -54,3 +58,16 @@ class ContactBlock:
         else:
             force = self.rows.mT @ torch.cholesky_solve(self.rows @ own, self.inner)
         return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
+
+
+def _used(touched: torch.Tensor) -> torch.Tensor:
+    """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the nodes that touch count."""
+    used = touched.view(len(touched), -1, 3).any(dim=2)
+    most = max(1, int(used.sum(dim=1).amax()))
+    nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+    return (3 * nodes[:, :, None] + torch.arange(3, device=touched.device)).flatten(1)
+
+
+def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
+    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m)."""
+    return matrix[torch.arange(len(matrix), device=matrix.device)[:, None, None], dof[:, :, None], dof[:, None, :]]

@@ -51,9 +51,10 @@ class TriangleMesh:
         a, b, c = (self.points[self.faces[:, k]] for k in range(3))
         return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
-    def edge(self) -> float:
-        """Mean length of the triangles' edges [m]."""
-        corners = self.points[self.faces]
+    def edge(self, at: np.ndarray | None = None) -> float:
+        """Mean length of the edges [m] of the triangles at nodes ``at`` (k,), or of all where there are none."""
+        faces = self.faces if at is None or not len(at) else self.faces[np.isin(self.faces, at).any(axis=1)]
+        corners = self.points[faces]
         return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
 
 

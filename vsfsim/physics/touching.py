@@ -15,6 +15,7 @@ import warp as wp
 from vsfsim.core.shape import Capsule, Plane, Sphere
 from vsfsim.physics import condensed, contact
 from vsfsim.physics.contact_block import ContactBlock
+from vsfsim.physics.face_sums import FaceSums
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
@@ -119,6 +120,7 @@ class Touching:
         values = tensor(self._table.reshape(-1, 6)).repeat(faces // self._parts, 1).expand(batch, -1, -1)
         # added: the columns that a linear face does not use are 0, and may name any node
         self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
+        self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device) if self.model.mesh.faces.shape[1] == 3 else None
         self._member = tensor(member)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
@@ -222,6 +224,8 @@ class Touching:
 
     def nodal(self, columns: torch.Tensor) -> torch.Tensor:
         """Contact forces (k, 3 s) [N] on the patches' nodes."""
+        if self._sums is not None:
+            return self._sums.nodal(columns, self.force[columns])
         return (self._points[columns].mT @ self.force[columns]).flatten(1)
 
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
@@ -272,9 +276,15 @@ class Touching:
         Args:
             columns: touches (k,). bend: whose counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
         """
+        curved = bend is not None and bool(bend.any())
+        if self._sums is not None:
+            own = self._rows[columns].mT @ self._rows[columns]
+            if curved:
+                own[bend] += self._bend[columns[bend]]
+            return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
         rows = self.rows(columns)
         out = rows.mT @ rows
-        if bend is not None and bool(bend.any()):
+        if curved:
             points, which = self._active(columns[bend])
             out[bend] += _assemble(points, which(self._bend)) * self.free[columns[bend]][:, :, None] * self.free[columns[bend]][:, None, :]
         return out
@@ -299,6 +309,8 @@ class Touching:
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """The contact of ``columns``, ready to be inverted together with the body at rest."""
+        if self._sums is not None:
+            return ContactBlock.joined_of(self.stiffness(columns), self.compliance[columns])
         return ContactBlock.of(self.rows(columns), self.compliance[columns])
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,

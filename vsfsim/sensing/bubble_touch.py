@@ -23,11 +23,11 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     Args:
         model: the bubble. position: its nodes, world (T, m, 3) [m]. force: contact force on each, world (T, m, 3) [N]. pressure: gauge (T,) [Pa].
         mount_pose: mount to world (T, 4, 4). converged: (T,) bool; the readings of other frames are NaN, and their pictures black. None for all.
-        camera: also take pictures from inside. device: Warp device of the ray caster.
+        camera: also take pictures from inside. device: Warp device of the ray caster. Whether the solved mesh itself is kept, too, is ``model.spec.fine``.
 
     Returns:
-        pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles, and inside_depth and inside_rgb if there
-        is a camera.
+        pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles; fine_position, fine_force, fine_rest and
+        fine_triangles if they are asked for; and inside_depth and inside_rgb if there is a camera.
 
     Raises:
         SensorError: shapes that do not fit, or a converged frame that is not finite.
@@ -56,6 +56,10 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     out["node_rest"] = readout.positions(model.mesh.points[None])[0]
     out["node_reference"] = readout.readout.points / model.spec.pre_stretch
     out["node_triangles"] = readout.readout.triangles
+    if model.spec.fine:
+        for name, values in (("fine_position", position), ("fine_force", force)):
+            out[name] = np.where(good[:, None, None], values, np.nan).astype(np.float32)
+        out["fine_rest"], out["fine_triangles"] = model.mesh.points, model.mesh.faces.astype(np.int64)
     if camera is not None:
         out["inside_depth"] = nan(camera.height, camera.width).astype(np.float32)
         out["inside_rgb"] = np.zeros((frames, camera.height, camera.width, 3), np.uint8)
