@@ -146,16 +146,16 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
 
 def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
-    found = solve(subjects, device=device, progress=progress, seconds=seconds)
+    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames), seconds=seconds)
     return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
           limit: float | None = None) -> list[tuple[RodFrames, slice]]:
     """The equilibria of some views' touches: for each view its frames, and which columns of them are its.
 
     Args:
-        options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, see `RodSolver.run`.
+        progress: called with the number of frames newly done and of the touches that go on. options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, see `RodSolver.run`.
     """
     seconds = seconds or Seconds()
     since = seconds.begin()
