@@ -80,8 +80,8 @@ class Work:
 
     Nodes (B, N). x, q: now; *_start: at the step's start; *_try: in the line search; *_keep: to come back to. active, strained: 0 or 1; order: the active ones, level by level; level: first of each in it
     (B, D + 2). rider: length of what hangs on a node unloaded [m]; clear: of segments from capsules, room: of nodes to move in [m]. first, many: contacts of a segment in the list in use.
-    g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; step: Newton's; diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks, then
-    what elimination leaves; factor: of the diagonal. *_up: the share of a segment's that belongs to its parent, *_on: of its contacts, for the child. mid, stretch, half_turn, rate: Rm F, D, g and D' of each
+    g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; diagonal, coupling (child, parent), across (parent, child), right: of the step's model;
+    passed, held: what elimination leaves of coupling and right side; stale: 2 where contacts were set on or off since, 1 below such a node; step: Newton's. *_up: the share of a segment's that belongs to its parent, *_on: of its contacts, for the child. mid, stretch, half_turn, rate: Rm F, D, g and D' of each
     segment, see `segment`; relative: spin over it. cap_*: capsules now and at the start (B, K).
     Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
     gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
@@ -105,6 +105,7 @@ class Work:
     level: wp.array2d(dtype=wp.int32)
     first: wp.array2d(dtype=wp.int32)
     many: wp.array2d(dtype=wp.int32)
+    stale: wp.array2d(dtype=wp.int32)
     rider: wp.array2d(dtype=wp.float64)
     clear: wp.array2d(dtype=wp.float64)
     room: wp.array2d(dtype=wp.float64)
@@ -113,16 +114,20 @@ class Work:
     g_up: wp.array2d(dtype=wp.spatial_vectord)
     elastic: wp.array2d(dtype=wp.spatial_vectord)
     elastic_up: wp.array2d(dtype=wp.spatial_vectord)
+    right: wp.array2d(dtype=wp.spatial_vectord)
+    right_on: wp.array2d(dtype=wp.spatial_vectord)
+    right_up: wp.array2d(dtype=wp.spatial_vectord)
+    held: wp.array2d(dtype=wp.spatial_vectord)
     step: wp.array2d(dtype=wp.spatial_vectord)
-    step_up: wp.array2d(dtype=wp.spatial_vectord)
     own: wp.array2d(dtype=wp.spatial_matrixd)
     own_up: wp.array2d(dtype=wp.spatial_matrixd)
     mixed: wp.array2d(dtype=wp.spatial_matrixd)
     diagonal: wp.array2d(dtype=wp.spatial_matrixd)
+    diagonal_on: wp.array2d(dtype=wp.spatial_matrixd)
     diagonal_up: wp.array2d(dtype=wp.spatial_matrixd)
     coupling: wp.array2d(dtype=wp.spatial_matrixd)
     across: wp.array2d(dtype=wp.spatial_matrixd)
-    factor: wp.array2d(dtype=wp.spatial_matrixd)
+    passed: wp.array2d(dtype=wp.spatial_matrixd)
     mid: wp.array2d(dtype=wp.quatd)
     stretch: wp.array2d(dtype=wp.vec3d)
     half_turn: wp.array2d(dtype=wp.vec3d)

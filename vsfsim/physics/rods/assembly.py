@@ -165,9 +165,11 @@ def assemble(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: i
 
 
 @wp.func
-def harden(tree: Trees, touch: Touches, w: Work, at: Here, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts. One that does not press stands in the way as a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
+def harden(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
+    """Second derivatives of the contacts; all of the model is stale then. One that does not press stands in the way as a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
     b = at.b
+    for a in range(1 + at.lane, count, at.lanes):
+        w.stale[b, w.order[b, a]] = 2
     for c in range(at.lane, w.count[side, b], at.lanes):
         i = w.node[side, b, c]
         k = w.body[side, b, c]
@@ -199,21 +201,22 @@ def harden(tree: Trees, touch: Touches, w: Work, at: Here, side: int, geometric:
 
 @wp.func
 def model(tree: Trees, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
-    """Blocks and right side of the step: the elastic part and the contacts that are on."""
+    """Blocks and right side of the step, where they are stale: the elastic part and the contacts that are on."""
     b = at.b
     o = at.o
     # each of the four blocks of a segment by itself: segments with contacts are few, and lanes many
     for item in range(4 + at.lane, 4 * count, at.lanes):
         i = w.order[b, item / 4]
-        block = item % 4
-        # rows and columns: child child, parent parent, child parent, parent child
-        if w.many[b, i] == 0:
-            if block == 2:
-                w.coupling[b, i] = w.mixed[b, i]
-            if block == 3 and coulomb == 1:
-                w.across[b, i] = wp.transpose(w.mixed[b, i])
+        if w.stale[b, i] < 2 or w.many[b, i] == 0:
+            continue
+        block = item % 4  # rows and columns: child child, parent parent, child parent, parent child
+        if block == 3 and coulomb == 0:
             continue
         own = mat66()
+        if block == 2:
+            own = w.mixed[b, i]
+        if block == 3:
+            own = wp.transpose(w.mixed[b, i])
         right = vec6()
         for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
             if w.on[side, b, c] == 1:
@@ -245,55 +248,79 @@ def model(tree: Trees, w: Work, at: Here, count: int, side: int, geometric: real
                         own = plus_spin(own, turn_hessian(fn, ra), row)
                         own = plus_spin(own, turn_hessian(ft, rr), row)
         if block == 0:
-            w.diagonal[b, i] = own
-            w.step[b, i] = right
+            w.diagonal_on[b, i] = own
+            w.right_on[b, i] = right
         if block == 1:
             w.diagonal_up[b, i] = own
-            w.step_up[b, i] = right
+            w.right_up[b, i] = right
         if block == 2:
-            w.coupling[b, i] = w.mixed[b, i] + own
-        if block == 3 and coulomb == 1:
-            w.across[b, i] = wp.transpose(w.mixed[b, i]) + own
+            w.coupling[b, i] = own
+        if block == 3:
+            w.across[b, i] = own
     meet()
     for a in range(1 + at.lane, count, at.lanes):
         i = w.order[b, a]
+        if w.stale[b, i] == 0:
+            continue
         diagonal = w.own[b, i]
         right = -w.elastic[b, i]
         if w.many[b, i] > 0:
-            diagonal = diagonal + w.diagonal[b, i]
-            right = right + w.step[b, i]
+            diagonal = diagonal + w.diagonal_on[b, i]
+            right = right + w.right_on[b, i]
+        elif w.stale[b, i] == 2:
+            w.coupling[b, i] = w.mixed[b, i]
+            if coulomb == 1:
+                w.across[b, i] = wp.transpose(w.mixed[b, i])
         kid = tree.child[o + i]
         while kid >= 0:
             if w.active[b, kid] == 1 and w.many[b, kid] > 0:
                 diagonal = diagonal + w.diagonal_up[b, kid]
-                right = right + w.step_up[b, kid]
+                right = right + w.right_up[b, kid]
             kid = tree.next[o + kid]
         w.diagonal[b, i] = diagonal
-        w.step[b, i] = right
+        w.right[b, i] = right
     meet()
 
 
 @wp.func
-def foresee(tree: Trees, w: Work, at: Here, side: int):
-    """Sets on what the step would press, off what it would leave. How many contacts changed."""
+def foresee(tree: Trees, w: Work, at: Here, tall: int, count: int, side: int):
+    """Sets on what the step would press, off what it would leave, and marks what of the model is stale then. How many contacts changed."""
     b = at.b
     changed = int(0)
-    for c in range(at.lane, w.count[side, b], at.lanes):
-        i = w.node[side, b, c]
+    for a in range(1 + at.lane, count, at.lanes):
+        i = w.order[b, a]
         p = tree.parent[at.o + i]
-        al = tree.along[w.sample[side, b, c]]
         sp = w.step[b, p]
         sc = w.step[b, i]
-        way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
-        way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
-        on = int(0)
-        if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
-            on = 1
-        if on != w.on[side, b, c]:
-            w.on[side, b, c] = on
-            changed = changed + 1
+        stale = int(0)
+        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
+            al = tree.along[w.sample[side, b, c]]
+            way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
+            way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
+            on = int(0)
+            if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
+                on = 1
+            if on != w.on[side, b, c]:
+                w.on[side, b, c] = on
+                stale = 2
+                changed = changed + 1
+        w.stale[b, i] = stale
     meet()
-    return count_all(changed)
+    changed = count_all(changed)
+    if changed > 0:
+        for back in range(1, tall):
+            d = tall - back
+            for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
+                i = w.order[b, a]
+                stale = w.stale[b, i]
+                kid = tree.child[at.o + i]
+                while kid >= 0:
+                    if w.active[b, kid] == 1 and w.stale[b, kid] > 0:
+                        stale = wp.max(stale, 1)
+                    kid = tree.next[at.o + kid]
+                w.stale[b, i] = stale
+            meet()
+    return changed
 
 
 @wp.func

@@ -1,6 +1,6 @@
 """Newton's step of a tree: elimination of 6 x 6 blocks from the tips to the root and back, which costs as many blocks as there are nodes.
 
-Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a lane each, which all factor the node's block for themselves. The loops over
+Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a lane each, which all eliminate the node's block for themselves. The loops over
 a block are plain C++, which the compilers unroll: on a GPU a block then stays in registers.
 """
 
@@ -16,47 +16,46 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 vec6 = wp.spatial_vectord
 COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
 
-_LOAD = """
-    double d[6][6], v[6];
-    auto& block = *wp::address(diagonal, b, i);
-    auto& right = *wp::address(step, b, i);
-    auto& pair = *wp::address(coupling, b, i);
-    for (int r = 0; r < 6; ++r) {
-        v[r] = right[r];
-        for (int c = 0; c < 6; ++c)
-            d[r][c] = block.data[r][c];
+
+@wp.func_native(snippet="""
+    double d[6][6], v[6], own[6];
+    {
+        auto& block = *wp::address(diagonal, b, i);
+        auto& side = *wp::address(right, b, i);
+        for (int r = 0; r < 6; ++r) {
+            v[r] = side[r];
+            for (int c = 0; c < 6; ++c)
+                d[r][c] = block.data[r][c];
+        }
     }
+    // what the children leave: A (Y, t), with A the coupling towards the child
     for (int kid = *wp::address(child, o + i); kid >= 0; kid = *wp::address(next, o + kid)) {
         if (*wp::address(active, b, kid) == 0)
             continue;
-        auto& y = *wp::address(coupling, b, kid);
-        auto& t = *wp::address(step, b, kid);
-        %s
+        auto& y = *wp::address(passed, b, kid);
+        auto& t = *wp::address(held, b, kid);
+        if (symmetric) {
+            auto& down = *wp::address(coupling, b, kid);
+            for (int r = 0; r < 6; ++r)
+                for (int m = 0; m < 6; ++m) {
+                    const double f = down.data[m][r];
+                    v[r] -= f * t[m];
+                    for (int c = 0; c < 6; ++c)
+                        d[r][c] -= f * y.data[m][c];
+                }
+        } else {
+            auto& up = *wp::address(across, b, kid);
+            for (int r = 0; r < 6; ++r)
+                for (int m = 0; m < 6; ++m) {
+                    const double f = up.data[r][m];
+                    v[r] -= f * t[m];
+                    for (int c = 0; c < 6; ++c)
+                        d[r][c] -= f * y.data[m][c];
+                }
+        }
     }
-    int fine = 1;
-"""
-# what a child leaves: Y^T (Y, t), Y its coupling after its own elimination, or A (Y, t) with the coupling A of the other side
-_SYMMETRIC_KID = """
-        for (int m = 0; m < 6; ++m)
-            for (int r = 0; r < 6; ++r) {
-                const double f = y.data[m][r];
-                v[r] -= f * t[m];
-                for (int c = 0; c < 6; ++c)
-                    d[r][c] -= f * y.data[m][c];
-            }
-"""
-_OTHER_KID = """
-        auto& up = *wp::address(across, b, kid);
-        for (int r = 0; r < 6; ++r)
-            for (int m = 0; m < 6; ++m) {
-                const double f = up.data[r][m];
-                v[r] -= f * t[m];
-                for (int c = 0; c < 6; ++c)
-                    d[r][c] -= f * y.data[m][c];
-            }
-"""
-# the columns of this lane: all seven of one thread, or one; the right side is the seventh
-_COLUMNS = """
+    // the columns of this lane: all seven of one thread, or one; the right side is the seventh
+    auto& pair = *wp::address(coupling, b, i);
 #if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
     const int wide = 1;
     double z[6][1];
@@ -71,90 +70,42 @@ _COLUMNS = """
         z[r][6] = v[r];
     }
 #endif
-"""
-_STORE = """
-#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
-    if (column == 6)
-        for (int r = 0; r < 6; ++r)
-            right[r] = z[r][0];
-    else
-        for (int r = 0; r < 6; ++r)
-            pair.data[r][column] = z[r][0];
-#else
-    for (int r = 0; r < 6; ++r) {
-        for (int c = 0; c < 6; ++c)
-            pair.data[r][c] = z[r][c];
-        right[r] = z[r][6];
-    }
-#endif
-    return fine;
-"""
-
-
-@wp.func_native(snippet=_LOAD % _SYMMETRIC_KID + _COLUMNS + """
-    for (int j = 0; j < 6; ++j) {
-        double pivot = d[j][j];
-        for (int k = 0; k < j; ++k)
-            pivot -= d[j][k] * d[j][k];
-        if (!(pivot > 1e-13 * ::fabs(d[j][j]))) {
-            fine = 0;
-            pivot = 1.0;
-        }
-        const double inverse = 1.0 / ::sqrt(pivot);
-        d[j][j] = inverse;
-        for (int r = j + 1; r < 6; ++r) {
-            double e = d[r][j];
-            for (int k = 0; k < j; ++k)
-                e -= d[r][k] * d[j][k];
-            d[r][j] = e * inverse;
-        }
-    }
+    int fine = 1;
     for (int k = 0; k < 6; ++k)
-        for (int c = 0; c < wide; ++c) {
-            double e = z[k][c];
-            for (int m = 0; m < k; ++m)
-                e -= d[k][m] * z[m][c];
-            z[k][c] = e * d[k][k];
-        }
-    if (column == 0) {
-        auto& out = *wp::address(factor, b, i);
-        for (int r = 0; r < 6; ++r)
-            for (int c = 0; c <= r; ++c)
-                out.data[r][c] = d[r][c];
-    }
-""" + _STORE)
-def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32), diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
-              step: wp.array2d(dtype=vec6), factor: wp.array2d(dtype=mat66), b: int, o: int, i: int, column: int) -> int:
-    """Node ``i`` after its children: Cholesky's factor L of its block, diagonal inverted, and L^-1 of the column. 1, or 0 where the block is not positive definite."""
-    ...
-
-
-@wp.func_native(snippet=_LOAD % _OTHER_KID + _COLUMNS + """
+        own[k] = ::fabs(d[k][k]);
     for (int k = 0; k < 6; ++k) {
-        int best = k;
-        double size = ::fabs(d[k][k]);
-        for (int m = k + 1; m < 6; ++m)
-            if (::fabs(d[m][k]) > size) {
-                best = m;
-                size = ::fabs(d[m][k]);
+        if (symmetric) {
+            // the pivots are the squares of those of Cholesky's factor
+            if (!(d[k][k] > 1e-13 * own[k])) {
+                fine = 0;
+                d[k][k] = 1.0;
             }
-        if (!(size > 0.0)) {
-            fine = 0;
-            d[k][k] = 1.0;
+        } else {
+            int best = k;
+            double size = ::fabs(d[k][k]);
+            for (int m = k + 1; m < 6; ++m)
+                if (::fabs(d[m][k]) > size) {
+                    best = m;
+                    size = ::fabs(d[m][k]);
+                }
+            if (!(size > 0.0)) {
+                fine = 0;
+                d[k][k] = 1.0;
+            }
+            for (int m = k + 1; m < 6; ++m)  // rows by constant numbers, so that the block stays in registers
+                if (m == best) {
+                    for (int c = k; c < 6; ++c) {
+                        const double swap = d[k][c];
+                        d[k][c] = d[m][c];
+                        d[m][c] = swap;
+                    }
+                    for (int c = 0; c < wide; ++c) {
+                        const double swap = z[k][c];
+                        z[k][c] = z[m][c];
+                        z[m][c] = swap;
+                    }
+                }
         }
-        for (int m = k + 1; m < 6; ++m)  // rows by constant numbers, so that the block stays in registers
-            if (m == best) {
-                for (int c = k; c < 6; ++c) {
-                    const double swap = d[k][c];
-                    d[k][c] = d[m][c];
-                    d[m][c] = swap;
-                }
-                for (int c = 0; c < wide; ++c) {
-                    const double swap = z[k][c];
-                    z[k][c] = z[m][c];
-                    z[m][c] = swap;
-                }
-            }
         const double inverse = 1.0 / d[k][k];
         d[k][k] = inverse;
         for (int m = k + 1; m < 6; ++m) {
@@ -172,42 +123,51 @@ def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), a
                 e -= d[k][m] * z[m][c];
             z[k][c] = e * d[k][k];
         }
-""" + _STORE)
-def eliminate_coulomb(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32), diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
-                      across: wp.array2d(dtype=mat66), step: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int) -> int:
-    """As `eliminate`, for a tangent that is not symmetric: Gauss's elimination with pivots within the block, all of its inverse on the column. 1, or 0 where a pivot is lost."""
+    auto& pass = *wp::address(passed, b, i);
+    auto& hold = *wp::address(held, b, i);
+#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
+    if (column == 6)
+        for (int r = 0; r < 6; ++r)
+            hold[r] = z[r][0];
+    else
+        for (int r = 0; r < 6; ++r)
+            pass.data[r][column] = z[r][0];
+#else
+    for (int r = 0; r < 6; ++r) {
+        for (int c = 0; c < 6; ++c)
+            pass.data[r][c] = z[r][c];
+        hold[r] = z[r][6];
+    }
+#endif
+    return fine;
+""")
+def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32), diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
+              across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
+    """Node ``i`` after its children: the inverse of its block on the column. 1, or 0 where the block is not positive definite; if it is not ``symmetric``, rows are exchanged for the largest pivot, and 0 says
+    that one is lost."""
     ...
 
 
 @wp.func_native(snippet="""
-    auto& right = *wp::address(step, b, i);
-    auto& y = *wp::address(coupling, b, i);
+    auto& out = *wp::address(step, b, i);
+    auto& hold = *wp::address(held, b, i);
+    auto& y = *wp::address(passed, b, i);
     auto& up = *wp::address(step, b, p);
-    double v[6];
     for (int r = 0; r < 6; ++r) {
-        v[r] = right[r];
+        double v = hold[r];
         for (int c = 0; c < 6; ++c)
-            v[r] -= y.data[r][c] * up[c];
+            v -= y.data[r][c] * up[c];
+        out[r] = v;
     }
-    if (symmetric) {
-        auto& low = *wp::address(factor, b, i);
-        for (int k = 5; k >= 0; --k) {
-            for (int m = k + 1; m < 6; ++m)
-                v[k] -= low.data[m][k] * v[m];
-            v[k] *= low.data[k][k];
-        }
-    }
-    for (int r = 0; r < 6; ++r)
-        right[r] = v[r];
 """)
-def substitute(coupling: wp.array2d(dtype=mat66), factor: wp.array2d(dtype=mat66), step: wp.array2d(dtype=vec6), b: int, p: int, i: int, symmetric: int):
+def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), step: wp.array2d(dtype=vec6), b: int, p: int, i: int):
     """The step of node ``i`` after that of its parent ``p``."""
     ...
 
 
 @wp.func
 def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
-    """The step of all active nodes; ``w.step`` holds the right side before, the step after. 1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
+    """The step of all active nodes into ``w.step``; nodes that are not stale keep what elimination left of them before. 1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
     b = at.b
     column = int(0)
     begin = int(0)
@@ -222,12 +182,9 @@ def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
         if column < COLUMNS - 1:
             for a in range(w.level[b, d] + begin, w.level[b, d + 1], by):
                 i = w.order[b, a]
-                fine = int(1)
-                if coulomb == 1:
-                    fine = eliminate_coulomb(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.step, b, at.o, i, column)
-                else:
-                    fine = eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.step, w.factor, b, at.o, i, column)
-                if fine == 0:
+                if w.stale[b, i] == 0:
+                    continue
+                if eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.right, w.passed, w.held, b, at.o, i, column, 1 - coulomb) == 0:
                     lost = lost + 1
         meet()
     if count_all(lost) > 0:
@@ -238,6 +195,6 @@ def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
     for d in range(1, tall):
         for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
             i = w.order[b, a]
-            substitute(w.coupling, w.factor, w.step, b, tree.parent[at.o + i], i, 1 - coulomb)
+            substitute(w.passed, w.held, w.step, b, tree.parent[at.o + i], i)
         meet()
     return 1

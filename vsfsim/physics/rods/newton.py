@@ -148,13 +148,13 @@ def copy_state(w: Work, at: Here, count: int, x_in: wp.array2d(dtype=vec3), q_in
 def step(tree: Trees, touch: Touches, w: Work, at: Here, count: int, tall: int, side: int, geometric: real, coulomb: int, sets: int):
     """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at most. 1, or 0 where there is none."""
     fine = int(0)
-    harden(tree, touch, w, at, side, geometric, coulomb)
+    harden(tree, touch, w, at, count, side, geometric, coulomb)
     for _pick in range(sets):
         model(tree, w, at, count, side, geometric, coulomb)
         fine = solve(tree, w, at, tall, coulomb)
         if fine == 0 or sets == 1:
             break
-        if foresee(tree, w, at, side) == 0:
+        if foresee(tree, w, at, tall, count, side) == 0:
             break
     return fine
 

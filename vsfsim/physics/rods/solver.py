@@ -185,14 +185,14 @@ class RodSolver:
             setattr(w, name, wp.array(rest, dtype=wp.vec3d))
         for name in ("q", "q_start", "q_try", "q_keep"):
             setattr(w, name, wp.array(turn, dtype=wp.quatd))
-        for name in ("active", "order", "strained", "first", "many"):
+        for name in ("active", "order", "strained", "first", "many", "stale"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.int32))
         w.level = wp.zeros((b, max(len(_levels(m)[1]) for m in self.models) + 1), dtype=wp.int32)
         for name in ("rider", "clear", "room"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.float64))
-        for name in ("g", "g_on", "g_up", "elastic", "elastic_up", "step", "step_up"):
+        for name in ("g", "g_on", "g_up", "elastic", "elastic_up", "right", "right_on", "right_up", "held", "step"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_vectord))
-        for name in ("own", "own_up", "mixed", "diagonal", "diagonal_up", "coupling", "across", "factor"):
+        for name in ("own", "own_up", "mixed", "diagonal", "diagonal_on", "diagonal_up", "coupling", "across", "passed"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_matrixd))
         w.mid = wp.zeros((b, n), dtype=wp.quatd)
         for name in ("stretch", "half_turn", "rate", "relative"):
