@@ -5,6 +5,12 @@ import json
 import numpy as np
 import pytest
 import trimesh
+from typer.testing import CliRunner
+
+from vsfsim.cli import app
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.shelf import find_scene
+from vsfsim.robot.arm import load_arm
 
 SCENE = """
 [object]
@@ -118,3 +124,35 @@ def test_a_mesh_of_a_ball_presses_as_the_ball_does(press, tmp_path):
     mesh = pressed(press("--json", "-", tier="linear", probe='mesh = "ball.ply"'))
     # facets lie up to 1.3e-3 of the radius inside the ball: 13 um of 3 mm, and force grows as depth^1.5, so 0.7 %
     assert mesh["force"][-1][2] == pytest.approx(ball["force"][-1][2], rel=7e-3)
+
+
+def small_turn(turn):
+    """The vector of rotations so small that their skew part is it."""
+    return 0.5 * np.stack([turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]], axis=-1)
+
+
+def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
+    """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot, picture and file beside it."""
+    text = find_scene("plants-short-mini").read_text()
+    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"), ("free = 5, in = 40, hold = 1, out = 8", "free = 1, in = 16, hold = 1, out = 2"),
+                     ("width = 480\nheight = 432", "width = 120\nheight = 108")):
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / "s.toml").write_text(text)
+    run = CliRunner()
+    out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot", str(tmp_path / "p.png"), "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "2"])
+    assert out.exit_code == 0, out.output
+    found, saved = json.loads(out.stdout), np.load(tmp_path / "s.npz")
+    force, reaction, torque = (np.array(found[key]) for key in ("force", "reaction", "torque"))
+    assert all(found["converged"]) and np.linalg.norm(force, axis=1).max() > 0.5 and np.abs(force - reaction).max() < 1e-3 * np.abs(force).max()
+    # the torque of a joint is the work of all wrenches while it turns by a little: central differences of the capsules' poses
+    arm, t = load_arm(base=np.array([[1.0, 0, 0, -0.62], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])), int(np.linalg.norm(force, axis=1).argmax())
+    before, after = (arm.body_poses(saved["q"][t] + sign * 1e-5 * np.eye(7)) for sign in (-1, 1))
+    spin = small_turn(after[..., :3, :3] @ np.swapaxes(before[..., :3, :3], -1, -2))
+    work = ((after - before)[..., :3, 3] * saved["body_force"][t] + spin * saved["body_moment"][t]).sum(axis=(1, 2)) / 2e-5
+    assert torque[t] == pytest.approx(work, abs=1e-6)
+    assert torque.shape == (20, 7) and np.abs(torque).max() > 0.05 and (np.diff(found["depth"][1:17]) > 0.0).all()
+    assert saved["node_position"].shape[0] == 20 and np.abs(saved["node_position"][17] - saved["node_rest"]).max() > 1e-3  # it bends
+    assert all((tmp_path / name).stat().st_size > 2000 for name in ("p.png", "q.png"))
+    refused = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--refine", "3"])
+    assert isinstance(refused.exception, VsfsimError) and "leave --refine out" in str(refused.exception)

@@ -177,7 +177,6 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
            touches: Annotated[int | None, typer.Option(min=1, help="Touches of each view; default: 6 on a CPU, the scene's own number on a GPU.")] = None,
            seconds: Annotated[float | None, typer.Option(min=1.0, help="End about this long after the kernels are ready; what was done by then is counted.")] = None,
            workers: Annotated[int | None, typer.Option(min=1, help="Processes that prepare and finish views; default: 1 on a CPU, one a core on a GPU.")] = None,
-           lanes: Annotated[int | None, typer.Option(min=1, max=32, help="Threads of a GPU for one touch, of which one works; default 32.")] = None,
            out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
     """Touches and readings a second of plants under an arm, split by stage."""
     from vsfsim.cli import _check_device, _check_writable
@@ -189,7 +188,7 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
         _check_writable("--json", out)
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
-    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds, workers=workers, lanes=lanes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds, workers=workers, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     _tell(result, table(result), out)
 
 

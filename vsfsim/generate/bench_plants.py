@@ -20,7 +20,7 @@ from vsfsim.generate.plant_batches import crew, finish_one, prepare_one
 from vsfsim.generate.plants import Seconds, Subject, solve
 from vsfsim.generate.run import Job, jobs_of, make_recipe
 from vsfsim.generate.touch import _BALANCE
-from vsfsim.physics.rods.solver import RodFrames, RodOptions
+from vsfsim.physics.rods.solver import RodFrames
 
 PAPER_TOUCHES, PAPER_READINGS = 3255, 807_103  # SBML appendix B.1
 PHASES = {"prepare": ("grow", "look", "aim"), "touch": ("kinematics", "solve"), "finish": ("torque", "truth")}
@@ -30,7 +30,7 @@ PREPARE_SHARE, SOLVE_SHARE = 0.45, 0.85  # of the time that the bench may take: 
 
 
 def bench(*, device: str, scene: str, objects: int | None, views: int | None, touches: int | None, progress: Callable[[str], None], seconds: float | None = None,
-          workers: int | None = None, lanes: int | None = None) -> dict[str, Any]:
+          workers: int | None = None) -> dict[str, Any]:
     """Make the object views of a scene, all of them together, and say where the time went.
 
     Views are prepared and finished by ``workers`` processes; on a GPU the touches of all views are solved in one batch, on a CPU view by view in this process.
@@ -38,7 +38,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     Args:
         device: Warp device. scene: name or path. objects, views, touches: counts, None for the scene's. progress: called with what is going on.
         seconds: the bench ends about this long after the kernels are ready, and what was done by then is what is counted; None for no limit.
-        workers: processes, None for one on a CPU and one a core on a GPU. lanes: `RodOptions.lanes`.
+        workers: processes, None for one on a CPU and one a core on a GPU.
 
     Raises:
         VsfsimError: not one view was ready in time.
@@ -70,7 +70,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
             raise VsfsimError(f"bench plants: no view was ready after {PREPARE_SHARE * (seconds or 0):.0f} s. Give it more --seconds, or fewer --touches a view.")
         wall["prepare"], done["prepare"] = time.perf_counter() - since, sum(len(a.q) for s in subjects for a in s.aims)
         since = time.perf_counter()
-        found = _solved(subjects, device, left(SOLVE_SHARE), spent, progress, since, lanes)
+        found = _solved(subjects, device, left(SOLVE_SHARE), spent, progress, since)
         wall["touch"], done["touch"] = time.perf_counter() - since, int(sum(frames.frames.sum() for frames, _ in found))
         since = time.perf_counter()
         made = _finished(subjects, found, pool, device, left(1.0), spent, progress)
@@ -101,15 +101,15 @@ def _prepared(jobs: Sequence[Job], waiting: list[Future[tuple[Subject, Seconds]]
     return out
 
 
-def _solved(subjects: list[Subject], device: str, limit: float | None, spent: Seconds, progress: Callable[[str], None], since: float, lanes: int | None) -> list[tuple[RodFrames, slice]]:
+def _solved(subjects: list[Subject], device: str, limit: float | None, spent: Seconds, progress: Callable[[str], None], since: float) -> list[tuple[RodFrames, slice]]:
     total, so_far = sum(len(a.q) for s in subjects for a in s.aims), [0]
 
-    def count(frames: int) -> None:
+    def count(frames: int, going: int) -> None:
         so_far[0] += frames
         took = time.perf_counter() - since
-        progress(f"{so_far[0]} of at most {total} readings solved in {took:.1f} s: {so_far[0] / took:.0f} a second")
+        progress(f"{so_far[0]} of at most {total} readings solved in {took:.1f} s: {so_far[0] / took:.0f} a second, {going} touches go on")
 
-    return solve(subjects, device=device, progress=count, seconds=spent, options=RodOptions() if lanes is None else RodOptions(lanes=lanes), limit=limit)
+    return solve(subjects, device=device, progress=count, seconds=spent, limit=limit)
 
 
 def _finished(subjects: list[Subject], found: list[tuple[RodFrames, slice]], pool: Any, device: str, limit: float | None, spent: Seconds, progress: Callable[[str], None]) -> list[ObjectView]:

@@ -146,16 +146,16 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
 
 def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
-    found = solve(subjects, device=device, progress=progress, seconds=seconds)
+    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames), seconds=seconds)
     return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
-          limit: float | None = None) -> list[tuple[RodFrames, slice]]:
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
+          limit: float | None = None, keep_nodes: bool = False) -> list[tuple[RodFrames, slice]]:
     """The equilibria of some views' touches: for each view its frames, and which columns of them are its.
 
     Args:
-        options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, see `RodSolver.run`.
+        progress: called with the number of frames newly done and of the touches that go on. options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, keep_nodes: as of `RodSolver.run`.
     """
     seconds = seconds or Seconds()
     since = seconds.begin()
@@ -176,7 +176,7 @@ def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int],
             poses[len(own):, b] = own[-1]
         since = seconds.charge("kinematics", since)
         solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=dataclasses.replace(options or RodOptions(), force_limit=scene.touches.force_limit))
-        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress, seconds=limit)
+        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress, seconds=limit, keep_nodes=keep_nodes)
         begin = 0
         for member in group:
             own_frames = frames.columns(slice(begin, begin + len(member.aims)))
@@ -192,13 +192,19 @@ def finish(subject: Subject, frames: RodFrames, columns: slice, *, device: str, 
     seconds = seconds or Seconds()
     since = seconds.begin()
     arm = arm_of(subject)
-    subject = dataclasses.replace(subject, arm=arm)
-    touches = [_touch(subject, a, arm.postures(a.q), frames, columns.start + b) for b, a in enumerate(subject.aims)]
+    touches = finish_touches(subject, frames, columns)
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
     truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
     seconds.charge("truth", since)
     return ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth)
+
+
+def finish_touches(subject: Subject, frames: RodFrames, columns: slice) -> list[Touch]:
+    """The records and torques of a touched subject."""
+    arm = arm_of(subject)
+    subject = dataclasses.replace(subject, arm=arm)
+    return [_touch(subject, a, arm.postures(a.q), frames, columns.start + b) for b, a in enumerate(subject.aims)]
 
 
 def arm_of(subject: Subject) -> Arm:

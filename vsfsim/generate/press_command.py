@@ -30,7 +30,9 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
             raise SceneError(f"--picture {picture}: a press of a [sensor] has no such output yet; leave --picture out.")
         return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, refine=refine, plot=plot, save=save, progress=progress)
     if scene.arm is not None:
-        raise SceneError(f"{loaded.path}: its plant is made of beams and touched by an [arm]; `vsfsim generate {loaded.name} --objects 1 --touches 1` makes such a touch, `vsfsim press` presses solid bodies.")
+        if refine is not None:
+            raise SceneError(f"--refine {refine}: a plant has the segments that its family gave it, and no finer mesh; leave --refine out, or make segment in [object.shape] smaller.")
+        return _press_plant(loaded, tier=tier, seed=seed, device=device, precision=precision, plot=plot, picture=picture, save=save, progress=progress)
     words, found = [], {}
     if refine is None:
         result = presses.press(scene, tier=tier, device=device, precision=precision, seed=seed, keep=keep, progress=progress)
@@ -84,3 +86,21 @@ def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, devic
         press_bubble_file.save(result, save)
         words.append(f"saved: {save}")
     return "\n".join([press_bubble.text(result), *words]), {**result.table(), **found}, good
+
+
+def _press_plant(loaded: SceneFile, *, tier: str | None, seed: int, device: str, precision: str, plot: Path | None, picture: Path | None, save: Path | None,
+                 progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
+    from vsfsim.generate import press_plant
+
+    result = press_plant.press(loaded, tier=tier, seed=seed, device=device, precision=precision, keep=picture is not None or save is not None, progress=progress)
+    words = []
+    if plot is not None:
+        press_plant.plot(result, loaded.name, plot)
+        words.append(f"plot: {plot}")
+    if picture is not None:
+        press_plant.picture(result, loaded.name, picture, device=device)
+        words.append(f"picture: {picture}")
+    if save is not None:
+        press_plant.save(result, save)
+        words.append(f"saved: {save}")
+    return "\n".join([press_plant.text(result), *words]), result.table(), bool(result.converged.all())

@@ -48,14 +48,14 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
     figure = Figure(figsize=(2 * (SIZE / 100 + 0.9), TALL / 100 + 0.7), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     width, height = figure.get_size_inches()
-    for k, (value, label, colours, with_bodies) in enumerate(looks):
+    for k, (value, label, colours, with_rigid) in enumerate(looks):
         scale = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(0.0, max(float(value.max()), 1e-12)), colours)
         colour = scale.to_rgba(value)[:, :3]
-        if not with_bodies:
+        if not with_rigid:
             colour[value <= 0.0] = 0.82  # free surface
         shown = _coloured(vertices, triangles, colour)
-        if with_bodies:
-            shown = shown if not placed else _with(shown, placed, faces)
+        if with_rigid:
+            shown = shown if not placed else with_bodies(shown, placed, faces)
         image = render(shown, intrinsics, pose, SIZE, TALL, device=device, shading=0.55, background=(255, 255, 255)).rgb
         left = k * 0.5
         axes = figure.add_axes((left, 0.08, SIZE / 100 / width, TALL / 100 / height))
@@ -187,7 +187,7 @@ def _coloured(vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray) -
     return Surface(vertices, triangles, region.reshape(-1), Appearance((shades / 255.0) ** 2.2, ("plain",) * plain, np.ones(plain), np.zeros(plain)), vertices)
 
 
-def _with(body: Surface, placed: list[np.ndarray], faces: list[np.ndarray]) -> Surface:
+def with_bodies(body: Surface, placed: list[np.ndarray], faces: list[np.ndarray]) -> Surface:
     """The body and grey rigid bodies in one surface."""
     look = body.appearance
     assert look is not None

@@ -13,6 +13,8 @@ class Trees:
     first: of a plant's nodes (P + 1,). parent: within the plant (S,). rest: position (S,) [m]. frame: of the segment at rest, x along it (S,).
     length: (S,) [m]. kd: (S,) [N/m]. kphi: (S,) [N m]. load: dead force (S,) [N]. reach: longest way from a node to one below it, at rest (S,) [m].
     bound: radius around the segment that holds all its samples (S,) [m]. sample: first of a segment's samples (S + 1,).
+    child: its highest child within the plant, next: the next lower one of the same parent, -1 for none (S,). rank: nodes of a plant by their number of segments from the root (S,);
+    level: first in `rank` of each such number and the end, plant after plant; levels: first of a plant's in `level` (P + 1,).
     along: (Q,) in 0..1. offset: (Q,) [m]. radius: (Q,) [m]. penalty: (Q,) [N/m]. floor: what rounding leaves of the residual (P,) [N].
     """
 
@@ -27,6 +29,11 @@ class Trees:
     reach: wp.array(dtype=wp.float64)
     bound: wp.array(dtype=wp.float64)
     sample: wp.array(dtype=wp.int32)
+    child: wp.array(dtype=wp.int32)
+    next: wp.array(dtype=wp.int32)
+    rank: wp.array(dtype=wp.int32)
+    level: wp.array(dtype=wp.int32)
+    levels: wp.array(dtype=wp.int32)
     along: wp.array(dtype=wp.float64)
     offset: wp.array(dtype=wp.vec3d)
     radius: wp.array(dtype=wp.float64)
@@ -55,60 +62,108 @@ class Touches:
 
 
 @wp.struct
+class Here:
+    """Which touch a thread works on. b: the touch, o: first node of its plant, n: how many, low: first of its levels in `Trees.level`, high: how many levels. lane, lanes: see `lanes`."""
+
+    b: wp.int32
+    o: wp.int32
+    n: wp.int32
+    low: wp.int32
+    high: wp.int32
+    lane: wp.int32
+    lanes: wp.int32
+
+
+@wp.struct
 class Work:
-    """State and scratch. x, q: nodes now; *_start: at the step's start; *_try: in the line search (B, N). active, order, strained, rider: of the active part of the
-    tree; clear: of segments from capsules, room: of nodes to move in (B, N) [m]. g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; step: Newton's, diagonal, coupling (child, parent), across (parent, child): 6 x 6 blocks and then their factors (B, N). *_keep: to come back to. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment`; relative: spin over it (B, N). cap_*: capsules now and at the start (B, K).
+    """State and scratch. "Of a segment": of that from the parent to the node of the same number.
+
+    Nodes (B, N). x, q: now; *_start: at the step's start; *_try: in the line search; *_keep: to come back to. active, strained: 0 or 1; order: the active ones, level by level; level: first of each in it
+    (B, D + 2). rider: length of what hangs on a node unloaded [m]; clear: of segments from capsules, room: of nodes to move in [m]. first, many: contacts of a segment in the list in use.
+    g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; diagonal, coupling (child, parent), across (parent, child), right: of the step's model;
+    passed, held: what elimination leaves of coupling and right side; stale: 2 where contacts were set on or off since, 1 below such a node; step: Newton's. *_up: the share of a segment's that belongs to its parent, *_on: of its contacts, for the child. mid, stretch, half_turn, rate: Rm F, D, g and D' of each
+    segment, see `segment`; relative: spin over it. cap_*: capsules now and at the start (B, K).
     Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
     gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
-    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B). side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
+    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B).
+    Contacts now (B, C): arm_p, arm_c: levers of the sample from its nodes, rub_p, rub_c: of its surface point [m]; fn, ft: gradients of normal and friction energy [N]; slid: way from the anchor [m];
+    hn, ht, hc: second derivatives, and that of friction by the normal way [N/m]; out_f, out_m: wrench on the capsule.
+    side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
-    q: wp.array2d(dtype=wp.quatd)
     x_start: wp.array2d(dtype=wp.vec3d)
-    q_start: wp.array2d(dtype=wp.quatd)
     x_try: wp.array2d(dtype=wp.vec3d)
+    x_keep: wp.array2d(dtype=wp.vec3d)
+    q: wp.array2d(dtype=wp.quatd)
+    q_start: wp.array2d(dtype=wp.quatd)
     q_try: wp.array2d(dtype=wp.quatd)
+    q_keep: wp.array2d(dtype=wp.quatd)
     active: wp.array2d(dtype=wp.int32)
-    order: wp.array2d(dtype=wp.int32)
     strained: wp.array2d(dtype=wp.int32)
+    order: wp.array2d(dtype=wp.int32)
+    level: wp.array2d(dtype=wp.int32)
+    first: wp.array2d(dtype=wp.int32)
+    many: wp.array2d(dtype=wp.int32)
+    stale: wp.array2d(dtype=wp.int32)
     rider: wp.array2d(dtype=wp.float64)
     clear: wp.array2d(dtype=wp.float64)
     room: wp.array2d(dtype=wp.float64)
     g: wp.array2d(dtype=wp.spatial_vectord)
+    g_on: wp.array2d(dtype=wp.spatial_vectord)
+    g_up: wp.array2d(dtype=wp.spatial_vectord)
     elastic: wp.array2d(dtype=wp.spatial_vectord)
+    elastic_up: wp.array2d(dtype=wp.spatial_vectord)
+    right: wp.array2d(dtype=wp.spatial_vectord)
+    right_on: wp.array2d(dtype=wp.spatial_vectord)
+    right_up: wp.array2d(dtype=wp.spatial_vectord)
+    held: wp.array2d(dtype=wp.spatial_vectord)
     step: wp.array2d(dtype=wp.spatial_vectord)
     own: wp.array2d(dtype=wp.spatial_matrixd)
+    own_up: wp.array2d(dtype=wp.spatial_matrixd)
     mixed: wp.array2d(dtype=wp.spatial_matrixd)
     diagonal: wp.array2d(dtype=wp.spatial_matrixd)
+    diagonal_on: wp.array2d(dtype=wp.spatial_matrixd)
+    diagonal_up: wp.array2d(dtype=wp.spatial_matrixd)
     coupling: wp.array2d(dtype=wp.spatial_matrixd)
     across: wp.array2d(dtype=wp.spatial_matrixd)
-    x_keep: wp.array2d(dtype=wp.vec3d)
-    q_keep: wp.array2d(dtype=wp.quatd)
+    passed: wp.array2d(dtype=wp.spatial_matrixd)
     mid: wp.array2d(dtype=wp.quatd)
     stretch: wp.array2d(dtype=wp.vec3d)
     half_turn: wp.array2d(dtype=wp.vec3d)
     rate: wp.array2d(dtype=wp.vec3d)
     relative: wp.array2d(dtype=wp.vec3d)
     cap_x: wp.array2d(dtype=wp.vec3d)
-    cap_q: wp.array2d(dtype=wp.quatd)
     cap_x_start: wp.array2d(dtype=wp.vec3d)
+    cap_q: wp.array2d(dtype=wp.quatd)
     cap_q_start: wp.array2d(dtype=wp.quatd)
     key: wp.array3d(dtype=wp.int32)
     sample: wp.array3d(dtype=wp.int32)
     node: wp.array3d(dtype=wp.int32)
     body: wp.array3d(dtype=wp.int32)
     stuck: wp.array3d(dtype=wp.int32)
+    on: wp.array3d(dtype=wp.int32)
     anchor: wp.array3d(dtype=wp.vec3d)
-    gap0: wp.array3d(dtype=wp.float64)
     local0: wp.array3d(dtype=wp.vec3d)
     lever: wp.array3d(dtype=wp.vec3d)
-    tau: wp.array3d(dtype=wp.float64)
-    depth: wp.array3d(dtype=wp.float64)
-    on: wp.array3d(dtype=wp.int32)
     normal: wp.array3d(dtype=wp.vec3d)
     hold: wp.array3d(dtype=wp.vec3d)
+    gap0: wp.array3d(dtype=wp.float64)
+    tau: wp.array3d(dtype=wp.float64)
+    depth: wp.array3d(dtype=wp.float64)
     count: wp.array2d(dtype=wp.int32)
+    arm_p: wp.array2d(dtype=wp.vec3d)
+    arm_c: wp.array2d(dtype=wp.vec3d)
+    rub_p: wp.array2d(dtype=wp.vec3d)
+    rub_c: wp.array2d(dtype=wp.vec3d)
+    fn: wp.array2d(dtype=wp.vec3d)
+    ft: wp.array2d(dtype=wp.vec3d)
+    slid: wp.array2d(dtype=wp.vec3d)
+    out_f: wp.array2d(dtype=wp.vec3d)
+    out_m: wp.array2d(dtype=wp.vec3d)
+    hn: wp.array2d(dtype=wp.mat33d)
+    ht: wp.array2d(dtype=wp.mat33d)
+    hc: wp.array2d(dtype=wp.mat33d)
     side: wp.array(dtype=wp.int32)
     next: wp.array(dtype=wp.int32)
     ended: wp.array(dtype=wp.int32)

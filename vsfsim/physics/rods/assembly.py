@@ -1,14 +1,16 @@
-"""Gradient and second derivative of the potential at a state, and the model that Newton's step minimises."""
+"""Gradient and second derivative of the potential at a state, and the model that Newton's step minimises.
+
+What contacts say is worked out contact by contact, what segments say segment by segment, and a node gathers from its own segment and those above it: nothing is added up by two lanes at once.
+"""
 
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.arrays import Touches, Trees, Work
+from vsfsim.physics.rods.arrays import Here, Touches, Trees, Work
+from vsfsim.physics.rods.lanes import count_all, meet, total
 from vsfsim.physics.rods.search import surface_point
-from vsfsim.physics.rods.segment import ONE, TINY, ZERO, gradient, mat66, quat, real, second, six, strain, vec3
+from vsfsim.physics.rods.segment import ONE, TINY, ZERO, gradient, mat33, mat66, quat, real, second, six, strain, vec3
 from vsfsim.physics.rods.touching import (
-    add_mixed,
-    add_point,
     friction_energy,
     friction_force,
     friction_hessian,
@@ -17,6 +19,8 @@ from vsfsim.physics.rods.touching import (
     normal_force,
     normal_hessian,
     normal_stiffness,
+    plus_point,
+    plus_spin,
     point_at,
     slip,
     turn_hessian,
@@ -28,46 +32,73 @@ vec6 = wp.spatial_vectord
 
 
 @wp.func
-def renew(tree: Trees, touch: Touches, w: Work, b: int, o: int, side: int):
-    """Limits, normals and anchors of friction at the present state. The sum of the contact forces [N]."""
-    total = ZERO
+def renew(tree: Trees, touch: Touches, w: Work, at: Here, side: int):
+    """Limits, normals, anchors of friction, levers and forces of all contacts at the present state. The sum of the contact forces [N]."""
+    b = at.b
+    pressed = ZERO
     mu = touch.friction[b]
-    for c in range(w.count[side, b]):
+    for c in range(at.lane, w.count[side, b], at.lanes):
         i = w.node[side, b, c]
         k = w.body[side, b, c]
         j = w.sample[side, b, c]
-        p = tree.parent[o + i]
+        p = tree.parent[at.o + i]
+        s = tree.along[j]
         cx = w.cap_x[b, k]
         cq = w.cap_q[b, k]
-        y = point_at(tree.along[j], tree.offset[j], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
+        qp = w.q[b, p]
+        qc = w.q[b, i]
+        arm_p = wp.quat_rotate(qp, tree.offset[j])
+        arm_c = wp.quat_rotate(qc, tree.offset[j])
+        y = (ONE - s) * (w.x[b, p] + arm_p) + s * (w.x[b, i] + arm_c)
         gap = gap_of(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
-        force = normal_force(wp.max(-gap.value, ZERO), tree.penalty[j])
-        total = total + force
-        w.tau[side, b, c] = mu * force
-        w.normal[side, b, c] = gap.normal
-        w.depth[side, b, c] = -gap.value
-        if gap.value < ZERO and w.stuck[side, b, c] == 0:
+        depth = -gap.value
+        force = normal_force(wp.max(depth, ZERO), tree.penalty[j])
+        tau = mu * force
+        pressed = pressed + force
+        lever = w.lever[side, b, c]
+        rub_p = arm_p + wp.quat_rotate(qp, wp.quat_rotate_inv(w.q_start[b, p], lever))
+        rub_c = arm_c + wp.quat_rotate(qc, wp.quat_rotate_inv(w.q_start[b, i], lever))
+        ys = (ONE - s) * (w.x[b, p] + rub_p) + s * (w.x[b, i] + rub_c)
+        stuck = w.stuck[side, b, c]
+        if gap.value < ZERO and stuck == 0:
             free = w.gap0[side, b, c] / wp.max(w.gap0[side, b, c] - gap.value, TINY)
-            ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
             met = w.local0[side, b, c]
             w.anchor[side, b, c] = met + free * (wp.quat_rotate_inv(cq, ys - cx) - met)
             w.stuck[side, b, c] = 2
-        if gap.value >= ZERO and w.stuck[side, b, c] == 2:
+        if gap.value >= ZERO and stuck == 2:
             w.stuck[side, b, c] = 0  # it left again before the step was over
-        place = w.anchor[side, b, c]
-        w.hold[side, b, c] = cx + wp.quat_rotate(cq, place)
-    return total
+        hold = cx + wp.quat_rotate(cq, w.anchor[side, b, c])
+        slid = slip(gap.normal, ys, hold)
+        ft = vec3()
+        if tau > ZERO:
+            ft = friction_force(slid, tree.penalty[j], tau)
+        w.tau[side, b, c] = tau
+        w.normal[side, b, c] = gap.normal
+        w.depth[side, b, c] = depth
+        w.hold[side, b, c] = hold
+        w.slid[b, c] = slid
+        w.arm_p[b, c] = arm_p
+        w.arm_c[b, c] = arm_c
+        w.rub_p[b, c] = rub_p
+        w.rub_c[b, c] = rub_c
+        # one that does not press yet has the force of a plane that stands in its way: only the step's model looks at it
+        w.fn[b, c] = -wp.where(depth > ZERO, force, tree.penalty[j] * depth) * gap.normal
+        w.ft[b, c] = ft
+        w.on[side, b, c] = wp.where(depth > ZERO, 1, 0)
+    meet()
+    return total(pressed)
 
 
 @wp.func
-def contact_energy(tree: Trees, touch: Touches, w: Work, b: int, o: int, side: int, x: wp.array2d(dtype=vec3), q: wp.array2d(dtype=quat)):
-    """Energy of the contacts, the limits of friction as `renew` left them [J]."""
+def contact_energy(tree: Trees, touch: Touches, w: Work, at: Here, side: int, x: wp.array2d(dtype=vec3), q: wp.array2d(dtype=quat)):
+    """This lane's share of the energy of the contacts, the limits of friction as `renew` left them [J]."""
+    b = at.b
     out = ZERO
-    for c in range(w.count[side, b]):
+    for c in range(at.lane, w.count[side, b], at.lanes):
         i = w.node[side, b, c]
         k = w.body[side, b, c]
         j = w.sample[side, b, c]
-        p = tree.parent[o + i]
+        p = tree.parent[at.o + i]
         y = point_at(tree.along[j], tree.offset[j], x[b, p], q[b, p], x[b, i], q[b, i])
         gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
@@ -80,175 +111,224 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, b: int, o: int, side: i
 
 
 @wp.func
-def push(w: Work, b: int, p: int, i: int, s: real, f: vec3, lp: vec3, lc: vec3):
-    """Adds the gradient ``f`` at a point with levers ``lp``, ``lc`` to its nodes."""
-    w.g[b, p] = w.g[b, p] + (ONE - s) * six(f, wp.cross(lp, f))
-    w.g[b, i] = w.g[b, i] + s * six(f, wp.cross(lc, f))
-
-
-@wp.func
-def stiffen(w: Work, b: int, p: int, i: int, s: real, h: wp.mat33d, lp: vec3, lc: vec3):
-    """Adds J^T h J of a point to the blocks of its nodes."""
-    w.diagonal[b, p] = w.diagonal[b, p] + add_point(h, lp, lc, s, 0, 0)
-    w.diagonal[b, i] = w.diagonal[b, i] + add_point(h, lp, lc, s, 1, 1)
-    w.coupling[b, i] = w.coupling[b, i] + add_point(h, lp, lc, s, 1, 0)
-    w.across[b, i] = w.across[b, i] + add_point(h, lp, lc, s, 0, 1)
-
-
-@wp.func
-def curve(w: Work, b: int, i: int, h: wp.mat33d):
-    """Adds a 3 x 3 block to the spins of a node."""
-    d = w.diagonal[b, i]
-    for r in range(3):
-        for c in range(3):
-            d[r + 3, c + 3] = d[r + 3, c + 3] + h[r, c]
-    w.diagonal[b, i] = d
-
-
-@wp.func
-def couple(w: Work, b: int, p: int, i: int, s: real, h: wp.mat33d, lps: vec3, lcs: vec3, lp: vec3, lc: vec3):
-    """Adds J_s^T h J: the derivative of a force at the surface (levers ``lps``, ``lcs``) by the place of the sample (``lp``, ``lc``). It is not symmetric."""
-    w.diagonal[b, p] = w.diagonal[b, p] + add_mixed(h, lps, lp, (ONE - s) * (ONE - s))
-    w.diagonal[b, i] = w.diagonal[b, i] + add_mixed(h, lcs, lc, s * s)
-    w.coupling[b, i] = w.coupling[b, i] + add_mixed(h, lcs, lp, s * (ONE - s))
-    w.across[b, i] = w.across[b, i] + add_mixed(h, lps, lc, s * (ONE - s))
-
-
-@wp.func
-def assemble(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, geometric: real):
-    """Gradient, elastic part and whole, and the blocks of the elastic energy; contacts that press are set on. How many samples slip."""
+def assemble(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real):
+    """Gradient, elastic part and whole, and the blocks of the elastic energy. How many samples slip."""
+    b = at.b
+    o = at.o
     slipping = int(0)
-    for a in range(count):
-        i = w.order[b, a]
-        w.elastic[b, i] = vec6()
-        w.own[b, i] = mat66()
-    for a in range(1, count):
+    for a in range(1 + at.lane, count, at.lanes):
         i = w.order[b, a]
         p = tree.parent[o + i]
         s = strain(w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i], tree.frame[o + i], tree.length[o + i])
         f, mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
-        w.elastic[b, i] = w.elastic[b, i] + six(f - tree.load[o + i], mc)
-        w.elastic[b, p] = w.elastic[b, p] + six(-f, mp)
+        w.elastic[b, i] = six(f - tree.load[o + i], mc)
+        w.elastic_up[b, i] = six(-f, mp)
         w.mid[b, i] = s.turn
         w.stretch[b, i] = s.D
         w.half_turn[b, i] = s.g
         h = second(s, tree.kd[o + i], tree.kphi[o + i], geometric)
-        w.own[b, i] = w.own[b, i] + h.child
-        w.own[b, p] = w.own[b, p] + h.parent
+        w.own[b, i] = h.child
+        w.own_up[b, i] = h.parent
         w.mixed[b, i] = h.mixed
-    for a in range(count):
-        i = w.order[b, a]
-        w.g[b, i] = w.elastic[b, i]
-    for c in range(w.count[side, b]):
-        i = w.node[side, b, c]
-        j = w.sample[side, b, c]
-        p = tree.parent[o + i]
-        al = tree.along[j]
-        depth = w.depth[side, b, c]
-        w.on[side, b, c] = 0
-        if depth > ZERO:
-            w.on[side, b, c] = 1
-            lp = wp.quat_rotate(w.q[b, p], tree.offset[j])
-            lc = wp.quat_rotate(w.q[b, i], tree.offset[j])
-            push(w, b, p, i, al, -normal_force(depth, tree.penalty[j]) * w.normal[side, b, c], lp, lc)
-            if w.tau[side, b, c] > ZERO:
-                lever = w.lever[side, b, c]
-                lps = lp + wp.quat_rotate(w.q[b, p], wp.quat_rotate_inv(w.q_start[b, p], lever))
-                lcs = lc + wp.quat_rotate(w.q[b, i], wp.quat_rotate_inv(w.q_start[b, i], lever))
-                ys = (ONE - al) * (w.x[b, p] + lps) + al * (w.x[b, i] + lcs)
-                u = slip(w.normal[side, b, c], ys, w.hold[side, b, c])
-                push(w, b, p, i, al, friction_force(u, tree.penalty[j], w.tau[side, b, c]), lps, lcs)
-                if tree.penalty[j] * wp.length(u) > w.tau[side, b, c]:
+        on = vec6()
+        up = vec6()
+        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
+            if w.on[side, b, c] == 1:
+                j = w.sample[side, b, c]
+                al = tree.along[j]
+                fn = w.fn[b, c]
+                ft = w.ft[b, c]
+                up = up + (ONE - al) * six(fn + ft, wp.cross(w.arm_p[b, c], fn) + wp.cross(w.rub_p[b, c], ft))
+                on = on + al * six(fn + ft, wp.cross(w.arm_c[b, c], fn) + wp.cross(w.rub_c[b, c], ft))
+                if w.tau[side, b, c] > ZERO and tree.penalty[j] * wp.length(w.slid[b, c]) > w.tau[side, b, c]:
                     slipping = slipping + 1
-    return slipping
-
-
-@wp.func
-def model(tree: Trees, touch: Touches, w: Work, b: int, o: int, count: int, side: int, geometric: real, coulomb: int):
-    """Blocks and right side of the step: the elastic part and the contacts that are on. One that is on and does not press yet stands in the way as a plane with the penalty's stiffness;
-    with ``coulomb`` the limit of friction follows the normal force."""
-    for a in range(count):
+        w.g_on[b, i] = on
+        w.g_up[b, i] = up
+    meet()
+    for a in range(1 + at.lane, count, at.lanes):
         i = w.order[b, a]
-        w.diagonal[b, i] = w.own[b, i]
-        w.coupling[b, i] = w.mixed[b, i]
-        w.across[b, i] = wp.transpose(w.mixed[b, i])
-        w.step[b, i] = -w.elastic[b, i]
-    for c in range(w.count[side, b]):
-        if w.on[side, b, c] == 1:
-            i = w.node[side, b, c]
-            k = w.body[side, b, c]
-            j = w.sample[side, b, c]
-            p = tree.parent[o + i]
-            al = tree.along[j]
-            kn = tree.penalty[j]
-            n = w.normal[side, b, c]
-            depth = w.depth[side, b, c]
-            lp = wp.quat_rotate(w.q[b, p], tree.offset[j])
-            lc = wp.quat_rotate(w.q[b, i], tree.offset[j])
-            if depth <= ZERO:
-                answer(w, b, p, i, al, (-kn * depth) * n, lp, lc)
-                stiffen(w, b, p, i, al, kn * wp.outer(n, n), lp, lc)
-            else:
-                y = (ONE - al) * (w.x[b, p] + lp) + al * (w.x[b, i] + lc)
-                gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
-                fn = -normal_force(depth, kn) * n
-                answer(w, b, p, i, al, fn, lp, lc)
-                stiffen(w, b, p, i, al, normal_hessian(gap, kn, geometric), lp, lc)
-                if geometric > ZERO:
-                    curve(w, b, p, (ONE - al) * turn_hessian(fn, lp))
-                    curve(w, b, i, al * turn_hessian(fn, lc))
-                if w.tau[side, b, c] > ZERO:
-                    lever = w.lever[side, b, c]
-                    lps = lp + wp.quat_rotate(w.q[b, p], wp.quat_rotate_inv(w.q_start[b, p], lever))
-                    lcs = lc + wp.quat_rotate(w.q[b, i], wp.quat_rotate_inv(w.q_start[b, i], lever))
-                    ys = (ONE - al) * (w.x[b, p] + lps) + al * (w.x[b, i] + lcs)
-                    u = slip(n, ys, w.hold[side, b, c])
-                    ft = friction_force(u, kn, w.tau[side, b, c])
-                    answer(w, b, p, i, al, ft, lps, lcs)
-                    stiffen(w, b, p, i, al, friction_hessian(u, n, kn, w.tau[side, b, c]), lps, lcs)
-                    if geometric > ZERO:
-                        curve(w, b, p, (ONE - al) * turn_hessian(ft, lps))
-                        curve(w, b, i, al * turn_hessian(ft, lcs))
-                    size = wp.length(u)
-                    if coulomb == 1 and kn * size > w.tau[side, b, c]:
-                        couple(w, b, p, i, al, (-touch.friction[b] * normal_stiffness(depth, kn) / size) * wp.outer(u, n), lps, lcs, lp, lc)
+        elastic = w.elastic[b, i]
+        g = w.g_on[b, i]
+        own = w.own[b, i]
+        kid = tree.child[o + i]
+        while kid >= 0:
+            if w.active[b, kid] == 1:
+                elastic = elastic + w.elastic_up[b, kid]
+                g = g + w.g_up[b, kid]
+                own = own + w.own_up[b, kid]
+            kid = tree.next[o + kid]
+        w.elastic[b, i] = elastic
+        w.g[b, i] = elastic + g
+        w.own[b, i] = own
+    meet()
+    return count_all(slipping)
 
 
 @wp.func
-def answer(w: Work, b: int, p: int, i: int, s: real, f: vec3, lp: vec3, lc: vec3):
-    """Takes the gradient ``f`` at a point off the right side."""
-    w.step[b, p] = w.step[b, p] - (ONE - s) * six(f, wp.cross(lp, f))
-    w.step[b, i] = w.step[b, i] - s * six(f, wp.cross(lc, f))
-
-
-@wp.func
-def foresee(tree: Trees, w: Work, b: int, o: int, side: int):
-    """Sets on what the step would press, off what it would leave. How many contacts changed."""
-    changed = int(0)
-    for c in range(w.count[side, b]):
+def harden(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
+    """Second derivatives of the contacts; all of the model is stale then. One that does not press stands in the way as a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
+    b = at.b
+    for a in range(1 + at.lane, count, at.lanes):
+        w.stale[b, w.order[b, a]] = 2
+    for c in range(at.lane, w.count[side, b], at.lanes):
         i = w.node[side, b, c]
+        k = w.body[side, b, c]
         j = w.sample[side, b, c]
-        p = tree.parent[o + i]
+        p = tree.parent[at.o + i]
         al = tree.along[j]
+        kn = tree.penalty[j]
+        n = w.normal[side, b, c]
+        depth = w.depth[side, b, c]
+        tau = w.tau[side, b, c]
+        hn = kn * wp.outer(n, n)
+        ht = mat33()
+        hc = mat33()
+        if depth > ZERO:
+            y = (ONE - al) * (w.x[b, p] + w.arm_p[b, c]) + al * (w.x[b, i] + w.arm_c[b, c])
+            gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
+            hn = normal_hessian(gap, kn, geometric)
+            if tau > ZERO:
+                u = w.slid[b, c]
+                size = wp.length(u)
+                ht = friction_hessian(u, n, kn, tau)
+                if coulomb == 1 and kn * size > tau:
+                    hc = (-touch.friction[b] * normal_stiffness(depth, kn) / size) * wp.outer(u, n)
+        w.hn[b, c] = hn
+        w.ht[b, c] = ht
+        w.hc[b, c] = hc
+    meet()
+
+
+@wp.func
+def model(tree: Trees, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
+    """Blocks and right side of the step, where they are stale: the elastic part and the contacts that are on."""
+    b = at.b
+    o = at.o
+    # each of the four blocks of a segment by itself: segments with contacts are few, and lanes many
+    for item in range(4 + at.lane, 4 * count, at.lanes):
+        i = w.order[b, item / 4]
+        if w.stale[b, i] < 2 or w.many[b, i] == 0:
+            continue
+        block = item % 4  # rows and columns: child child, parent parent, child parent, parent child
+        if block == 3 and coulomb == 0:
+            continue
+        own = mat66()
+        if block == 2:
+            own = w.mixed[b, i]
+        if block == 3:
+            own = wp.transpose(w.mixed[b, i])
+        right = vec6()
+        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
+            if w.on[side, b, c] == 1:
+                al = tree.along[w.sample[side, b, c]]
+                fn = w.fn[b, c]
+                ft = w.ft[b, c]
+                row = al
+                ra = w.arm_c[b, c]
+                rr = w.rub_c[b, c]
+                if block == 1 or block == 3:
+                    row = ONE - al
+                    ra = w.arm_p[b, c]
+                    rr = w.rub_p[b, c]
+                column = al
+                ca = w.arm_c[b, c]
+                cr = w.rub_c[b, c]
+                if block == 1 or block == 2:
+                    column = ONE - al
+                    ca = w.arm_p[b, c]
+                    cr = w.rub_p[b, c]
+                own = plus_point(own, w.hn[b, c], ra, ca, row * column)
+                if w.tau[side, b, c] > ZERO:
+                    own = plus_point(own, w.ht[b, c], rr, cr, row * column)
+                    if coulomb == 1:
+                        own = plus_point(own, w.hc[b, c], rr, ca, row * column)
+                if block < 2:
+                    right = right - row * six(fn + ft, wp.cross(ra, fn) + wp.cross(rr, ft))
+                    if geometric > ZERO and w.depth[side, b, c] > ZERO:
+                        own = plus_spin(own, turn_hessian(fn, ra), row)
+                        own = plus_spin(own, turn_hessian(ft, rr), row)
+        if block == 0:
+            w.diagonal_on[b, i] = own
+            w.right_on[b, i] = right
+        if block == 1:
+            w.diagonal_up[b, i] = own
+            w.right_up[b, i] = right
+        if block == 2:
+            w.coupling[b, i] = own
+        if block == 3:
+            w.across[b, i] = own
+    meet()
+    for a in range(1 + at.lane, count, at.lanes):
+        i = w.order[b, a]
+        if w.stale[b, i] == 0:
+            continue
+        diagonal = w.own[b, i]
+        right = -w.elastic[b, i]
+        if w.many[b, i] > 0:
+            diagonal = diagonal + w.diagonal_on[b, i]
+            right = right + w.right_on[b, i]
+        elif w.stale[b, i] == 2:
+            w.coupling[b, i] = w.mixed[b, i]
+            if coulomb == 1:
+                w.across[b, i] = wp.transpose(w.mixed[b, i])
+        kid = tree.child[o + i]
+        while kid >= 0:
+            if w.active[b, kid] == 1 and w.many[b, kid] > 0:
+                diagonal = diagonal + w.diagonal_up[b, kid]
+                right = right + w.right_up[b, kid]
+            kid = tree.next[o + kid]
+        w.diagonal[b, i] = diagonal
+        w.right[b, i] = right
+    meet()
+
+
+@wp.func
+def foresee(tree: Trees, w: Work, at: Here, tall: int, count: int, side: int):
+    """Sets on what the step would press, off what it would leave, and marks what of the model is stale then. How many contacts changed."""
+    b = at.b
+    changed = int(0)
+    for a in range(1 + at.lane, count, at.lanes):
+        i = w.order[b, a]
+        p = tree.parent[at.o + i]
         sp = w.step[b, p]
         sc = w.step[b, i]
-        way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), wp.quat_rotate(w.q[b, p], tree.offset[j])))
-        way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), wp.quat_rotate(w.q[b, i], tree.offset[j])))
-        on = int(0)
-        if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
-            on = 1
-        if on != w.on[side, b, c]:
-            w.on[side, b, c] = on
-            changed = changed + 1
+        stale = int(0)
+        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
+            al = tree.along[w.sample[side, b, c]]
+            way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
+            way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
+            on = int(0)
+            if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
+                on = 1
+            if on != w.on[side, b, c]:
+                w.on[side, b, c] = on
+                stale = 2
+                changed = changed + 1
+        w.stale[b, i] = stale
+    meet()
+    changed = count_all(changed)
+    if changed > 0:
+        for back in range(1, tall):
+            d = tall - back
+            for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
+                i = w.order[b, a]
+                stale = w.stale[b, i]
+                kid = tree.child[at.o + i]
+                while kid >= 0:
+                    if w.active[b, kid] == 1 and w.stale[b, kid] > 0:
+                        stale = wp.max(stale, 1)
+                    kid = tree.next[at.o + kid]
+                w.stale[b, i] = stale
+            meet()
     return changed
 
 
 @wp.func
-def unbalanced(tree: Trees, w: Work, b: int, o: int, count: int):
+def unbalanced(tree: Trees, w: Work, at: Here, count: int):
     """Sum of the lengths of the unbalanced forces, moments over the segment's length counted as forces [N]."""
     out = ZERO
-    for a in range(1, count):
-        i = w.order[b, a]
-        g = w.g[b, i]
-        out = out + wp.length(wp.spatial_top(g)) + wp.length(wp.spatial_bottom(g)) / tree.length[o + i]
-    return out
+    for a in range(1 + at.lane, count, at.lanes):
+        i = w.order[at.b, a]
+        g = w.g[at.b, i]
+        out = out + wp.length(wp.spatial_top(g)) + wp.length(wp.spatial_bottom(g)) / tree.length[at.o + i]
+    return total(out)

@@ -6,7 +6,8 @@ A sub-tree that nothing touches carries no load, so it rides on its joint undefo
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.arrays import Touches, Trees, Work
+from vsfsim.physics.rods.arrays import Here, Touches, Trees, Work
+from vsfsim.physics.rods.lanes import ahead, count_all, meet
 from vsfsim.physics.rods.segment import HALF, ONE, ZERO, quat, real, vec3
 from vsfsim.physics.rods.touching import gap_of, point_at
 
@@ -16,14 +17,19 @@ SAMPLES = wp.constant(4096)  # more than a segment can have: a contact's key cou
 
 
 @wp.func
-def ride(tree: Trees, w: Work, b: int, o: int, n: int):
+def ride(tree: Trees, w: Work, at: Here):
     """Puts the nodes of unloaded sub-trees where their joints carry them."""
-    for i in range(1, n):
-        if w.active[b, i] == 0:
-            p = tree.parent[o + i]
-            qp = w.q[b, p]
-            w.q[b, i] = qp
-            w.x[b, i] = w.x[b, p] + wp.quat_rotate(qp, tree.rest[o + i] - tree.rest[o + p])
+    b = at.b
+    o = at.o
+    for d in range(1, at.high):
+        for r in range(tree.level[at.low + d] + at.lane, tree.level[at.low + d + 1], at.lanes):
+            i = tree.rank[r]
+            if w.active[b, i] == 0:
+                p = tree.parent[o + i]
+                qp = w.q[b, p]
+                w.q[b, i] = qp
+                w.x[b, i] = w.x[b, p] + wp.quat_rotate(qp, tree.rest[o + i] - tree.rest[o + p])
+        meet()
 
 
 @wp.func
@@ -36,95 +42,163 @@ def surface_point(tree: Trees, w: Work, b: int, p: int, i: int, j: int, lever: v
 
 
 @wp.func
-def gather(tree: Trees, touch: Touches, w: Work, b: int, o: int, n: int, margin: real, old: int, new: int):
-    """Lists all pairs of sample and capsule nearer than ``margin``; those of the list ``old`` keep their anchors. ``w.clear``: how far each segment is from all capsules, a lower bound. The
-    number of pairs, or -1 if there is no room."""
-    m = int(0)
-    at = int(0)
-    last = w.count[old, b]
+def found_in(w: Work, old: int, b: int, key: int):
+    """Place of ``key`` in the list ``old``, which is sorted, or -1."""
+    low = int(0)
+    high = w.count[old, b]
+    while low < high:
+        mid = (low + high) / 2
+        if w.key[old, b, mid] < key:
+            low = mid + 1
+        else:
+            high = mid
+    if low < w.count[old, b] and w.key[old, b, low] == key:
+        return low
+    return -1
+
+
+@wp.func
+def near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin: real, old: int, new: int, begin: int, write: int):
+    """Samples of segment ``i`` nearer to a capsule than ``margin``: how many, and with ``write`` they are put into the list from ``begin`` on. Sets ``w.clear``."""
+    b = at.b
+    o = at.o
+    m = begin
     room = w.key.shape[2]
     bodies = touch.half.shape[0]
-    for i in range(1, n):
-        p = tree.parent[o + i]
-        xp = w.x[b, p]
-        xc = w.x[b, i]
-        qp = w.q[b, p]
-        qc = w.q[b, i]
-        mid = HALF * (xp + xc)
-        around = HALF * wp.length(xc - xp) + tree.bound[o + i]
-        clear = real(1.0)
-        for k in range(bodies):
-            cx = w.cap_x[b, k]
-            far = around + touch.radius[k]
-            if wp.length(mid - cx) - far - touch.half[k] < clear:
-                local = wp.quat_rotate_inv(w.cap_q[b, k], mid - cx)
-                apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k]))) - far
-                clear = wp.min(clear, apart)
-                if apart < margin:
-                    begin = tree.sample[o + i]
-                    for j in range(begin, tree.sample[o + i + 1]):
-                        y = point_at(tree.along[j], tree.offset[j], xp, qp, xc, qc)
-                        gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
-                        if gap.value < margin:
-                            if m >= room:
-                                return -1
-                            key = (i * bodies + k) * SAMPLES + (j - begin)
-                            while at < last and w.key[old, b, at] < key:
-                                at = at + 1
+    p = tree.parent[o + i]
+    xp = w.x[b, p]
+    xc = w.x[b, i]
+    qp = w.q[b, p]
+    qc = w.q[b, i]
+    mid = HALF * (xp + xc)
+    around = HALF * wp.length(xc - xp) + tree.bound[o + i]
+    clear = real(1.0)
+    for k in range(bodies):
+        cx = w.cap_x[b, k]
+        far = around + touch.radius[k]
+        if wp.length(mid - cx) - far - touch.half[k] < clear:
+            local = wp.quat_rotate_inv(w.cap_q[b, k], mid - cx)
+            apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k]))) - far
+            clear = wp.min(clear, apart)
+            if apart < margin:
+                start = tree.sample[o + i]
+                for j in range(start, tree.sample[o + i + 1]):
+                    y = point_at(tree.along[j], tree.offset[j], xp, qp, xc, qc)
+                    gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
+                    if gap.value < margin:
+                        if write == 1 and m < room:
+                            key = (i * bodies + k) * SAMPLES + (j - start)
                             w.key[new, b, m] = key
                             w.sample[new, b, m] = j
                             w.node[new, b, m] = i
                             w.body[new, b, m] = k
                             stuck = int(0)
-                            if at < last and w.key[old, b, at] == key:
-                                stuck = wp.min(w.stuck[old, b, at], 1)
-                                w.anchor[new, b, m] = w.anchor[old, b, at]
+                            there = found_in(w, old, b, key)
+                            if there >= 0:
+                                stuck = wp.min(w.stuck[old, b, there], 1)
+                                w.anchor[new, b, m] = w.anchor[old, b, there]
                             w.stuck[new, b, m] = stuck
-                            x0p = w.x_start[b, p]
-                            x0c = w.x_start[b, i]
-                            q0p = w.q_start[b, p]
-                            q0c = w.q_start[b, i]
-                            y0 = point_at(tree.along[j], tree.offset[j], x0p, q0p, x0c, q0c)
+                            y0 = point_at(tree.along[j], tree.offset[j], w.x_start[b, p], w.q_start[b, p], w.x_start[b, i], w.q_start[b, i])
                             gap0 = gap_of(y0, tree.radius[j], w.cap_x_start[b, k], w.cap_q_start[b, k], touch.half[k], touch.radius[k])
                             lever = -tree.radius[j] * gap0.normal
                             w.lever[new, b, m] = lever
                             w.gap0[new, b, m] = wp.max(gap0.value, ZERO)
                             w.local0[new, b, m] = wp.quat_rotate_inv(w.cap_q_start[b, k], y0 + lever - w.cap_x_start[b, k])
                             w.tau[new, b, m] = ZERO
-                            m = m + 1
-        w.clear[b, i] = clear
-    w.count[new, b] = m
+                        m = m + 1
+    w.clear[b, i] = clear
+    return m - begin
+
+
+@wp.func
+def gather(tree: Trees, touch: Touches, w: Work, at: Here, margin: real, old: int, new: int):
+    """Lists all pairs of sample and capsule nearer than ``margin``, in the order of their keys; those of the list ``old`` keep their anchors. ``w.clear``: how far each segment is from all
+    capsules, a lower bound. The number of pairs, or -1 if there is no room."""
+    b = at.b
+    m = int(0)
+    full = int(0)
+    for base in range(1, at.n, at.lanes):
+        i = base + at.lane
+        found = int(0)
+        begin = m
+        # several lanes count first, so that each knows where its own go
+        for turn in range(wp.where(at.lanes > 1, 0, 1), 2):
+            if turn == 1:
+                begin = m + ahead(found)
+            if i < at.n and (turn == 0 or at.lanes == 1 or found > 0):
+                found = near(tree, touch, w, at, i, margin, old, new, begin, turn)
+        if i < at.n:
+            w.first[b, i] = begin
+            w.many[b, i] = found
+        m = m + count_all(found)
+        if m > w.key.shape[2]:
+            full = 1
+            break
+    meet()
+    if full == 1:
+        return -1
+    if at.lane == 0:
+        w.count[new, b] = m
+    meet()
     return m
 
 
 @wp.func
-def activate(tree: Trees, w: Work, b: int, o: int, n: int, side: int, weighs: int):
-    """Marks the nodes between the root and whatever is near a capsule, strained, or heavy; lists them upwards. How many."""
-    for i in range(n):
-        w.active[b, i] = wp.max(w.strained[b, i], weighs)
-        w.rider[b, i] = ZERO
-    for c in range(w.count[side, b]):
-        w.active[b, w.node[side, b, c]] = 1
-    w.active[b, 0] = 1
-    w.clear[b, 0] = real(1.0)
-    for back in range(1, n):
-        i = n - back
-        p = tree.parent[o + i]
-        if w.active[b, i] == 1:
-            w.active[b, p] = 1
-        else:
-            w.clear[b, p] = wp.min(w.clear[b, p], w.clear[b, i])  # what rides on a node goes with it
-    # a node moves its own segment and those above it
-    for i in range(1, n):
-        p = tree.parent[o + i]
-        w.room[b, i] = w.clear[b, i]
-        if w.active[b, i] == 1:
-            w.room[b, p] = wp.min(w.room[b, p], w.clear[b, i])
-        if w.active[b, i] == 0 and w.active[b, p] == 1:
-            w.rider[b, p] = wp.max(w.rider[b, p], tree.length[o + i] + tree.reach[o + i])
+def activate(tree: Trees, w: Work, at: Here, weighs: int):
+    """Marks the nodes between the root and whatever is near a capsule, strained, or heavy; lists them level by level. How many, and how many levels."""
+    b = at.b
+    o = at.o
+    for back in range(1, at.high + 1):
+        d = at.high - back
+        for r in range(tree.level[at.low + d] + at.lane, tree.level[at.low + d + 1], at.lanes):
+            i = tree.rank[r]
+            on = wp.max(w.strained[b, i], weighs)
+            clear = real(1.0)
+            if i == 0:
+                on = 1
+            else:
+                clear = w.clear[b, i]
+                if w.many[b, i] > 0:
+                    on = 1
+            room = real(1.0)
+            rider = ZERO
+            kid = tree.child[o + i]
+            while kid >= 0:
+                if w.active[b, kid] == 1:
+                    on = 1
+                    room = wp.min(room, w.clear[b, kid])
+                else:
+                    clear = wp.min(clear, w.clear[b, kid])  # what rides on a node goes with it
+                    rider = wp.max(rider, tree.length[o + kid] + tree.reach[o + kid])
+                kid = tree.next[o + kid]
+            w.active[b, i] = on
+            w.clear[b, i] = clear
+            w.room[b, i] = wp.min(clear, room)  # a node moves its own segment and those above it
+            w.rider[b, i] = wp.where(on == 1, rider, ZERO)
+        meet()
     count = int(0)
-    for i in range(n):
-        if w.active[b, i] == 1:
-            w.order[b, count] = i
-            count = count + 1
-    return count
+    tall = int(0)
+    for d in range(at.high):
+        begin = tree.level[at.low + d]
+        stop = tree.level[at.low + d + 1]
+        if at.lane == 0:
+            w.level[b, d] = count
+        before = count
+        for base in range(begin, stop, at.lanes):
+            r = base + at.lane
+            i = int(0)
+            on = int(0)
+            if r < stop:
+                i = tree.rank[r]
+                on = w.active[b, i]
+            place = count + ahead(on)
+            if on == 1:
+                w.order[b, place] = i
+            count = count + count_all(on)
+        if count == before:
+            break
+        tall = d + 1
+    if at.lane == 0:
+        w.level[b, tall] = count
+    meet()
+    return count, tall

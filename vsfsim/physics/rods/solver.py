@@ -1,6 +1,6 @@
 """Touches of plants by an arm's capsules: the host's side of the rod solver.
 
-All touches of a batch advance together, each in one thread, and may be of different plants; the host only counts them between launches.
+All touches of a batch advance together, each by itself, and may be of different plants; the host only counts them between launches.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.advance import advance
 from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
+from vsfsim.physics.rods.lanes import LANES
 from vsfsim.physics.rods.model import RodError, RodModel
 
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
-CPU_SHARE, GPU_SHARE = 1000, 200  # Newton iterations of a touch in one launch: some seconds for a view on a CPU core, and for thousands of touches on a GPU
+CPU_SHARE, GPU_SHARE = 1000, 1000  # Newton iterations of a touch in one launch: some seconds for a view on a CPU core, and for thousands of touches on a GPU
 
 
 @dataclass(frozen=True)
@@ -29,14 +30,14 @@ class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
     0.1 mN m, a thousandth of the noise of its sensor. force_limit: a touch ends before the first frame past it [N].
     room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
-    lanes: threads of a GPU that one touch has to itself; one of them works."""
+    lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU always has 32."""
 
     tolerance: float = 1e-4
     faint: float = 1.0
     force_limit: float = np.inf
     room: int = ROOM
     share: int | None = None
-    lanes: int = 32
+    lanes: int = 1
 
 
 @dataclass(frozen=True)
@@ -95,12 +96,12 @@ class RodSolver:
         self._weighs = int(any(m.weight.any() for m in self.models))
 
     def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0, frames: np.ndarray | None = None, keep_nodes: bool = False,
-            progress: Callable[[int], None] | None = None, seconds: float | None = None) -> RodFrames:
+            progress: Callable[[int, int], None] | None = None, seconds: float | None = None) -> RodFrames:
         """Carry out touches.
 
         Args:
             plant: number of the touched plant of each touch (B,). poses: of the capsules, z along their axes (T, B, K, 4, 4) [m]. friction: (B,) or one for all [-].
-            frames: of each touch (B,), None for T. keep_nodes: return where the nodes are. progress: called with the number of frames newly done.
+            frames: of each touch (B,), None for T. keep_nodes: return where the nodes are. progress: called with the number of frames newly done and of the touches that go on.
             seconds: after this time on the clock no launch is begun; touches then end early. For measurements.
 
         Raises:
@@ -131,15 +132,15 @@ class RodSolver:
             work = self._make_work(plant, b, wide, k)
             out = _make_results(t, b, k, wide if keep_nodes else 0)
             gpu = wp.get_device(self.device).is_cuda
-            lanes, share = (self.options.lanes, GPU_SHARE) if gpu else (1, CPU_SHARE)
+            lanes, share = (LANES, GPU_SHARE) if gpu else (self.options.lanes, CPU_SHARE)
             live, done, until = np.arange(b), 0, None if seconds is None else time.perf_counter() + seconds
             while len(live) and (until is None or time.perf_counter() < until):
                 wp.launch(advance, dim=len(live) * lanes, inputs=[self._trees, touch, wp.array(live, dtype=wp.int32), lanes, self.options.share or share, self._weighs],
-                          outputs=[work, out], block_dim=32 if gpu else 256)
+                          outputs=[work, out], block_dim=lanes)
                 there = work.next.numpy()
                 live = np.flatnonzero((there < count) & (work.ended.numpy() == 0))
                 if progress is not None:
-                    progress(int(there.sum()) - done)
+                    progress(int(there.sum()) - done, len(live))
                 done = int(there.sum())
             ended = work.ended.numpy()
             return self._frames(out, np.minimum(count, work.next.numpy()), ended, plant, keep_nodes)
@@ -162,6 +163,11 @@ class RodSolver:
             tree.load, tree.reach = one([x.weight for x in m], wp.vec3d), one([x.reach for x in m], wp.float64)
             tree.bound = one([x.plant.radius + x.plant.half_width for x in m], wp.float64)
             tree.sample = one([*(x.first[:-1] + s for x, s in zip(m, samples)), samples[-1:]], wp.int32)
+            tree.child, tree.next = one([c for c, _ in map(_children, m)], wp.int32), one([c for _, c in map(_children, m)], wp.int32)
+            ranks = [_levels(x) for x in m]
+            tree.rank = one([rank for rank, _ in ranks], wp.int32)
+            tree.level = one([level + o for (_, level), o in zip(ranks, total, strict=False)], wp.int32)
+            tree.levels = wp.array(np.cumsum([0, *(len(level) for _, level in ranks)]), dtype=wp.int32)
             tree.along, tree.offset = one([x.along for x in m], wp.float64), one([x.offset for x in m], wp.vec3d)
             tree.radius, tree.penalty = one([x.radius for x in m], wp.float64), one([x.penalty for x in m], wp.float64)
             tree.floor = wp.array([x.floor() for x in m], dtype=wp.float64)
@@ -179,13 +185,14 @@ class RodSolver:
             setattr(w, name, wp.array(rest, dtype=wp.vec3d))
         for name in ("q", "q_start", "q_try", "q_keep"):
             setattr(w, name, wp.array(turn, dtype=wp.quatd))
-        for name in ("active", "order", "strained"):
+        for name in ("active", "order", "strained", "first", "many", "stale"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.int32))
+        w.level = wp.zeros((b, max(len(_levels(m)[1]) for m in self.models) + 1), dtype=wp.int32)
         for name in ("rider", "clear", "room"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.float64))
-        for name in ("g", "elastic", "step"):
+        for name in ("g", "g_on", "g_up", "elastic", "elastic_up", "right", "right_on", "right_up", "held", "step"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_vectord))
-        for name in ("own", "mixed", "diagonal", "coupling", "across"):
+        for name in ("own", "own_up", "mixed", "diagonal", "diagonal_on", "diagonal_up", "coupling", "across", "passed"):
             setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_matrixd))
         w.mid = wp.zeros((b, n), dtype=wp.quatd)
         for name in ("stretch", "half_turn", "rate", "relative"):
@@ -198,6 +205,10 @@ class RodSolver:
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.vec3d))
         for name in ("gap0", "tau", "depth"):
             setattr(w, name, wp.zeros((2, b, room), dtype=wp.float64))
+        for name in ("arm_p", "arm_c", "rub_p", "rub_c", "fn", "ft", "slid", "out_f", "out_m"):
+            setattr(w, name, wp.zeros((b, room), dtype=wp.vec3d))
+        for name in ("hn", "ht", "hc"):
+            setattr(w, name, wp.zeros((b, room), dtype=wp.mat33d))
         w.count = wp.zeros((2, b), dtype=wp.int32)
         w.side, w.next, w.ended = (wp.zeros(b, dtype=wp.int32) for _ in range(3))
         return w
@@ -221,6 +232,26 @@ class RodSolver:
             array[~solved] = np.nan
         return RodFrames(done, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0], np.where(solved, out.iterations.numpy(), 0), floats[1], floats[2],
                          np.where(solved, out.contacts.numpy(), 0), floats[3], np.where(solved, gap / size, np.nan), out.x.numpy() if keep_nodes else None, out.q.numpy() if keep_nodes else None)
+
+
+def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
+    """The highest child of each node, and the next lower one of the same parent (n,); -1 for none."""
+    parent = model.plant.parent
+    child, following = np.full(len(parent), -1), np.full(len(parent), -1)
+    for i in range(1, len(parent)):
+        following[i] = child[parent[i]]
+        child[parent[i]] = i
+    return child, following
+
+
+def _levels(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
+    """The nodes by their number of segments from the root (n,), and the first of each number in this order, and the end (levels + 1,)."""
+    parent = model.plant.parent
+    depth = np.zeros(len(parent), int)
+    for i in range(1, len(parent)):
+        depth[i] = depth[parent[i]] + 1
+    rank = np.argsort(depth, kind="stable")
+    return rank, np.searchsorted(depth[rank], np.arange(depth.max() + 2))
 
 
 def _make_results(t: int, b: int, k: int, n: int) -> Results:

@@ -13,7 +13,7 @@ comes into contact within the step sticks where its straight way met the surface
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.segment import HALF, ONE, ZERO, mat33, quat, real, vec3
+from vsfsim.physics.rods.segment import HALF, ONE, ZERO, quat, real, vec3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
@@ -120,36 +120,38 @@ def turn_hessian(f: vec3, lever: vec3):
     return HALF * (wp.outer(f, lever) + wp.outer(lever, f)) - wp.dot(f, lever) * wp.identity(n=3, dtype=real)
 
 
-@wp.func
-def add_point(h: mat33, lp: vec3, lc: vec3, s: real, row: int, column: int):
-    """Blocks of J^T h J for a point with levers ``lp``, ``lc`` from its nodes: row, column 0 parent, 1 child; four 3 x 3 blocks as a 6 x 6."""
-    wr = ONE - s
-    lr = lp
-    if row == 1:
-        wr = s
-        lr = lc
-    wc = ONE - s
-    lcol = lp
-    if column == 1:
-        wc = s
-        lcol = lc
-    return add_mixed(h, lr, lcol, wr * wc)
+@wp.func_native(snippet="""
+    // J_r^T h J_c with J = (I, -[lever]) for a point that moves with a node: rows (h; [r] h), columns (. , -. [c])
+    wp::mat_t<6, 6, double> out = to;
+    double top[3][6];
+    for (int i = 0; i < 3; ++i) {
+        const double a = weight * h.data[i][0], b = weight * h.data[i][1], c = weight * h.data[i][2];
+        top[i][0] = a; top[i][1] = b; top[i][2] = c;
+        top[i][3] = column[1] * c - column[2] * b;
+        top[i][4] = column[2] * a - column[0] * c;
+        top[i][5] = column[0] * b - column[1] * a;
+    }
+    for (int j = 0; j < 6; ++j) {
+        for (int i = 0; i < 3; ++i)
+            out.data[i][j] += top[i][j];
+        out.data[3][j] += row[1] * top[2][j] - row[2] * top[1][j];
+        out.data[4][j] += row[2] * top[0][j] - row[0] * top[2][j];
+        out.data[5][j] += row[0] * top[1][j] - row[1] * top[0][j];
+    }
+    return out;
+""")
+def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.vec3d, weight: wp.float64) -> wp.spatial_matrixd:
+    """``to`` and J_r^T h J_c for points that move with nodes by the levers ``row`` and ``column``: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
+    ...
 
 
-@wp.func(inline=False)
-def add_mixed(h: mat33, row_lever: vec3, column_lever: vec3, weight: real):
-    """J_r^T h J_c for points that move with nodes by the levers given: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
-    jr = wp.skew(row_lever)  # J^T of a spin: (-[l])^T = [l]
-    jc = -wp.skew(column_lever)
-    tl = weight * h
-    tr = tl * jc
-    bl = jr * tl
-    br = jr * tr
-    out = wp.spatial_matrixd()
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = tl[i, j]
-            out[i, j + 3] = tr[i, j]
-            out[i + 3, j] = bl[i, j]
-            out[i + 3, j + 3] = br[i, j]
-    return out
+@wp.func_native(snippet="""
+    wp::mat_t<6, 6, double> out = to;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+            out.data[i + 3][j + 3] += weight * h.data[i][j];
+    return out;
+""")
+def plus_spin(to: wp.spatial_matrixd, h: wp.mat33d, weight: wp.float64) -> wp.spatial_matrixd:
+    """``to`` and a 3 x 3 block by the spins of its node, times ``weight``."""
+    ...
