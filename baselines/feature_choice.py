@@ -1,7 +1,7 @@
 """Which features and noise SBML should take, from training objects alone: `vsfsim bench features`.
 
 Leave-some-out over the training split of a task's dataset: the prior is learned on the other folds and asked for the forces of touches of
-the objects left out, after 0 touches and after half of theirs. Test objects are not opened; but for `on_test`, the one look at them after everything was chosen.
+the objects left out, after 0 touches and of each half of their touches after the other half. Test objects are not opened; but for `on_test`, the one look at them after everything was chosen.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from vsfsim.data.dataset import Dataset
 
 @dataclass(frozen=True)
 class Choice:
-    """One variant. zero, half: mean root mean square error over the touches asked, after 0 touches and after half of an object's [task's unit]; difference: to the first
+    """One variant. zero, half: mean root mean square error over an object's touches, after none and after its other half [task's unit]; difference: to the first
     variant's, mean over objects, at zero and half; spread: its standard error."""
 
     name: str
@@ -56,6 +56,8 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     rounds = [list(range(len(learned), len(names)))] if on_test else [list(range(fold, len(names), folds)) for fold in range(folds)]
     views = [dataset.blind().load(name) for name in names]
     specimens, recordings = [specimen(view, task) for view in views], [record(view, task) for view in views]
+    # Particles, rows and features are those of the object, whatever is learned from them: made once for all variants.
+    first_of: dict[float, Sbml] = {}
     variants: list[tuple[str, Callable[[int], object]]] = [("gaussian", lambda seed: GaussianAverage())]
     for feature in features:
         for noise in noises:
@@ -67,6 +69,8 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
                 progress(f"{name}, {len(names) - len(out)} objects to learn from, {len(out)} to ask, {fold + 1} of {len(rounds)}")
             for seed in range(seeds):
                 method = make(seed)
+                if isinstance(method, Sbml):
+                    method.share(first_of.setdefault(method.noise_std, method))
                 method.meta_fit([s for i, s in enumerate(specimens) if i not in out])
                 for i in out:
                     errors[k, i] += np.array(_asked(method, views[i].view, recordings[i])) / seeds
@@ -86,13 +90,13 @@ def table(rows: Sequence[Choice], unit: str, *, on_test: bool = False) -> str:
 
 
 def _asked(method, view, recording) -> tuple[float, float]:
-    """Errors on every second touch: without any, and after the others."""
+    """Errors on all touches: without any, and each half after the other."""
     usable = [i for i, r in enumerate(recording.readings) if r.valid.any()]
-    support, query = usable[::2], usable[1::2]
-    out = []
-    for seen in ([], support):
-        method.adapt(view, [recording.readings[i] for i in seen])
-        answer = method.predict([recording.readings[i].action for i in query])
-        rows = [touch_errors(a, recording.clean[i], recording.readings[i].valid) for a, i in zip(answer, query)]
-        out.append(float(np.mean([np.sqrt(row["sse"] / row["n"]) for row in rows])))
-    return tuple(out)
+    zero, half = [], []
+    for support, query in ((usable[::2], usable[1::2]), (usable[1::2], usable[::2])):
+        for seen, errors in (([], zero), (support, half)):
+            method.adapt(view, [recording.readings[i] for i in seen])
+            answer = method.predict([recording.readings[i].action for i in query])
+            rows = [touch_errors(a, recording.clean[i], recording.readings[i].valid) for a, i in zip(answer, query)]
+            errors += [float(np.sqrt(row["sse"] / row["n"])) for row in rows]
+    return float(np.mean(zero)), float(np.mean(half))

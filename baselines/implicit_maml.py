@@ -10,7 +10,8 @@ and the gradient of its query loss with respect to theta is, by the implicit fun
 
 solved by a few steps of conjugate gradients. The Hessian is divided by lambda + damping, as the authors' code does: far from the inner minimum
 it need not be positive, and damping keeps the system so. All tasks of an outer step are one batch: their parameters carry a
-leading task axis.
+leading task axis. Gradients and products with the Hessian are written out (backpropagation, and Pearlmutter's forward pass over it, 1994), a matrix product a
+layer: the networks are so small that automatic differentiation would cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from dataclasses import dataclass
 import torch
 
 Parameters = list[torch.Tensor]
+# Part of the right side that conjugate gradients need not go below.
+_EXACT = 1e-10
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,115 @@ class Network:
         error = ((self(parameters, batch.x, batch.token) - batch.y) ** 2).mean(dim=2)
         return (error * batch.weight).sum(dim=1) / batch.weight.sum(dim=1).clamp_min(1.0)
 
+    def gradient(self, parameters: Parameters, batch: Batch) -> Parameters:
+        """Gradient of every task's loss with respect to its own parameters (each with a leading task axis)."""
+        return self._pass(parameters, batch).gradient
+
+    def curvature(self, parameters: Parameters, batch: Batch) -> Curvature:
+        """The Hessian of every task's loss, as products with vectors."""
+        return Curvature(self, parameters, self._pass(parameters, batch))
+
+    def _pass(self, parameters: Parameters, batch: Batch) -> _Pass:
+        own, rest = parameters[:2 * self.split], parameters[2 * self.split:]
+        x, code = batch.x, None
+        if self.split:
+            code = _forward(own, batch.token[:, None])
+            x = torch.cat([x, code[-1].expand(-1, x.shape[1], -1)], dim=2)
+        layers = _forward(rest, x)
+        share = (2.0 / batch.y.shape[2]) * (batch.weight / batch.weight.sum(dim=1, keepdim=True).clamp_min(1.0))[:, :, None]
+        gradient, errors = _backward(rest, layers, share * (layers[-1] - batch.y))
+        code_errors: Parameters = []
+        if self.split:
+            into = torch.bmm(errors[0], rest[0][:, batch.x.shape[2]:].transpose(1, 2)).sum(dim=1, keepdim=True)
+            first, code_errors = _backward(own, code, into)
+            gradient = first + gradient
+        return _Pass(layers, errors, code or [], code_errors, share, batch.x.shape[2], gradient)
+
+
+@dataclass(frozen=True)
+class _Pass:
+    """What a product with the Hessian needs of a forward and a backward pass. layers: the input of each layer, and the output (B, R, width). errors: the loss's
+    gradient with respect to each layer's output before its ReLU. code, code_errors: the same of the token's perceptron, or empty. share: second derivative of the loss
+    by the network's output (B, R, 1). inputs: numbers of the action. gradient: with respect to the parameters."""
+
+    layers: Parameters
+    errors: Parameters
+    code: Parameters
+    code_errors: Parameters
+    share: torch.Tensor
+    inputs: int
+    gradient: Parameters
+
+
+class Curvature:
+    """The Hessian of the loss at some parameters; ``at @ v`` is its product with v, task by task. A ReLU has no curvature of its own."""
+
+    def __init__(self, network: Network, parameters: Parameters, at: _Pass):
+        self._split, self._at = 2 * network.split, at
+        self._own, self._rest = parameters[:self._split], parameters[self._split:]
+
+    def __matmul__(self, v: Parameters) -> Parameters:
+        at, own, rest = self._at, v[:self._split], v[self._split:]
+        change = None
+        if self._split:
+            moved = _forward_change(self._own, own, at.code, None)
+            change = torch.cat([torch.zeros_like(at.layers[0][:, :, :at.inputs]), moved[-1].expand(-1, at.layers[0].shape[1], -1)], dim=2)
+        layers = _forward_change(self._rest, rest, at.layers, change)
+        out, errors = _backward_change(self._rest, rest, at.layers, layers, at.errors, at.share * layers[-1])
+        if self._split:
+            into = torch.bmm(errors[0], self._rest[0][:, at.inputs:].transpose(1, 2)) + torch.bmm(at.errors[0], rest[0][:, at.inputs:].transpose(1, 2))
+            out = _backward_change(self._own, own, at.code, moved, at.code_errors, into.sum(dim=1, keepdim=True))[0] + out
+        return out
+
+
+def _forward(parameters: Parameters, x: torch.Tensor) -> Parameters:
+    """The input of every layer, and the output (each (B, R, width))."""
+    out = [x]
+    for i in range(0, len(parameters), 2):
+        x = torch.baddbmm(parameters[i + 1], x, parameters[i])
+        if i + 2 < len(parameters):
+            x = x.clamp_min_(0.0)
+        out.append(x)
+    return out
+
+
+def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -> tuple[Parameters, Parameters]:
+    """Gradient with respect to the parameters, and to every layer's output before its ReLU, from that of the last one."""
+    gradient, errors = [torch.empty(0)] * len(parameters), [error]
+    for i in range(len(parameters) - 2, -1, -2):
+        x = layers[i // 2]
+        gradient[i], gradient[i + 1] = torch.bmm(x.transpose(1, 2), error), error.sum(dim=1, keepdim=True)
+        if i:
+            error = torch.bmm(error, parameters[i].transpose(1, 2)) * (x > 0.0)
+            errors.insert(0, error)
+    return gradient, errors
+
+
+def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters, change: torch.Tensor | None) -> Parameters:
+    """How `layers` change along ``v``; ``change``: of the input, None if it stays."""
+    out = [torch.zeros_like(layers[0]) if change is None else change]
+    for i in range(0, len(parameters), 2):
+        after = torch.baddbmm(v[i + 1], layers[i // 2], v[i])
+        if change is not None:
+            after = torch.baddbmm(after, change, parameters[i])
+        change = after * (layers[i // 2 + 1] > 0.0) if i + 2 < len(parameters) else after
+        out.append(change)
+    return out
+
+
+def _backward_change(parameters: Parameters, v: Parameters, layers: Parameters, moved: Parameters, errors: Parameters,
+                     change: torch.Tensor) -> tuple[Parameters, Parameters]:
+    """How what `_backward` gives changes along ``v``, from the change of the last error."""
+    out, changes = [torch.empty(0)] * len(parameters), [change]
+    for i in range(len(parameters) - 2, -1, -2):
+        k = i // 2
+        out[i] = torch.baddbmm(torch.bmm(layers[k].transpose(1, 2), change), moved[k].transpose(1, 2), errors[k])
+        out[i + 1] = change.sum(dim=1, keepdim=True)
+        if i:
+            change = torch.baddbmm(torch.bmm(change, parameters[i].transpose(1, 2)), errors[k], v[i].transpose(1, 2)) * (layers[k] > 0.0)
+            changes.insert(0, change)
+    return out, changes
+
 
 def _perceptron(parameters: Parameters, x: torch.Tensor) -> torch.Tensor:
     for i in range(0, len(parameters), 2):
@@ -92,30 +204,24 @@ def adapt(network: Network, theta: Parameters, batch: Batch, *, rate: float, ste
         return phi
     anchor = [p.detach() for p in theta]
     for _ in range(steps):
-        for p in phi:
-            p.requires_grad_(True)
-        gradient = torch.autograd.grad(network.loss(phi, batch).sum(), phi)
-        phi = [(p - rate * (g + regularisation * (p - a))).detach() for p, g, a in zip(phi, gradient, anchor)]
+        gradient = network.gradient(phi, batch)
+        phi = [torch.lerp(p, a, rate * regularisation).sub_(g, alpha=rate) for p, g, a in zip(phi, gradient, anchor)]
     return phi
 
 
 def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: Batch, *, regularisation: float, damping: float = 0.0,
                       cg_steps: int = 10) -> tuple[Parameters, torch.Tensor]:
     """Gradient of every task's query loss with respect to theta (each (B, ...)), and those losses (B,)."""
-    phi = [p.detach().requires_grad_(True) for p in phi]
-    loss = network.loss(phi, query)
-    right = torch.autograd.grad(loss.sum(), phi)
-    inner = torch.autograd.grad(network.loss(phi, support).sum(), phi, create_graph=True)
+    hessian = network.curvature(phi, support)
 
     def apply(v: Parameters) -> Parameters:
-        product = torch.autograd.grad(sum((g * d).sum() for g, d in zip(inner, v)), phi, retain_graph=True, allow_unused=True)
-        return [d + (torch.zeros_like(d) if h is None else h) / (regularisation + damping) for d, h in zip(v, product)]
+        return [d + h / (regularisation + damping) for d, h in zip(v, hessian @ v)]
 
-    return _conjugate_gradients(apply, list(right), cg_steps), loss.detach()
+    return _conjugate_gradients(apply, network.gradient(phi, query), cg_steps), network.loss(phi, query)
 
 
 def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
-    """Solve A x = right for every task by itself."""
+    """Solve A x = right for every task by itself, in so many steps at most: with the papers' damping four are enough to leave 1e-10 of it."""
     def dot(a: Parameters, b: Parameters) -> torch.Tensor:
         return sum((x * y).flatten(1).sum(dim=1) for x, y in zip(a, b))
 
@@ -125,7 +231,10 @@ def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
     x = [torch.zeros_like(r) for r in right]
     residual, direction = [r.clone() for r in right], [r.clone() for r in right]
     size = dot(residual, residual)
+    enough = _EXACT**2 * size
     for _ in range(steps):
+        if bool((size <= enough).all()):
+            break
         image = apply(direction)
         curvature = dot(direction, image)
         # A task that is solved, or whose curvature turned negative, stays where it is.

@@ -54,11 +54,10 @@ class Sbml:
             raise MethodError(f"sbml: validation is {validation!r}; it must be a fraction from 0 to under 1.")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
-        self.validation, self.fit_std, self.device = validation, fit_std, device
+        self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
         self._shelf = ObjectShelf(self._settings)
-        self._raw: dict[int, np.ndarray] = {}  # by object on the shelf, which keeps them alive
-        self._priors: dict[int, GaussianPrior] = {}
+        self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
         self._network = None
 
@@ -97,6 +96,10 @@ class Sbml:
             self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
         self._view = view
         self._posterior = Posterior.under(model, support, self._priors[id(model)])
+
+    def share(self, other: Sbml) -> None:
+        """Take up the particles, rows and features that ``other``, of the same settings, has made."""
+        self._shelf = other._shelf
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet."""
@@ -155,9 +158,10 @@ class Sbml:
             return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout, output=self.output).to(self.device)
 
     def _features(self, model: VsfObject, view: View) -> np.ndarray:
-        if id(model) not in self._raw:
-            self._raw[id(model)] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
-        return self._raw[id(model)]
+        key = f"{self.features} {self.weights}"
+        if key not in model.features:
+            model.features[key] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
+        return model.features[key]
 
     def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
         import torch

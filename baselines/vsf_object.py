@@ -57,13 +57,14 @@ class VsfObject:
     """The particles of one object.
 
     particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action; skins: rows and values of
-    touches with a skin. Both are filled on demand.
+    touches with a skin; features: of the particles, by kind. All are filled on demand.
     """
 
     particles: np.ndarray
     settings: VsfSettings
     rows: dict[bytes, sparse.csr_matrix] = field(default_factory=dict)
     skins: dict[bytes, tuple[sparse.csr_matrix, np.ndarray]] = field(default_factory=dict)
+    features: dict[str, np.ndarray] = field(default_factory=dict)
 
     @classmethod
     def behind(cls, view: View, settings: VsfSettings) -> VsfObject:

@@ -7,7 +7,7 @@ stiffer), chosen so that the parts span 1e4 to 1e7 Pa as SBML reports for its sh
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,6 +67,13 @@ TEXTURED: dict[str, MaterialClass] = {
     "leather": MaterialClass((1.2e6, 4e6), COLOURWAYS, "grain", (0.008, 0.014), (0.10, 0.18)),
     "plastic": MaterialClass((4e6, 1e7), COLOURWAYS, "plain", (0.010, 0.020), (0.00, 0.02)),
     SOLE_MATERIAL: MaterialClass((2e6, 1e7), COLOURWAYS, "stripes", (0.016, 0.024), (0.20, 0.30)),
+}
+# The same looks, but five grades of stiffness, each twice the one before and no more than a fifth wide to either side: forces of a fingertip's press
+# then span some 20 to 1, as those of the papers' shoes do, where `TEXTURED` makes it 250 to 1.
+GRADED: dict[str, MaterialClass] = {
+    **{name: replace(TEXTURED[name], young_modulus=(0.84 * middle, 1.19 * middle))
+       for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5), ("plastic", 1.92e6))},
+    SOLE_MATERIAL: replace(TEXTURED[SOLE_MATERIAL], young_modulus=(2e6, 3e6)),
 }
 
 

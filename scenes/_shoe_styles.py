@@ -86,7 +86,7 @@ class ShoeOptions:
     variation: form values the scene does not give are drawn within this fraction of the style's.
     appearance_informative: probability that a region looks like what it is made of.
     materials: "style", the style's own, whose colours and textures tell them; or "any", the parts but the sole of mostly one class of
-    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it.
+    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it; or "graded", the same with the moduli of `_materials.GRADED`.
     """
 
     style: str
@@ -111,7 +111,7 @@ def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, whe
         _word(parameters, "side", "right", ("left", "right"), where),
         _number(parameters, "variation", 0.05, 0.0, 0.3, where),
         _number(parameters, "appearance_informative", 0.8, 0.0, 1.0, where),
-        _word(parameters, "materials", "style", ("style", "any"), where),
+        _word(parameters, "materials", "style", ("style", "any", "graded"), where),
     )
     usual = STYLES[options.style].form
     form = {}

@@ -20,7 +20,15 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.solid import Solid
 from vsfsim.scenes._diagonals import improve_rank
-from vsfsim.scenes._materials import CLASSES, SOLE_MATERIAL, TEXTURED, draw_appearance, draw_modulus
+from vsfsim.scenes._materials import (
+    CLASSES,
+    GRADED,
+    SOLE_MATERIAL,
+    TEXTURED,
+    MaterialClass,
+    draw_appearance,
+    draw_modulus,
+)
 from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
@@ -58,8 +66,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     # Left and right differ in the bend only; mirroring the grid would turn its cells inside out.
     vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
     tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
-    table = CLASSES if options.materials == "style" else TEXTURED
-    young_modulus, classes = _moduli(STYLES[options.style].materials if table is CLASSES else None, rng)
+    table = {"style": CLASSES, "any": TEXTURED, "graded": GRADED}[options.materials]
+    young_modulus, classes = _moduli(STYLES[options.style].materials if table is CLASSES else None, rng, table=table)
     look = draw_appearance(classes, young_modulus, options.appearance_informative, rng, table=table)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices -= [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]
@@ -68,11 +76,10 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
                  (f"{options.style}, {options.side}: {made_of}.",))
 
 
-def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator) -> tuple[np.ndarray, list[str]]:
-    """Young's modulus [Pa] and class of every region; without ``materials`` all parts but the sole are of one textured class, now and
+def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator, *, table: Mapping[str, MaterialClass] = CLASSES) -> tuple[np.ndarray, list[str]]:
+    """Young's modulus [Pa] and class of ``table`` of every region; without ``materials`` all parts but the sole are of one class, now and
     then a part of another."""
-    table = CLASSES if materials else TEXTURED
-    upper = tuple(name for name in TEXTURED if name != SOLE_MATERIAL)
+    upper = tuple(name for name in table if name != SOLE_MATERIAL)
     most = upper[int(rng.integers(len(upper)))] if not materials else ""
     classes, values = [], []
     for region in REGIONS:

@@ -61,7 +61,7 @@ def test_an_object_of_one_particle(name, world):
     method = fitted(name, train)
     model = method._shelf.get(view)
     model.particles = model.particles[np.argmin(np.linalg.norm(model.particles - [0.0, 0.0, 0.03], axis=1))][None]
-    for kept in (model.rows, getattr(method, "_raw", {}), getattr(method, "_priors", {})):
+    for kept in (model.rows, model.features, getattr(method, "_priors", {})):
         kept.clear()  # mock objects look alike: the training objects were this model, too
     method.adapt(view, [])
     before = method.predict([recording.readings[4].action])[0]

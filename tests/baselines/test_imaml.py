@@ -46,6 +46,19 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
         torch.testing.assert_close(gradient[index][(slice(None), *at)], (ends[0] - ends[1]) / 2e-5, rtol=1e-4, atol=1e-8)
 
 
+@pytest.mark.parametrize("token", [0, 3])
+def test_the_written_out_derivatives_are_those_of_automatic_differentiation(token):
+    network, b = Network(2, 1, token=token, hidden=(5, 6), encoder=(4, 2)), batch(1, token=token)
+    g = torch.Generator().manual_seed(3)
+    phi = [p + 0.3 * torch.randn(p.shape, generator=g, dtype=torch.float64) for p in spread(network.start(g), 2)]
+    v = [torch.randn(p.shape, generator=g, dtype=torch.float64) for p in phi]
+    leaves = [p.clone().requires_grad_(True) for p in phi]
+    expected = torch.autograd.grad(network.loss(leaves, b).sum(), leaves, create_graph=True)
+    torch.testing.assert_close(network.gradient(phi, b), [p.detach() for p in expected])
+    product = torch.autograd.grad(sum((x * d).sum() for x, d in zip(expected, v)), leaves)
+    torch.testing.assert_close(network.curvature(phi, b) @ v, list(product))
+
+
 def test_tasks_in_a_batch_do_not_feel_each_other_nor_the_padding():
     network = Network(2, 1, token=3, hidden=(5,), encoder=(4, 2))
     theta = network.start(torch.Generator().manual_seed(0))
