@@ -4,6 +4,7 @@ import dataclasses
 import os
 import subprocess
 import sys
+import time
 
 import numpy as np
 import pytest
@@ -109,6 +110,32 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
     assert view.truth.vsf_touched.any() and np.isfinite(view.truth.vsf_stiffness).all()
 
 
+@pytest.mark.slow
+def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
+    """Two views: made in one go by one worker, by two, and killed when the first file is there and started again."""
+    (tmp_path / "felt.toml").write_text(SCENE.replace("objects = 1", "objects = 2").replace("test = 1", "train = 1, test = 1"))
+
+    def generate(out, workers):
+        done = command("generate", "felt.toml", "--out", out, "--workers", workers, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        return {p.name: p.read_bytes() for p in sorted((tmp_path / out).iterdir())}
+
+    one = generate("one", 1)
+    assert sum(name.endswith(".h5") for name in one) == 2
+    assert generate("two", 2) == one
+    words = [sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "generate", "felt.toml", "--out", "killed", "--workers", "1"]
+    process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    began = time.perf_counter()
+    while process.poll() is None and not list(tmp_path.glob("killed/*.h5")):
+        assert time.perf_counter() - began < 300.0
+        time.sleep(0.005)
+    process.kill()
+    process.wait()
+    left = {p.name for p in (tmp_path / "killed").glob("*.h5")}
+    assert 1 <= len(left) <= 2
+    assert generate("killed", 2) == one and verify(tmp_path / "killed").ok
+
+
 def test_a_read_out_that_loses_force_is_found(made):
     touch = Dataset.open(made).load("felt-0000-v0").touches[0]
     assert skin_loss(touch) is None and skin_loss(dataclasses.replace(touch, node_force=None)) is None
@@ -156,6 +183,27 @@ def test_first_contact_is_where_the_dome_meets_the_body():
     flank = dome.heights((np.array([[0.03, 0.0, 0.0]]) @ turn)[:, :2])[0]
     assert touch_bubble.first_contact(dome, post, np.zeros(3), down)[2] == pytest.approx(0.02 + flank, abs=1e-9)
     assert 0.02 + flank > dome.height
+
+
+def test_tilted_directions_fill_a_cone_and_a_dome_that_comes_in_so_touches_with_its_flank():
+    rng = np.random.default_rng(0)
+    axis = np.array([0.6, 0.0, -0.8])
+    drawn = np.array([touch_bubble.tilted(axis, 0.5, rng) for _ in range(2000)])
+    assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0)
+    cosine = drawn @ axis
+    # even by solid angle: cosines are uniform from cos 0.5 to 1, of standard error (1 - cos 0.5) / sqrt(12 * 2000) = 8e-4; sideways they cancel
+    assert cosine.min() >= np.cos(0.5) and cosine.mean() == pytest.approx(0.5 * (1.0 + np.cos(0.5)), abs=4e-3)
+    assert np.abs((drawn - cosine[:, None] * axis).mean(axis=0)).max() < 0.03
+    scene = parse_scene(SCENE.replace("approach = 0.005", "approach = 0.005\ntilt = 0.4"), "felt.toml").sample(0)
+    sensor = build_bubble(scene.sensor)
+    grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 41), np.linspace(-0.1, 0.1, 41)), axis=-1).reshape(-1, 2)
+    body = type("M", (), {"mesh": type("K", (), {"points": np.column_stack([grid, np.full(len(grid), 0.04)]), "faces": np.array([[0, 1, 42]])})()})()
+    view = type("V", (), {"points": lambda self: body.mesh.points, "camera_pose": np.diag([1.0, -1.0, -1.0, 1.0]) + np.pad([[1.0]], ((2, 1), (3, 0)))})()
+    aims = touch_bubble.aim(scene, dataclasses.replace(scene.touches, count=20), body, sensor, view, lambda k: np.random.default_rng(k))
+    tilts = np.arccos([-a.axis[2] for a in aims])
+    assert tilts.max() > 0.3 and (tilts < 0.4 + 1e-9).all()
+    # the apex never reaches its target first: on a flat top a tilted dome stands on its flank
+    assert all((a.target - a.contact) @ a.axis > touch_bubble.dome_of(sensor).height - 1e-9 for a in aims)
 
 
 def test_the_force_limit_of_a_flat_wall():
@@ -208,6 +256,8 @@ def test_a_tier_is_chosen_that_bends(made):
     ("camera = [16, 12]", "camera = 1", "camera is 1; it must be true"),
     ("fine = true", "fine = 1", r"\[sensor\]: fine is 1; it must be true"),
     ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
+    ("approach = 0.005", "approach = 0.005\ntilt = 1.3", r"\[touches\]: tilt is 1.3"),
+    ("[sensor]\nkind = \"bubble\"\nnodes = 100\nfine = true\ncamera = [16, 12]\n[touches]", "[probe]\nshape = { sphere = 0.02 }\n[touches]\ntilt = 0.2", "there is no .sensor.; a rigid probe"),
     ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
     ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]", r"this scene has \[\[obstacles\]\]"),
 ])

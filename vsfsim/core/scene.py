@@ -68,7 +68,8 @@ class TouchSpec:
     count: touches a view. depth: how far the probe goes past first contact [m].
     approach: clearance between the probe and the target point at the start [m].
     force_limit: the press stops short where the rest state's linear response passes this force [N]; a bubble, where a flat rigid wall would.
-    frames: (free, in, hold, out) readings in each phase.
+    frames: (free, in, hold, out) readings in each phase. tilt: a bubble comes in along a direction drawn from the cone of this half angle about the normal that is
+    seen [rad], so that its flanks touch, too; 0 for the normal itself.
     """
 
     count: int
@@ -76,6 +77,7 @@ class TouchSpec:
     approach: float
     force_limit: float
     frames: tuple[int, int, int, int]
+    tilt: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -270,6 +272,8 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     if "object" not in tree and (sensor is None or not tree.get("obstacles")):
         raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None else ", or a [sensor] and [[obstacles]] for it to press on."))
+    if sensor is None and isinstance(tree.get("touches"), Mapping) and tree["touches"].get("tilt"):
+        raise SceneError(f"{path} [touches]: tilt is {tree['touches']['tilt']!r}, but there is no [sensor]; a rigid probe comes in along the normal. Take tilt out.")
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. Add it, or use [press] on the [[obstacles]].")
     if sensor is not None and "arm" in tree:
@@ -341,13 +345,13 @@ def _object(node: Any, path: Path) -> ObjectSpec:
 
 
 def _touches(node: Any, path: Path) -> TouchSpec:
-    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames"))
+    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt"))
     where = f"{path} [touches] frames"
     f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000), f.count("out", 3, 0, 1000))
     return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
                      t.number("approach", 0.01, 1e-4, 0.5, "m"),
-                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames)
+                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"))
 
 
 def _camera(node: Any, path: Path) -> CameraSpec:

@@ -1,7 +1,7 @@
 """Touches of one object view by an air-filled bubble: where its mount aims, how far it goes, and what both bodies answer.
 
-As the rigid probe's (`touch.py`): the mount comes in along the normal that the camera sees, its +z leading. The apex of the free dome points at the
-target; depth counts from where the dome, undented, first meets the object at rest, which may be beside the apex.
+As the rigid probe's (`touch.py`): the mount comes in along the normal that the camera sees, its +z leading, or tilted from it. The apex of the free dome points at
+the target; depth counts from where the dome, undented, first meets the object at rest, which may be beside the apex.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def dome_of(model: BubbleModel) -> Dome:
 
 
 def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: View, stream: Callable[[int], np.random.Generator]) -> list[Aim]:
-    """Draw the touches of a view: uniform on the visible cloud, along its normal.
+    """Draw the touches of a view: uniform on the visible cloud, along its normal or tilted from it.
 
     Targets that the dome cannot reach are drawn again: another part of the object is more than `_BLOCKED` in the way, or the table (z < 0) is.
 
@@ -96,14 +96,23 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: 
         for _ in range(200):
             target = cloud[rng.integers(len(cloud))]
             normal = cloud_normals(cloud, target[None], eye)[0]
-            contact = first_contact(dome, samples, target, -normal)
-            if _reachable(dome, contact, target, -normal, depth, spec.approach):
-                out.append(Aim(target, normal, -normal, contact, depth))
+            axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
+            contact = first_contact(dome, samples, target, axis)
+            if _reachable(dome, contact, target, axis, depth, spec.approach):
+                out.append(Aim(target, normal, axis, contact, depth))
                 break
         else:
             raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached by the [sensor] without meeting the table or another part first; "
                              "use a smaller bubble, approach or depth, or an object with more free surface.")
     return out
+
+
+def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:
+    """A direction (3,) drawn evenly, by solid angle, from the cone of half angle ``most`` [rad] about a unit ``axis`` (3,)."""
+    height = 1.0 - rng.random() * (1.0 - np.cos(most))
+    turn = 2.0 * np.pi * rng.random()
+    side = turn_to(axis, _LEADS)[:, :2] @ [np.cos(turn), np.sin(turn)]
+    return height * axis + np.sqrt(max(0.0, 1.0 - height**2)) * side
 
 
 def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.ndarray) -> np.ndarray:
