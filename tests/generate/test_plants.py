@@ -22,6 +22,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
+from vsfsim.generate import bench_arm
 from vsfsim.generate.bench_plants import bench, table
 from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
@@ -310,3 +311,21 @@ def test_a_sweep_through_the_whole_crown(step, device):
     assert frames.converged.mean() > 0.8 and frames.contacts.max() >= (4 if step > 0.001 else 1)
     if step > 0.001:
         assert frames.converged[-1, 0] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
+
+
+@pytest.mark.slow
+def test_bench_arm_tells_what_the_dynamic_arm_reads_beside_the_kinematic_one(scene_file, tmp_path):
+    """The difference is the sum of its parts (friction, inertia, lag) joint by joint, and the soft drive leaves the path further than the stiff one."""
+    path = tmp_path / "small.toml"
+    path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
+    found = bench_arm.bench(device="cpu", scene=str(path), touches=2, progress=lambda what: None)
+    stiff, soft = found["rows"]
+    assert (stiff["drive"], soft["drive"]) == ("position", "impedance") and stiff["touches"] == soft["touches"] > 0
+    assert np.array_equal(stiff["kinematic_rms"], soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01 and soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
+    for row in found["rows"]:
+        parts = np.array([row[part] for part in ("friction", "inertia", "lag")])
+        # rms of a sum: at most the sum of the rms (Minkowski), and no less than the largest less the others
+        whole = np.array(row["rms"])
+        assert (whole <= parts.sum(axis=0) + 1e-9).all() and (whole >= 2 * parts.max(axis=0) - parts.sum(axis=0) - 1e-9).all() and (whole > 0.0).any()
+    printed = bench_arm.table(found)
+    assert "position drive" in printed and "impedance drive" in printed and f"{stiff['rms'][0]:.3f}" in printed

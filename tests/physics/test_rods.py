@@ -121,7 +121,10 @@ def test_moduli_from_1e4_to_1e11_in_one_plant(device):
     solver = RodSolver([build(body)], [Capsule(0.03, 0.2)], device=device)
     frames = solver.run(np.zeros(3, int), poses, friction=0.4, keep_nodes=True)
     assert finite(frames)
-    assert ((frames.reason > 0) == ~frames.converged).all() and frames.converged.mean() > 0.8
+    # one touch drives the link into segments as thick as an arm of 1e11 Pa, which do not give way: 1e8 N, and what is deeper inside than 1 mm is no reading
+    astray = frames.reason == Reason.ASTRAY
+    assert ((frames.reason > 0) == ~frames.converged).all() and (frames.converged | astray).mean() > 0.8 and frames.converged.mean() > 0.7
+    assert frames.penetration[frames.converged].max() <= 0.001 and np.linalg.norm(frames.force[astray], axis=-1).max() > 1e6
     print(f"converged {frames.converged.mean():.3f}, reasons {np.unique(frames.reason)}, largest force {np.nanmax(np.abs(frames.force)):.3g} N")
 
 
@@ -162,6 +165,23 @@ def test_a_leaf_pinched_between_two_links(device):
     assert closed[0] > 0.0 > closed[1]
     assert abs(closed.sum()) < 0.02 * np.abs(closed).sum()
     assert frames.penetration[40, 0] < 0.001
+
+
+def test_a_leaf_that_a_link_goes_through_is_marked_until_it_is_free(device):
+    """A thin link that stands in the middle of a blade and is drawn out along its axis: in-plane the blade is stiff, so pushes from all sides balance with the link right through it. Such an equilibrium is no reading."""
+    nodes = np.zeros((6, 3))
+    nodes[:, 0], nodes[:, 2] = [0.0, 0.02, 0.06, 0.10, 0.14, 0.18], 0.2
+    half = np.array([0.0, 0.0, 0.03, 0.03, 0.03, 0.03])
+    body = plant(nodes, np.arange(-1, 5), radius=np.where(half > 0, 0.0003, 0.002), half_width=half, young_modulus=2e7, blade_normal=np.array([0.0, 0.0, 1.0]))
+    poses = np.tile(np.eye(4), (21, 1, 1, 1, 1))
+    poses[:, 0, 0, :3, 3] = [0.1, 0.0, 0.2]
+    poses[:, 0, 0, 2, 3] += np.linspace(0.0, 0.1, 21)
+    frames = touch(body, poses, radius=0.013, length=0.08, device=device)
+    inside = frames.penetration[:, 0] > 0.001
+    # the capsule's round end comes past the blade after 53 mm: until then an equilibrium, found and marked; a last touch of its rim is marked too, as the sides may have changed
+    assert finite(frames) and inside[:9].all() and (frames.residual[:9, 0] < 1e-4).all() and (frames.reason[:9, 0] == Reason.ASTRAY).all()
+    free = frames.contacts[:, 0] == 0
+    assert (frames.converged[:, 0] == free).all() and free[11:].all() and np.abs(frames.nodes[-1, 0] - body.nodes).max() < 1e-12
 
 
 def test_a_touch_ends_before_its_force_limit(device):

@@ -19,6 +19,8 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
 WORK = wp.constant(800)  # Newton iterations that one frame may take, retries included
+DEEP = wp.constant(wp.float64(1e-3))  # m: what is further inside a link may come out on its wrong side
+ASTRAY = wp.constant(6)  # frames.Reason
 
 
 @wp.func
@@ -124,7 +126,7 @@ def settle(tree: Trees, touch: Touches, w: Work, at: Here, side: int, count: int
 
 @wp.func
 def report(tree: Trees, touch: Touches, w: Work, out: Results, at: Here, t: int, side: int, count: int):
-    """Forces on the capsules and the pot, and the audit of a frame. The sum of the contact forces [N]."""
+    """Forces on the capsules and the pot, and the audit of a frame. The sum of the contact forces [N], the deepest penetration [m] and how many samples touch."""
     b = at.b
     o = at.o
     pressed = ZERO
@@ -205,7 +207,7 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, at: Here, t: int,
             out.x[t, b, i] = w.x[b, i]
             out.q[t, b, i] = w.q[b, i]
     meet()
-    return everything
+    return everything, deepest, touching
 
 
 @wp.kernel(enable_backward=False)
@@ -240,6 +242,7 @@ def advance(
     taken = int(0)
     ended = w.ended[b]
     side = w.side[b]
+    astray = w.astray[b]
     for t in range(w.next[b], touch.frames[b]):
         if ended == 0 and taken < share:
             way = capsules_at(touch, w, at, t, ZERO, ONE)
@@ -270,8 +273,15 @@ def advance(
                         settle(tree, touch, w, at, side, count, weighs, wp.where(reason == 0, 1, 0))
                     part = goal
                     h = wp.min(real(2.0) * h, base)
-            pressed = report(tree, touch, w, out, at, t, side, count)
+            pressed, deepest, touching = report(tree, touch, w, out, at, t, side, count)
             taken = taken + used + 1
+            # a frame that failed may leave a leaf in a link, where it can find an equilibrium pierced, or come out on the other side: such frames are marked until nothing touches any more
+            if deepest > DEEP:
+                astray = 1
+            elif touching == 0 and reason == 0:
+                astray = 0
+            if astray == 1 and reason == 0:
+                reason = ASTRAY
             if pressed > touch.force_limit:
                 ended = t + 1  # this frame is not kept
             if at.lane == 0:
@@ -281,4 +291,5 @@ def advance(
                 w.next[b] = t + 1
                 w.ended[b] = ended
                 w.side[b] = side
+                w.astray[b] = astray
             meet()

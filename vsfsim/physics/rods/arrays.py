@@ -89,6 +89,7 @@ class Work:
     Contacts now (B, C): arm_p, arm_c: levers of the sample from its nodes, rub_p, rub_c: of its surface point [m]; fn, ft: gradients of normal and friction energy [N]; slid: way from the anchor [m];
     hn, ht, hc: second derivatives, and that of friction by the normal way [N/m]; out_f, out_m: wrench on the capsule.
     side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
+    astray: 1 since something was deep in a link, until nothing touches (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
@@ -167,6 +168,7 @@ class Work:
     side: wp.array(dtype=wp.int32)
     next: wp.array(dtype=wp.int32)
     ended: wp.array(dtype=wp.int32)
+    astray: wp.array(dtype=wp.int32)
 
 
 @wp.struct

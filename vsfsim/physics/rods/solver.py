@@ -210,7 +210,7 @@ class RodSolver:
         for name in ("hn", "ht", "hc"):
             setattr(w, name, wp.zeros((b, room), dtype=wp.mat33d))
         w.count = wp.zeros((2, b), dtype=wp.int32)
-        w.side, w.next, w.ended = (wp.zeros(b, dtype=wp.int32) for _ in range(3))
+        w.side, w.next, w.ended, w.astray = (wp.zeros(b, dtype=wp.int32) for _ in range(4))
         return w
 
     def _frames(self, out: Results, count: np.ndarray, ended: np.ndarray, plant: np.ndarray, keep_nodes: bool) -> RodFrames:
