@@ -6,13 +6,15 @@ the objects left out, after 0 touches and of each half of their touches after th
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.baselines.sbml import Sbml
+from vsfsim.bench.method import build_method, parameters_of
 from vsfsim.bench.metrics import touch_errors
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import Task
@@ -32,13 +34,13 @@ class Choice:
     spread: tuple[float, float]
 
 
-def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int, seeds: int = 1, epochs: int = 400,
+def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int, seeds: int = 1, settings: Mapping[str, Any] | None = None,
            on_test: bool = False, progress: Callable[[str], None] | None = None) -> list[Choice]:
     """Score variants of SBML, and the naive Gaussian prior, by cross-validation over the training objects.
 
     Args:
         task: what a reading is and its noise. dataset: its training split alone is read. features, noises: all pairs are tried.
-        folds: of the objects. seeds: of each training. epochs: at most. on_test: learn on all training objects and ask the test objects, without folds.
+        folds: of the objects. seeds: of each training. settings: parameters of `Sbml` besides. on_test: learn on all training objects and ask the test objects, without folds.
         progress: called with what is going on.
 
     Raises:
@@ -61,7 +63,7 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     variants: list[tuple[str, Callable[[int], object]]] = [("gaussian", lambda seed: GaussianAverage())]
     for feature in features:
         for noise in noises:
-            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature, n=noise: Sbml(features=f, noise_std=n, seed=seed, epochs=epochs)))
+            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature, n=noise: build_method(Sbml, parameters_of(Sbml, {**(settings or {}), "features": f, "noise_std": n, "seed": seed}))))
     errors = np.zeros((len(variants), len(views), 2))
     for k, (name, make) in enumerate(variants):
         for fold, out in enumerate(rounds):

@@ -36,6 +36,8 @@ class Sbml:
         friction: Coulomb coefficient of the stick-slip motion [-].
         noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq. 15 takes its ten
             readings for independent; 3 N is 1 N times sqrt(10). docs/methods.md has figures.
+        noise_share: of a touch's largest reading, that the particle model errs by besides (in eq. 15 and 16). With 0, the paper's way, stiff objects decide the
+            mean, and it lies far above most objects; docs/studies.md has figures.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
@@ -44,7 +46,7 @@ class Sbml:
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "", seed: int = 0, rate: float = 1e-4,
                  epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus", validation: float = 0.25, spacing: float = 0.005,
-                 friction: float = 0.0, noise_std: float = 3.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
+                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
                  device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
@@ -52,10 +54,12 @@ class Sbml:
             raise MethodError(f"sbml: features are '{features}'. {did_you_mean(features, NAMES)}")
         if not 0.0 <= validation < 1.0:
             raise MethodError(f"sbml: validation is {validation!r}; it must be a fraction from 0 to under 1.")
+        if not (noise_std > 0.0 and noise_share >= 0.0):
+            raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 or greater).")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
-        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
+        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device, noise_share=noise_share)
         self._shelf = ObjectShelf(self._settings)
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None

@@ -40,6 +40,7 @@ class VsfSettings:
     margin: by how much the box around the visible cloud is widened sideways [m].
     table_height: z of the table, down to which the hidden volume is filled [m].
     device: Warp device, "cpu" or "cuda:0".
+    noise_share: of a touch's largest reading, that is added to noise_std in quadrature, for all readings of the touch: the particle model errs in proportion.
     skin_std: noise of a component of the force on a vertex of a soft sensor's skin [N]; None: only the readings are looked at, and the skin is not.
     """
 
@@ -50,6 +51,7 @@ class VsfSettings:
     table_height: float
     device: str
     skin_std: float | None = None
+    noise_share: float = 0.0
 
 
 @dataclass
@@ -129,9 +131,14 @@ class VsfObject:
             else:
                 rows, seen = self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid, reading.action.size))], value.ravel()
                 weight = noise_unit(reading.action)
+                weight /= float(self.noise_factor(weight * seen))
             blocks.append(weight * rows)
             values.append(weight * seen)
         return sparse.csr_matrix(sparse.vstack(blocks)), np.concatenate(values)
+
+    def noise_factor(self, force: np.ndarray) -> np.ndarray:
+        """By how much the noise of a touch with readings ``force`` (k,) is above `VsfSettings.noise_std` [-]."""
+        return np.hypot(1.0, self.settings.noise_share * np.abs(force).max(initial=0.0) / self.settings.noise_std)
 
     def _skin_rows(self, reading: Reading) -> tuple[sparse.csr_matrix, np.ndarray]:
         """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural VSF eq. 3): with W^T W = V s V^T
@@ -194,7 +201,9 @@ class Posterior:
         out = []
         for action in actions:
             std = reading_std(self.rows, self.model.observe(action), noise_std=self.model.settings.noise_std, prior=self.prior)
-            out.append(np.hypot(std, self.model.settings.noise_std / noise_unit(action)).reshape(-1, action.size))
+            unit = noise_unit(action)
+            noise = self.model.settings.noise_std * self.model.noise_factor(unit * (self.model.observe(action) @ self.stiffness)) / unit
+            out.append(np.hypot(std, noise).reshape(-1, action.size))
         return out
 
     def density(self, points: np.ndarray) -> Estimate:

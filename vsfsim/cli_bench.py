@@ -89,17 +89,18 @@ def features(task: Annotated[str, typer.Option(help="Task whose training objects
              noise: Annotated[list[float] | None, typer.Option(help="A noise_std of SBML; may be given again. Default: 1, 3, 10.")] = None,
              folds: Annotated[int, typer.Option(min=2, help="Of the training objects.")] = 4,
              seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant and fold.")] = 1,
-             epochs: Annotated[int, typer.Option(min=1, help="Of each training, at most.")] = 400,
+             settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another parameter of sbml; may be given again.")] = None,
              on_test: Annotated[bool, typer.Option("--on-test", help="Learn on all training objects and ask the test objects: once, after everything was chosen.")] = False) -> None:
     """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
     from vsfsim.baselines.feature_choice import choose, table
     from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.cli import _parameters
     from vsfsim.data.dataset import Dataset
 
     wanted = load_task(task)
     data = open_dataset(wanted) if dataset is None else Dataset.open(dataset)
     rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")), noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
-                  seeds=seeds, epochs=epochs, on_test=on_test, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+                  seeds=seeds, settings=_parameters(settings), on_test=on_test, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     print(table(rows, wanted.observation.unit, on_test=on_test))
 
 

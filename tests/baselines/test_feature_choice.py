@@ -28,7 +28,7 @@ def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tm
     opened = []
     load = type(dataset).load
     monkeypatch.setattr(type(dataset), "load", lambda self, name: (opened.append(name), load(self, name))[1])
-    rows = choose(task, dataset, features=("xyzrgb",), noises=(1.0, 30.0), folds=3, epochs=2)
+    rows = choose(task, dataset, features=("xyzrgb",), noises=(1.0, 30.0), folds=3, settings={"epochs": 2})
     assert set(opened) == set(dataset.names("train"))
     assert [row.name for row in rows] == ["gaussian", "sbml, xyzrgb, noise_std 1", "sbml, xyzrgb, noise_std 30"]
     assert rows[1].spread == (0.0, 0.0) and rows[1].half < rows[1].zero, "touches help"
@@ -38,7 +38,7 @@ def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tm
 
 def test_the_one_look_at_the_test_objects(tmp_path):
     dataset, task = made(tmp_path / "toy", 2, 2), load_task("fewshot-shoes-mini-v1")
-    first, second, third = choose(task, dataset, features=("xyzrgb", "local"), noises=(1.0,), folds=2, epochs=2, on_test=True)
+    first, second, third = choose(task, dataset, features=("xyzrgb", "local"), noises=(1.0,), folds=2, settings={"epochs": 2}, on_test=True)
     assert second.difference == (0.0, 0.0) and third.difference == pytest.approx((third.zero - second.zero, third.half - second.half))
     method = GaussianAverage()
     views = [dataset.blind().load(name) for name in dataset.names("train")]

@@ -134,3 +134,23 @@ def test_refusals(fitted, train, task):
     reading = record(mock_view(5), task).readings[0]
     with pytest.raises(VsfsimError, match="not finite"):
         fitted.adapt(mock_view(5).view, [dataclasses.replace(reading, value=np.full_like(reading.value, np.nan))])
+
+
+def test_noise_in_proportion_to_a_touch(task):
+    view = mock_view(5, touches=4)
+    readings = record(view, task).readings
+    plain, shared = (Sbml(noise_std=2.0, noise_share=share)._shelf.get(view.view) for share in (0.0, 0.5))
+    for reading in readings:
+        (rows, z), (own_rows, own_z) = plain.stack([reading]), shared.stack([reading])
+        factor = np.hypot(1.0, 0.5 * np.abs(z).max() / 2.0)
+        np.testing.assert_allclose(own_z * factor, z, rtol=1e-12)
+        np.testing.assert_allclose((own_rows * factor).toarray(), rows.toarray(), rtol=1e-12)
+    stds = []
+    for share in (0.0, 0.5):
+        method = Sbml(**{**FAST, "epochs": 1, "noise_std": 2.0}, noise_share=share)
+        method.meta_fit([specimen(mock_view(i, split="train", touches=4), task) for i in range(2)])
+        method.adapt(view.view, [])
+        stds.append((method.predict([readings[0].action])[0].max(), method.predict_std([readings[0].action])[0].min()))
+    assert stds[0][1] >= 2.0 and stds[1][1] >= np.hypot(2.0, 0.5 * stds[1][0]), "no reading is foretold better than the model is"
+    with pytest.raises(VsfsimError, match="noise_share -1"):
+        Sbml(noise_share=-1.0)

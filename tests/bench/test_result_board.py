@@ -61,6 +61,14 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     assert page.startswith("# toy-v1") and "| 1 | " + ranked[0] + " |" in page
 
 
+def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
+    for name, a in zip("ab", (1, 2)):
+        dataclasses.replace(results[0], method="twin", parameters={"a": a, "b": 0.5}).save(tmp_path / f"{name}.json")
+    dataclasses.replace(results[1], method="alone", parameters={"a": 3}).save(tmp_path / "c.json")
+    names = [line.split("  ")[1].strip() for line in leaderboard.text(leaderboard.collect(task, [tmp_path])).splitlines() if line[:1].isdigit()]
+    assert sorted(names) == ["alone", "twin (a=1)", "twin (a=2)"]
+
+
 def test_equal_results_are_one_row(results, task, tmp_path):
     results[0].save(tmp_path / "here.json")
     dataclasses.replace(results[0], timing={**results[0].timing, "adapt_s": 9.0}).save(tmp_path / "there.json")

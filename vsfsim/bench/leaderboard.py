@@ -128,15 +128,25 @@ def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
     task = board.task
     labels = task.protocol.labels
     head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "vsfsim"]
-    rows = []
-    for row in board.rows:
+    rows, labels_of = [], _labels([row.result for row in board.rows])
+    for row, label in zip(board.rows, labels_of):
         by_shot = row.result.scores.get(task.primary, {})
         stiffness = row.result.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
-        rows.append([str(row.rank or "-"), row.result.method + (" *" if row.mark else ""), *(_number(by_shot.get(label)) for label in labels),
+        rows.append([str(row.rank or "-"), label + (" *" if row.mark else ""), *(_number(by_shot.get(shot)) for shot in labels),
                      _number(stiffness), f"{adapt:.2f} s", f"{row.result.made_by.get('vsfsim')} {commit}".strip()])
     return head, rows
+
+
+def _labels(results: list[Result]) -> list[str]:
+    """The method's name; where it has several rows, with the parameters in which they differ."""
+    out = []
+    for result in results:
+        twins = [other.parameters for other in results if other.method == result.method]
+        differ = [f"{key}={value}" for key, value in result.parameters.items() if any(twin.get(key) != value for twin in twins)]
+        out.append(f"{result.method} ({', '.join(differ)})" if differ else result.method)
+    return out
 
 
 def _footnotes(board: Board) -> list[str]:
