@@ -261,10 +261,10 @@ def advance(
                 copy_all(at, w.x, w.q, w.x_start, w.q_start)
                 reason, its, residual, count = balance(tree, touch, w, at, side, 1 - side, weighs, load)
                 used = used + its
-                if reason != 0 and (reason == 4 or (h > base * SHORTER and used < WORK)):
+                if reason == 4 or (reason != 0 and h > real(1.5) * base * SHORTER and used < WORK):
                     copy_all(at, w.x_start, w.q_start, w.x, w.q)
                     h = real(0.25) * h
-                    if h <= base * SHORTER or used >= WORK:
+                    if reason == 4 and (h < base * SHORTER or used >= WORK):
                         # the state that was not finite is given up: what is kept is the one before
                         part = ONE
                 else:
