@@ -38,12 +38,11 @@ class ContactBlock:
         return cls(dof, rows, torch.linalg.cholesky(inner), compliance.shape[2])
 
     @classmethod
-    def joined_of(cls, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
-        """From the stiffness C (k, 3 s, 3 s) [N/m] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
-        dof = _used(stiffness.diagonal(dim1=1, dim2=2) != 0.0)
-        stiff = _between(stiffness, dof)
-        factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof), stiff))
-        return cls(dof, stiff, factors, compliance.shape[2], joined=True, pivots=pivots)
+    def joined_of(cls, nodes: torch.Tensor, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
+        """From the stiffness C (k, 3 u, 3 u) [N/m] of some ``nodes`` (k, u) of the patches and the compliance of the patches (k, 3 s, 3 s) [m/N]."""
+        dof = _dof(nodes)
+        factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof), stiffness))
+        return cls(dof, stiffness, factors, compliance.shape[2], joined=True, pivots=pivots)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
@@ -72,8 +71,12 @@ def _used(touched: torch.Tensor) -> torch.Tensor:
     """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the nodes that touch count."""
     used = touched.view(len(touched), -1, 3).any(dim=2)
     most = max(1, int(used.sum(dim=1).amax()))
-    nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
-    return (3 * nodes[:, :, None] + torch.arange(3, device=touched.device)).flatten(1)
+    return _dof(torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most])
+
+
+def _dof(nodes: torch.Tensor) -> torch.Tensor:
+    """Degrees of freedom (k, 3 u) of nodes (k, u)."""
+    return (3 * nodes[:, :, None] + torch.arange(3, device=nodes.device)).flatten(1)
 
 
 def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
