@@ -95,6 +95,15 @@ def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     assert sums.nodal(columns, torch.as_tensor(force)).numpy() == pytest.approx(np.einsum("bqs,bqc->bsc", points, force).reshape(2, -1), abs=1e-12)
     whole = np.einsum("bqs,bqij,bqt->bsitj", points, stiff, points).reshape(2, 3 * nodes, 3 * nodes)
     assert sums.matrix(columns, torch.as_tensor(stiff)).numpy() == pytest.approx(whole, abs=1e-12)
+    # of the nodes that a few faces push, and of nothing else
+    few = stiff.copy()
+    few[:, 6 * parts * 5:] = 0.0
+    nodes = sums.pushed(columns, torch.as_tensor(few))
+    used = [np.unique(p.local[:5 * parts, :3]) for p in patches]
+    assert nodes.shape[1] == max(len(n) for n in used) and all(set(n) <= set(row.tolist()) for n, row in zip(used, nodes))
+    whole = np.einsum("bqs,bqij,bqt->bsitj", points, few, points)
+    picked = np.stack([w[n][:, :, n] for w, n in zip(whole, nodes.numpy())]).reshape(2, 3 * nodes.shape[1], -1)
+    assert sums.matrix(columns, torch.as_tensor(few), nodes).numpy() == pytest.approx(picked, abs=1e-12)
 
 
 def press(extra=""):

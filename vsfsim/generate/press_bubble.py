@@ -158,10 +158,12 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
     model = bubble.build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=cache)
     mount = press_path(spec, Plane())  # a plane's +z leads, as a sensor's does
     poses = in_mount(scene, mount)
+    said: tuple[str, ...] = ()
     if scene.object is None:
         finer = wishes(model.mesh.points, model.element_size, RigidBodies(scene.bodies), poses, scene.sensor.contact_edge)
         if finer:
             model = bubble.build_bubble(scene.sensor, finer=finer, where=f"{scene.source} [sensor]", cache=cache)
+            said = (f"{scene.sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller where bodies touch; contact_edge in [sensor] says how small.",)
     built = time.perf_counter() - began
     axis, start = _first_way(scene)
     if scene.object is None:
@@ -179,7 +181,7 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
         converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0], cg_iterations=frames.cg_iterations[:, 0],
         slipping=frames.slipping[:, 0], seconds=frames.seconds, audit=audit(frames, 0), apex=float(model.mesh.points[:, 2].max()),
         dome_volume=float(model.mesh.volume[0]), edge=model.element_size, build_seconds=built, triangles=len(model.mesh.faces), nodes=len(model.mesh.points),
-        device=device, precision=precision, tolerance=run.tolerance, inward=spec.inward, notes=(*path_notes(run.gap, float(way.max()), 0.0), *run.notes),
+        device=device, precision=precision, tolerance=run.tolerance, inward=spec.inward, notes=(*path_notes(run.gap, float(way.max()), 0.0), *said, *run.notes),
         statement=_statement(frames, statement(frames, 0, edge=model.element_size, tolerance=run.tolerance, linear=False)),
         state=BubbleState(model, mount, run.node, run.push) if keep else None)
 

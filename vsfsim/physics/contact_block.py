@@ -12,7 +12,8 @@ class ContactBlock:
     """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
 
     ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches: the contact
-    forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A C)^-1: T = C (1 + A C)^-1.
+    forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A C)^-1, T = C (1 + A C)^-1; with
+    ``pivots`` inner is the LU factor of the bracket instead, a third of the work where many nodes touch.
     """
 
     dof: torch.Tensor
@@ -20,6 +21,7 @@ class ContactBlock:
     inner: torch.Tensor
     width: int
     joined: bool = False
+    pivots: torch.Tensor | None = None
 
     @classmethod
     def of(cls, rows: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
@@ -29,43 +31,52 @@ class ContactBlock:
         own = _between(compliance, dof)
         if rows.shape[1] > rows.shape[2]:
             # more rows than degrees of freedom: their product R^T R says the same
-            return cls._joined(dof, rows.mT @ rows, own, compliance.shape[2])
+            stiff = rows.mT @ rows
+            return cls(dof, stiff, torch.linalg.inv(_bracket(own, stiff)), compliance.shape[2], joined=True)
         inner = rows @ own @ rows.mT
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         return cls(dof, rows, torch.linalg.cholesky(inner), compliance.shape[2])
 
     @classmethod
-    def joined_of(cls, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
-        """From the stiffness C (k, 3 s, 3 s) [N/m] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
-        dof = _used(stiffness.diagonal(dim1=1, dim2=2) != 0.0)
-        return cls._joined(dof, _between(stiffness, dof), _between(compliance, dof), compliance.shape[2])
-
-    @classmethod
-    def _joined(cls, dof: torch.Tensor, stiff: torch.Tensor, own: torch.Tensor, width: int) -> ContactBlock:
-        inner = own @ stiff
-        inner.diagonal(dim1=1, dim2=2).add_(1.0)
-        return cls(dof, stiff, torch.linalg.inv(inner), width, joined=True)
+    def joined_of(cls, nodes: torch.Tensor, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
+        """From the stiffness C (k, 3 u, 3 u) [N/m] of some ``nodes`` (k, u) of the patches and the compliance of the patches (k, 3 s, 3 s) [m/N]."""
+        dof = _dof(nodes)
+        factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof), stiffness))
+        return cls(dof, stiffness, factors, compliance.shape[2], joined=True, pivots=pivots)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
-        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width, self.joined)
+        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width, self.joined, None if self.pivots is None else self.pivots[which])
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
         own = v.gather(1, self.dof)[:, :, None]
-        if self.joined:
+        if self.pivots is not None:
+            force = self.rows @ torch.linalg.lu_solve(self.inner, self.pivots, own)
+        elif self.joined:
             force = self.rows @ (self.inner @ own)
         else:
             force = self.rows.mT @ torch.cholesky_solve(self.rows @ own, self.inner)
         return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
 
 
+def _bracket(own: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
+    """1 + A C (k, m, m)."""
+    inner = own @ stiff
+    inner.diagonal(dim1=1, dim2=2).add_(1.0)
+    return inner
+
+
 def _used(touched: torch.Tensor) -> torch.Tensor:
     """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the nodes that touch count."""
     used = touched.view(len(touched), -1, 3).any(dim=2)
     most = max(1, int(used.sum(dim=1).amax()))
-    nodes = torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
-    return (3 * nodes[:, :, None] + torch.arange(3, device=touched.device)).flatten(1)
+    return _dof(torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most])
+
+
+def _dof(nodes: torch.Tensor) -> torch.Tensor:
+    """Degrees of freedom (k, 3 u) of nodes (k, u)."""
+    return (3 * nodes[:, :, None] + torch.arange(3, device=nodes.device)).flatten(1)
 
 
 def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:

@@ -31,10 +31,10 @@ class FaceSums:
         known = [np.unique(p, return_inverse=True) for p in pairs]
         most = max(1, max(len(k) for k, _ in known))
         self._at_pair = _slots([i for _, i in known], most, 9 * faces, device)
-        place = np.full((len(patches), most), nodes * nodes)  # padded pairs go to one place past the end
+        ends = np.full((2, len(patches), most), nodes)  # padded pairs are of a node past the end
         for b, (k, _) in enumerate(known):
-            place[b, :len(k)] = k
-        self._place = torch.as_tensor(place, device=device)
+            ends[:, b, :len(k)] = k // nodes, k % nodes
+        self._one, self._other = torch.as_tensor(ends, device=device)
 
     def nodal(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Forces at the points (k, 6 f parts, 3) [N] as forces on the nodes (k, 3 s) [N], f = F."""
@@ -42,14 +42,29 @@ class FaceSums:
         own = self._shares.T @ force.reshape(k, self._faces, -1, 3)  # (k, f, 3 corners, 3)
         return _sum(own.reshape(k, -1, 3), self._at_node[columns]).flatten(1)
 
-    def matrix(self, columns: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
-        """Stiffness at the points (k, 6 f parts, 3, 3) [N/m] as that of the nodes (k, 3 s, 3 s) [N/m]."""
+    def pushed(self, columns: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
+        """Nodes (k, u) of the faces with any stiffness at a point (k, 6 f parts, 3, 3), padded with others to the most of any touch, one at the least."""
+        k = len(columns)
+        on = (stiff.reshape(k, self._faces, -1) != 0.0).any(dim=2).to(torch.float64)
+        used = _sum(on.repeat_interleave(3, dim=1)[:, :, None], self._at_node[columns])[:, :, 0] > 0.0
+        most = max(1, int(used.sum(dim=1).amax()))
+        return torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
+
+    def matrix(self, columns: torch.Tensor, stiff: torch.Tensor, nodes: torch.Tensor | None = None) -> torch.Tensor:
+        """Stiffness at the points (k, 6 f parts, 3, 3) [N/m] as that of the nodes (k, 3 s, 3 s) [N/m], or of some of them, ``nodes`` (k, u), alone."""
         k, s = len(columns), self._nodes
+        if nodes is None:
+            nodes = torch.arange(s, device=stiff.device).expand(k, -1)
+        u = nodes.shape[1]
+        place = torch.full((k, s + 1), u, device=stiff.device)
+        place.scatter_(1, nodes, torch.arange(u, device=stiff.device).expand(k, -1))
+        one, other = place.gather(1, self._one[columns]), place.gather(1, self._other[columns])
+        at = torch.where((one < u) & (other < u), u * one + other, u * u)  # all others in one place past the end
         own = self._products.T @ stiff.reshape(k, self._faces, -1, 9)  # (k, f, 9 pairs of corners, 9)
         pairs = _sum(own.reshape(k, -1, 9), self._at_pair[columns])
-        out = torch.zeros((k, s * s + 1, 9), dtype=stiff.dtype, device=stiff.device)
-        out.scatter_(1, self._place[columns][:, :, None].expand(-1, -1, 9), pairs)
-        return out[:, :-1].reshape(k, s, s, 3, 3).transpose(2, 3).reshape(k, 3 * s, 3 * s)
+        out = torch.zeros((k, u * u + 1, 9), dtype=stiff.dtype, device=stiff.device)
+        out.scatter_(1, at[:, :, None].expand(-1, -1, 9), pairs)
+        return out[:, :-1].reshape(k, u, u, 3, 3).transpose(2, 3).reshape(k, 3 * u, 3 * u)
 
 
 def _slots(targets: Sequence[np.ndarray], count: int, nothing: int, device: str) -> torch.Tensor:

@@ -14,9 +14,10 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from vsfsim.physics.factor import RestFactor
+from vsfsim.physics.factor import _CHUNK, RestFactor
 
 _KEPT = 4  # in this process, by content
+_WHOLE = 8000  # nodes up to which the rows of all of them are kept for each that is pushed
 
 _factors: OrderedDict[str, MembraneFactor] = OrderedDict()
 
@@ -58,6 +59,19 @@ class MembraneFactor(RestFactor):
         """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
         out = super().solve(right)
         return out - self._answer[:, None] * (self._share * (self._own @ out))
+
+    def compliance(self, nodes: np.ndarray) -> np.ndarray:
+        """As `RestFactor.compliance`. All nodes of a membrane are its surface: of a fine one, only the rows asked for are kept, and not for other touches."""
+        if self.size <= 3 * _WHOLE:
+            return super().compliance(nodes)
+        rows = (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
+        out = np.empty((len(rows), len(rows)))
+        for start in range(0, len(rows), _CHUNK):
+            part = rows[start:start + _CHUNK]
+            right = np.zeros((self.size, len(part)))
+            right[part, np.arange(len(part))] = self.free[part]
+            out[:, start:start + len(part)] = self.solve(right)[rows]
+        return 0.5 * (out + out.T)
 
     def dense(self, device: str) -> torch.Tensor:
         """The inverse (3 n, 3 n) [m/N] on a GPU; made once and kept."""

@@ -1,7 +1,6 @@
 """Contact of a batch of touches with one body: who can meet whom, gaps, forces, and the stiffness that they add.
 
-Each touch (column) has a patch: the boundary triangles that its rigid bodies can reach. Everything is a tensor over all
-touches on the device, padded to the largest patch.
+Each touch (column) has a patch: the boundary triangles that its rigid bodies can reach. All are tensors over all touches, padded to the largest patch.
 """
 
 from __future__ import annotations
@@ -310,7 +309,10 @@ class Touching:
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """The contact of ``columns``, ready to be inverted together with the body at rest."""
         if self._sums is not None:
-            return ContactBlock.joined_of(self.stiffness(columns), self.compliance[columns])
+            own = self._rows[columns].mT @ self._rows[columns]
+            nodes = self._sums.pushed(columns, own)
+            free = self.free[columns].view(len(columns), -1, 3)[torch.arange(len(columns), device=self.device)[:, None], nodes].flatten(1)
+            return ContactBlock.joined_of(nodes, self._sums.matrix(columns, own, nodes) * free[:, :, None] * free[:, None, :], self.compliance[columns])
         return ContactBlock.of(self.rows(columns), self.compliance[columns])
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
