@@ -179,8 +179,8 @@ class Response(Protocol):
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
-    def prepare(self, nodes: torch.Tensor) -> None:
-        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only who is `response` lazily must be told."""
+    def prepare(self, nodes: torch.Tensor) -> bool:
+        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only a lazy `response` must be told. True if `compliance` has more now."""
 
     def compliance(self) -> torch.Tensor:
         """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that are not prepared."""
@@ -225,17 +225,20 @@ class _Sparse:
         if not lazy:
             self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
 
-    def prepare(self, nodes: torch.Tensor) -> None:
+    def prepare(self, nodes: torch.Tensor) -> bool:
         """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
+        more = False
         for b, asked in enumerate(nodes.cpu().numpy() & ~self._ready):
             if not asked.any():
                 continue
+            more = True
             self._ready[b] |= asked
             new, own = self._nodes[b][asked[:len(self._nodes[b])]], self._nodes[b]
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
             if self._whole is not None:
                 self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
             self._compliance[b, :3 * len(own), at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
+        return more
 
     def compliance(self) -> torch.Tensor:
         return 0.5 * (self._compliance + self._compliance.mT)
@@ -276,8 +279,9 @@ class _Dense:
         place[together] = torch.arange(len(together), device=dof.device)
         self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
 
-    def prepare(self, nodes: torch.Tensor) -> None:
+    def prepare(self, nodes: torch.Tensor) -> bool:
         """All of the inverse is there."""
+        return False
 
     def compliance(self) -> torch.Tensor:
         real = (self._dof >= 0).to(torch.float64)

@@ -205,7 +205,6 @@ class PairSurfaces:
         self._free = free[self._dof.clamp(min=0)] * (self._dof >= 0)
         factor = self.model.factor.quick(mesh.points) if self.device == "cpu" else self.model.factor
         self._object: Response = response(factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False, lazy=True)
-        self._prepared = torch.zeros((batch, width), dtype=torch.bool, device=self.device)
         self._object_compliance = self._object.compliance()
         self._x = self._rest.clone()
         self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
@@ -330,10 +329,7 @@ class PairSurfaces:
         three = torch.arange(3, device=self.device)
         self._on_object = (3 * nodes[:, :self._split, None] + three).flatten(1)  # degrees of freedom among the object's surface nodes in reach
         self._on_sensor = (3 * (nodes[:, self._split:, None] - width) + three).flatten(1)  # among all of the sensor's
-        asked = self._near[:, :width] > 0
-        if bool((asked & ~self._prepared).any()):
-            self._prepared |= asked
-            self._object.prepare(self._prepared)
+        if self._object.prepare(self._near[:, :width] > 0):
             self._object_compliance = self._object.compliance()
         self.compliance = self._answers()
         self.response: Response = self
