@@ -214,8 +214,10 @@ def test_meshes_from_100_to_20000_nodes(cache, nodes):
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), seconds=600.0)
     print(f"{nodes} nodes: {frames.force[-1, 0, 2]:.4f} N, {frames.seconds.sum():.1f} s, {frames.cg_iterations[:, 0]} CG")
     sound(frames, model)
-    # a ball of 10 mm, 10 mm deep; the finest mesh gives 5.1 N
     assert np.isfinite(frames.force).all()
+    if nodes == 20_000:
+        # the same press in 40 frames, whose steps are as long, gave 6.885 N; where it first touches is found to 0.2 mm here, 2 to 3 % of that
+        assert frames.force[-1, 0, 2] == pytest.approx(6.885, rel=0.04)
 
 
 @pytest.mark.slow

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from vsfsim.core.shape import Capsule, Plane, Sphere
+from vsfsim.core.shape import Plane
 from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
 
@@ -16,7 +16,6 @@ _PART = 0.5  # of the thinnest body's inner radius: a wall that is met then lies
 _MOST = 100  # pieces of one frame
 _DEEP = 0.2  # of the same radius: a first pose deeper than this is come to from outside
 _SAMPLES = 4000
-_FINE, _ARC = 1 / 8, 1 / 12  # of a ball's radius: elements that are small against it, and the step that follows its curve then
 
 
 def stride(bodies: RigidBodies, thickness: float) -> float:
@@ -24,14 +23,11 @@ def stride(bodies: RigidBodies, thickness: float) -> float:
     return min(thickness, _PART * min(_inner_radius(bodies, k) for k in range(len(bodies))))
 
 
-def mean_thickness(model: Model, bodies: RigidBodies | None = None) -> float:
+def mean_thickness(model: Model) -> float:
     """Twice the volume over the surface [m]: of a sheet or a hollow body its wall. Of a membrane, a third of an element: a tip that goes further in one
     step meets points that the prediction did not see, and nothing of the sheet's own stiffness holds them apart. Where the mesh was made finer for the tip,
-    a third of the mean of all elements, and three quarters of those under it; under balls that are large against the elements, a part of their radius."""
+    a third of the mean of all elements, and three quarters of those under it."""
     if model.mesh.faces.shape[1] == 3:
-        radius = 0.0 if bodies is None else min(s.radius if isinstance(s, (Sphere, Capsule)) else 0.0 for s in bodies.shapes)
-        if model.element_size < _FINE * radius:
-            return _ARC * radius
         return min(model.mesh.edge() / 3.0, 0.75 * model.element_size)
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
 

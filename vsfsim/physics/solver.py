@@ -138,7 +138,7 @@ class Solver:
     def _meet(self, poses: np.ndarray) -> tuple[Touching, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
-        self._stride = path.stride(self.bodies, path.mean_thickness(self.model, self.bodies))
+        self._stride = path.stride(self.bodies, path.mean_thickness(self.model))
         return touching, path.outside(self.bodies, self.model, poses[0], touching.first_gap)
 
     def _remember(self, pose: np.ndarray, pushed: torch.Tensor) -> None:
