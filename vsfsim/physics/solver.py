@@ -12,6 +12,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 import torch
@@ -28,6 +29,7 @@ from vsfsim.physics.rigid import RigidBodies
 from vsfsim.physics.touching import Touching
 
 Rows = dict[str, np.ndarray]
+Memory = Any  # what `Touching.memory` gives and `Touching.restore` takes
 
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
 HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
@@ -114,9 +116,9 @@ class Solver:
                 self._balance.count()
                 way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
                 for pose in way:
-                    begin = self._balance.u.clone()
+                    begin, memory = self._balance.u.clone(), self.touching.memory()
                     self._start(every, previous, pose)
-                    self._advance(every, previous, pose, begin, deadline, self.options.halvings)
+                    self._advance(every, previous, pose, begin, deadline, self.options.halvings, memory)
                     self._remember(pose, self.touching.remember(every))
                     if pose is not way[-1]:
                         self.touching.settle(every)
@@ -233,15 +235,14 @@ class Solver:
         return out
 
     def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
-                 halvings: int) -> None:
-        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before`` into balance at ``pose`` (B, K, 4, 4).
+                 halvings: int, memory: Memory) -> None:
+        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with friction's ``memory`` from there, into balance at ``pose`` (B, K, 4, 4).
 
         The present displacements are the first guess. Touches that fail are approached again in half steps.
         """
         balance, touching = self._balance, self.touching
         touching.begin(before, begin)
         touching.move(pose, columns)
-        memory = touching.memory()
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & (balance.cg[asked] < self.options.cg_frame)
@@ -253,11 +254,11 @@ class Solver:
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
         touching.restore(failed, memory)
-        self._advance(failed, before, middle, begin, deadline, halvings - 1)
+        self._advance(failed, before, middle, begin, deadline, halvings - 1, memory)
         lost = host[balance.reason[host] != Reason.NONE]
         reasons = balance.reason[lost].copy()
         touching.settle(failed)
-        self._advance(failed, middle, pose, balance.u.clone(), deadline, halvings - 1)
+        self._advance(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, touching.memory())
         if touching.rubs and len(lost):
             balance.reason[lost] = reasons  # friction remembers the step that failed: what follows is no equilibrium of the true history
 
