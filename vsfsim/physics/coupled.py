@@ -17,11 +17,11 @@ from vsfsim.core.errors import SceneError
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.equilibrium import State
 from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.frames import Frames, SolverOptions
+from vsfsim.physics.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.model import Model
 from vsfsim.physics.pair import PairTouching
 from vsfsim.physics.pair_surfaces import SENSOR_NODES, farthest
-from vsfsim.physics.solver import HARD, Rows, Solver
+from vsfsim.physics.solver import HARD, Memory, Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
@@ -110,6 +110,7 @@ class CoupledSolver(Solver):
             raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} are allowed, since its compliance is kept whole. Give fewer nodes.")
         self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
         self.object, self.sensor = model, sensor
+        self._predicted: tuple[torch.Tensor, Memory, np.ndarray] | None = None  # displacements, friction's memory before the prediction, poses before
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height
 
@@ -163,12 +164,33 @@ class CoupledSolver(Solver):
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         super()._start(columns, before, pose)
+        self._predicted = None
         if bool(self.touching.touches(columns).any()):
             self.touching.foresee(columns, self._balance.u)
             if self.touching.rubs:
+                self._predicted = self._balance.u.clone(), self.touching.memory(), before
                 # what is predicted tells friction's limits better than the step before, and points that touch for the first time have none yet
                 self._balance.evaluate(columns)
                 self.touching.lag(columns)
+
+    def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
+        predicted = self._predicted
+        self._predicted = None
+        super()._equilibrium(columns, pose, begin, deadline)
+        if predicted is None:
+            return
+        # limits from a prediction that was far off may lead nowhere: those touches begin again with the limits of the step before
+        u, memory, before = predicted
+        balance, touching = self._balance, self.touching
+        host = columns.cpu().numpy()
+        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & (balance.cg[host] < self.options.cg_frame), device=self.device)]
+        if len(failed):
+            balance.u[:, failed] = u[:, failed]
+            touching.restore(failed, memory)
+            touching.begin(before, begin)
+            touching.move(pose, failed)
+            touching.foresee(failed, balance.u)
+            super()._equilibrium(failed, pose, begin, deadline)
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
         # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one
