@@ -60,18 +60,18 @@ class MembraneFactor(RestFactor):
         out = super().solve(right)
         return out - self._answer[:, None] * (self._share * (self._own @ out))
 
-    def compliance(self, nodes: np.ndarray) -> np.ndarray:
+    def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
         """As `RestFactor.compliance`. All nodes of a membrane are its surface: of a fine one, only the rows asked for are kept, and not for other touches."""
         if self.size <= 3 * _WHOLE:
-            return super().compliance(nodes)
-        rows = (3 * np.asarray(nodes)[:, None] + np.arange(3)).ravel()
-        out = np.empty((len(rows), len(rows)))
-        for start in range(0, len(rows), _CHUNK):
-            part = rows[start:start + _CHUNK]
+            return super().compliance(nodes, pushed)
+        rows, columns = ((3 * np.asarray(n)[:, None] + np.arange(3)).ravel() for n in (nodes, pushed))
+        out = np.empty((len(rows), len(columns)))
+        for start in range(0, len(columns), _CHUNK):
+            part = columns[start:start + _CHUNK]
             right = np.zeros((self.size, len(part)))
             right[part, np.arange(len(part))] = self.free[part]
             out[:, start:start + len(part)] = self.solve(right)[rows]
-        return 0.5 * (out + out.T)
+        return out
 
     def dense(self, device: str) -> torch.Tensor:
         """The inverse (3 n, 3 n) [m/N] on a GPU; made once and kept."""
