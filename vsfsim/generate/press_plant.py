@@ -37,7 +37,7 @@ class PlantPress:
     the plant (T, 3) [N]. target: on the visible cloud (3,) [m]. axis: of the tool's way (3,). draws: targets drawn until one could be reached. contacts: samples of the plant on the arm (T,).
     converged: (T,) bool. reason: why not (T,), words. residual: (T,) [-]. iterations: Newton (T,). audit: force_balance [-], energy [J], penetration [m], each (T,).
     segments: of the plant. deepest: number of the frame of full depth. build_seconds, seconds: of aiming and picture, and of the touch [s]. tier, device, precision: of the model. notes: what was decided.
-    state: nodes, turns, capsules and their forces of every frame, if asked for; not part of `table`.
+    state: nodes (T, n, 3) [m], turns (T, n, 4) [-], poses (T, K, 4, 4), forces (T, K, 3) [N] and moments (T, K, 3) [N m] of the capsules in every frame, if asked for; not part of `table`.
     """
 
     depth: np.ndarray
