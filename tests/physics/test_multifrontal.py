@@ -1,4 +1,4 @@
-"""The single-precision factor: its order is a true elimination, its answers those of the matrix, and it knows where it is no good."""
+"""The sixteen-bit factor: its order is a true elimination, its answers those of the matrix, and it knows where it is no good."""
 
 import itertools
 
@@ -70,7 +70,7 @@ def test_answers_are_those_of_the_matrix(model, columns):
     soft = np.repeat(model.mesh.points[:, 0] > 0.005, 3)
     for part in (soft, ~soft):
         size = np.abs(exact[part]).max(axis=0)
-        assert (np.abs(answer - exact)[part].max(axis=0) < 1e-4 * size).all()
+        assert (np.abs(answer - exact)[part].max(axis=0) < 5e-3 * size).all()
     assert not answer[model.free == 0.0].any()
 
 
@@ -93,15 +93,15 @@ def _chain(count, *, stiff_in_bending=False):
     return sp.kron(line, np.eye(3)).tocsr(), np.column_stack([np.arange(count), np.zeros((count, 2))])
 
 
-@pytest.mark.parametrize(("count", "good"), [(50, True), (3000, False)])
-def test_a_long_way_from_the_support_is_not_trusted_to_single_precision(count, good):
-    """The softest mode of a beam of n sections is n^4 softer than the stiffest: single precision has seven digits."""
+@pytest.mark.parametrize(("count", "good"), [(12, True), (3000, False)])
+def test_a_long_way_from_the_support_is_not_trusted_to_sixteen_bits(count, good):
+    """The softest mode of a beam of n sections is n^4 softer than the stiffest: sixteen bits are four digits and a half."""
     matrix, points = _chain(count, stiff_in_bending=True)
     load = np.ones((3 * count, 1))
     assert trusted(matrix, Multifrontal(matrix, points), load) is good
 
 
-def test_a_body_that_single_precision_loses_keeps_its_exact_factor(model, monkeypatch):
+def test_a_body_that_few_digits_lose_keeps_its_exact_factor(model, monkeypatch):
     monkeypatch.setattr(multifrontal, "_TRUST", 1e-12)
     monkeypatch.setattr(model.factor, "_quick", None)
     assert model.factor.quick(model.mesh.points) is model.factor

@@ -128,7 +128,7 @@ def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution:
 def _run(s: _Subject, aims: list[Aim], tier: str, device: str, told: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
     assert s.scene.sensor is not None
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
-    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device, options=touch_bubble.options(tier))
+    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device, options=touch_bubble.options(tier, device))
     began = time.perf_counter()
     return solver.run(poses, progress=lambda t: told(t, time.perf_counter() - began)), solver
 

@@ -147,7 +147,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
 
         sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
         touches = touch_bubble.touch_all(scene, spec, model, sensor, touch_bubble.aim(scene, spec, model, sensor, view, draws),
-                                         options=touch_bubble.options(r.tier), device=device, progress=progress)
+                                         options=touch_bubble.options(r.tier, device), device=device, progress=progress)
         dome = touch_bubble.dome_of(sensor)
         truth = truth_of(model, view, touches, dome, friction=float("inf"), device=device)
         return ObjectView(job.name, job.object_index, job.view_index, job.split, dome, view, tuple(touches), truth)

@@ -183,7 +183,7 @@ class CoupledSolver(Solver):
         u, memory, before = predicted
         balance, touching = self._balance, self.touching
         host = columns.cpu().numpy()
-        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & (balance.cg[host] < self.options.cg_frame), device=self.device)]
+        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.spent(host), device=self.device)]
         if len(failed):
             balance.u[:, failed] = u[:, failed]
             touching.restore(failed, memory)

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
-_LEAF = 20  # nodes that are not cut any further: a dense front of 60 unknowns
+_LEAF = 12  # nodes that are not cut any further: a dense front of 36 unknowns
 _CUTS = (0.4, 0.5, 0.6)  # shares of the nodes on one side that are tried, along each axis
 _LARGE = 60  # nodes over which all of these are tried: where cuts cost most
 

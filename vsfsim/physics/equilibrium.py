@@ -51,6 +51,10 @@ class Equilibrium:
         self.newton, self.cg = np.zeros(len(self.every), int), np.zeros(len(self.every), int)
         self.reason = np.zeros(len(self.every), int)
 
+    def spent(self, host: np.ndarray) -> np.ndarray:
+        """Which of the touches ``host`` (k,) have taken all the iterations that a frame may take (k,) bool."""
+        return (self.cg[host] >= self.options.cg_frame) | (self.newton[host] >= self.options.newton_frame)
+
     # ------------------------------------------------------------------------------------------ state
 
     def evaluate(self, columns: torch.Tensor) -> State:
@@ -129,7 +133,7 @@ class Equilibrium:
             if time.perf_counter() > deadline:
                 self.reason[host] = Reason.TIME
                 break
-            spent = torch.as_tensor(self.cg[host] >= self.options.cg_frame, device=self.device)
+            spent = torch.as_tensor(self.spent(host), device=self.device)
             if bool(spent.any()):
                 stuck[open_[spent]] = True
                 held[open_[spent]] = False

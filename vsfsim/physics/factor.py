@@ -39,6 +39,8 @@ class RestFactor:
         surface_nodes: nodes (s,) that `compliance` may be asked for.
     """
 
+    _kept: type = np.float64  # of the whole columns
+
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
@@ -90,7 +92,7 @@ class RestFactor:
         return out
 
     def quick(self, points: np.ndarray) -> RestFactor:
-        """The same body answered in single precision, in less than half the time, to predict and to precondition with; this very factor if that would not do.
+        """The same body answered to fewer digits, in a third of the time, to predict and to precondition with; this very factor if that would not do.
 
         Made once and kept. points: of the nodes (n, 3) [m].
         """
@@ -108,12 +110,12 @@ class RestFactor:
             for j, i in enumerate(part):
                 right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
             answer = self.solve(right)
-            if whole and 8 * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
+            if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
                 # those asked for stay: their caller has sized them, `_COLUMNS_BYTES` at the most for all its touches
                 asked = {int(i) for i in nodes}
                 self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
-            rows = np.ascontiguousarray(answer.T) if whole else None
+            rows = np.ascontiguousarray(answer.T, dtype=self._kept) if whole else None
             for j, i in enumerate(part):
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
                 if rows is not None:
@@ -122,7 +124,7 @@ class RestFactor:
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
         self._make(nodes, whole=True)
-        return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size))
+        return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
         """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N]; 0 where held."""
@@ -153,7 +155,9 @@ class RestFactor:
 
 
 class QuickFactor(RestFactor):
-    """A rest-state factor whose answers come from `multifrontal`, in single precision."""
+    """A rest-state factor whose answers come from `multifrontal`: to a percent or so, which is enough to predict and to precondition with."""
+
+    _kept = np.float32
 
     def __init__(self, exact: RestFactor, solver: Multifrontal):
         began = time.perf_counter()
@@ -163,7 +167,7 @@ class QuickFactor(RestFactor):
 
     @classmethod
     def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
-        """The quick factor, or None if single precision loses something of this body: tried with pushes along each axis on all of it and with forces at random."""
+        """The quick factor, or None if its few digits lose something of this body: tried with pushes along each axis on all of it and with forces at random."""
         solver = Multifrontal(exact._held, points)
         loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)), np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
         return cls(exact, solver) if trusted(exact._held, solver, loads * exact.free[:, None]) else None

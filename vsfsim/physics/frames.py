@@ -36,7 +36,7 @@ class SolverOptions:
     the force balance. newton: iterations a step. cg: iterations a linear system. cg_tolerance: its relative residual near the solution.
     cg_far: looser by this factor far from it, where Newton's model is no better. cg_plain: the residual is measured by its length, not in the
     preconditioner's norm, see `pcg.solve`.
-    cg_frame: conjugate gradients that one touch may take in one frame, halved steps included: what needs more is marked.
+    cg_frame, newton_frame: conjugate gradients and Newton iterations that one touch may take in one frame, halved steps included: what needs more is marked.
     halvings: how often a failed step is halved. seconds: wall-clock limit of one frame of the batch [s].
     """
 
@@ -47,6 +47,7 @@ class SolverOptions:
     cg_far: float = 10.0
     cg_plain: bool = False
     cg_frame: int = 1500
+    newton_frame: int = 10_000
     halvings: int = 5
     seconds: float = 120.0
 

@@ -363,5 +363,13 @@ class PairSurfaces:
         split = 3 * self._split
         force = force * self.real[touches]
         on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_object[touches], force[:, :split])
-        on_sensor = torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_sensor[touches], force[:, split:])
-        return torch.cat([self._object.patch(touches, on_object), self._sensor_solve(on_sensor.T)])
+        return torch.cat([self._object.patch(touches, on_object), self._sensor_patch(touches, force[:, split:])])
+
+    def _sensor_patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """The sensor's part of `patch`."""
+        at = self._on_sensor[touches]
+        if self.device == "cpu" and len(self._sensor_single) <= _TABLE:
+            # as `_sensor_solve`, and only what the patch pushes is read
+            single = force.to(torch.float32)
+            return torch.stack([f @ self._sensor_single[rows] for f, rows in zip(single, at, strict=True)], dim=1).to(force.dtype)
+        return self._sensor_solve(torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, at, force).T)

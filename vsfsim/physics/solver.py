@@ -245,7 +245,7 @@ class Solver:
         touching.move(pose, columns)
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
-        again = (balance.reason[asked] != Reason.NONE) & (balance.cg[asked] < self.options.cg_frame)
+        again = (balance.reason[asked] != Reason.NONE) & ~balance.spent(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
             return
