@@ -195,7 +195,7 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
 
 @app.command()
 def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of the batch; default: 4 on a CPU, 200 on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1, help="Touches of the batch; default: 4 on a CPU, 800 on a GPU.")] = None,
            frames: Annotated[int, typer.Option(min=4, help="Of a touch.")] = 15,
            tier: Annotated[str, typer.Option(help="Of the shoe: fem-coarse, fem or fem-fine.")] = "fem",
            resolution: Annotated[float, typer.Option(min=0.005, max=0.1, help="Size of its cells [m]; 0.0095 makes 5,256 tetrahedra.")] = 0.0095,

@@ -186,13 +186,13 @@ def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAM
     """Both measurements.
 
     Args:
-        device: Warp device. touches: of the batch; None for 4 on a CPU and 200 on a GPU. frames: of a touch, 4 or more. tier, resolution: of the object, the latter [m]. nodes: of
+        device: Warp device. touches: of the batch; None for 4 on a CPU and 800 on a GPU. frames: of a touch, 4 or more. tier, resolution: of the object, the latter [m]. nodes: of
             the bubble, None for the scene's. compare: so many touches of a GPU's batch also on the CPU. progress: told every frame.
 
     Returns:
         "poke" and "batch", fields as `Poke` and `Batch`.
     """
-    count = touches or (4 if device == "cpu" else 200)
+    count = touches or (4 if device == "cpu" else 800)
     progress("building the shoe and the bubble")
     s = prepare(count, frames=frames, tier=tier, resolution=resolution, nodes=nodes)
     progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in {s.seconds:.1f} s; compiling kernels")

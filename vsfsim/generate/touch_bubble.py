@@ -123,9 +123,10 @@ def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.
         dome: the sensor. samples: points that cover the body's surface (k, 3) [m]. target: a point (3,) [m]. axis: unit direction of the press (3,).
     """
     local = (samples - target) @ turn_to(axis, _LEADS)
-    gone = dome.heights(local[:, :2]) - local[:, 2]
-    # with the apex over it, the target itself is met at the latest
-    return target - max(float(gone.max()), dome.height) * axis
+    # with the apex over it, the target itself is met at the latest: no point beyond its plane comes before it
+    before = local[local[:, 2] < 0.0]
+    gone = dome.heights(before[:, :2]) - before[:, 2]
+    return target - max(float(gone.max(initial=-np.inf)), dome.height) * axis
 
 
 def _reachable(dome: Dome, contact: np.ndarray, target: np.ndarray, axis: np.ndarray, depth: float, approach: float) -> bool:

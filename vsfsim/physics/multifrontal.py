@@ -83,7 +83,8 @@ class Multifrontal:
 
 @dataclass(frozen=True)
 class _Factor:
-    """blocks: Q (p rows) and, after it, P^T (p rows) of every front, in units of 2^-15. pivots: d, padded as the vector of all fronts is. rows: r of the rows below."""
+    """blocks: Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-]. pivots: d of the padded pivots of all fronts (v,) [sqrt(m/N)].
+    rows: r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
 
     blocks: np.ndarray
     pivots: np.ndarray
