@@ -1,5 +1,7 @@
 """A bubble pressed on soft things: one equilibrium of both, forces that balance, and the rigid limit."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
@@ -10,6 +12,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.physics import complementarity, tiers
 from vsfsim.physics.bubble import build_bubble
 from vsfsim.physics.coupled import CoupledSolver, free_way
+from vsfsim.physics.frames import Reason
 
 BLOCK = """
 name = "block"
@@ -47,8 +50,8 @@ def down(height, depths, x=0.004, y=0.003):
     return poses
 
 
-def press(model, bubble, depths, friction, device):
-    solver = CoupledSolver(model, bubble, friction=friction, device=device, options=tiers.options("fem"))
+def press(model, bubble, depths, friction, device, **limits):
+    solver = CoupledSolver(model, bubble, friction=friction, device=device, options=dataclasses.replace(tiers.options("fem"), **limits))
     frames = solver.run(down(bubble.mesh.points[:, 2].max(), depths), keep=True)
     return solver, frames
 
@@ -66,6 +69,19 @@ def test_both_bodies_balance_and_the_gas_is_squeezed(bubble, block, device):
     assert np.ptp(law) < 1e-6 * law[0]
     # 1 % of an element
     assert frames.penetration.max() < 0.01 * bubble.element_size
+
+
+def test_a_frame_that_needs_more_iterations_than_it_may_take_is_marked(bubble, block, device):
+    """Halved steps, softer contact and the second try included, however far from balance it stops; frames within the limit are what they are without one."""
+    depths = [0.0005, 0.005]
+    _, free = press(block(1e5), bubble, depths, 2.0, device)
+    few, many = (int(n) for n in sorted(free.iterations[:, 0]))
+    assert few < many and free.converged.all()
+    _, limited = press(block(1e5), bubble, depths, 2.0, device, newton_frame=many - 1)
+    hard = int(free.iterations[:, 0].argmax())
+    assert limited.iterations[hard, 0] == many - 1 and limited.reason[hard, 0] == Reason.ITERATIONS and not limited.converged[hard, 0]
+    if hard == 1:
+        assert limited.converged[0, 0] and np.array_equal(limited.force[0], free.force[0])
 
 
 def test_a_stiff_block_is_a_rigid_plane(bubble, block, device):
