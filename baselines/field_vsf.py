@@ -138,7 +138,9 @@ def _surface_of(action: Action, force: np.ndarray):
     from vsfsim.vsf.palpation import dome
     from vsfsim.vsf.swept import TotalTouch
 
-    if isinstance(action.probe, Dome) and action.observation in ("normal-force", "pressure"):
+    if isinstance(action.probe, Dome):
+        if action.observation not in ("normal-force", "pressure"):
+            raise MethodError(f"the readings are '{action.observation}'; of a bubble the continuous VSF knows 'normal-force' and 'pressure'.")
         places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
         return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
     if not isinstance(action.probe, Sphere):
