@@ -90,7 +90,7 @@ class VsfObject:
         """W (T d, n) of a touch, frame by frame: readings = W K."""
         if action.observation == "joint-torque":
             return self._torque_rows(action)
-        key = _digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
+        key = digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
         if key not in self.rows:
             moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction, device=self.settings.device)
             if action.observation == "normal-force":
@@ -107,7 +107,7 @@ class VsfObject:
         """Rows of SBML eq. 7, contact along the whole arm."""
         if not isinstance(action.probe, Chain) or action.q is None:
             raise MethodError("joint torques need an arm: a touch with joint angles, and the arm's chain as its probe.")
-        key = _digest(action.q, action.axis) + b"joint-torque"
+        key = digest(action.q, action.axis) + b"joint-torque"
         if key not in self.rows:
             self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction, device=self.settings.device)
         return self.rows[key]
@@ -144,7 +144,7 @@ class VsfObject:
         """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural VSF eq. 3): with W^T W = V s V^T
         they are sqrt(s) V^T and V^T W^T z / sqrt(s), as many as particles were moved at most, where W has three a vertex and frame."""
         assert reading.surface is not None
-        key = _digest(reading.surface.vertices, reading.surface.force, reading.valid)
+        key = digest(reading.surface.vertices, reading.surface.force, reading.valid)
         if key not in self.skins:
             touch = skin_touch(reading)
             if touch is None:
@@ -241,13 +241,14 @@ class ObjectShelf:
 
     def get(self, view: View) -> VsfObject:
         """The object behind ``view``."""
-        key = _digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
+        key = digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
         if key not in self.objects:
             self.objects[key] = VsfObject.behind(view, self.settings)
         return self.objects[key]
 
 
-def _digest(*arrays: np.ndarray) -> bytes:
+def digest(*arrays: np.ndarray) -> bytes:
+    """Of the arrays' bytes: the same arrays give the same."""
     out = hashlib.blake2b()
     for array in arrays:
         out.update(np.ascontiguousarray(array).tobytes())
