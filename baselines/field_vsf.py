@@ -144,7 +144,7 @@ def _surface_of(action: Action, force: np.ndarray):
         places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
         return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
     if not isinstance(action.probe, Sphere):
-        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
+        raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
     if action.observation != "normal-force":
         raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
