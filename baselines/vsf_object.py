@@ -24,6 +24,7 @@ from vsfsim.data.records import View
 from vsfsim.vsf.arm_rows import arm_torque_rows
 from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.kalman import DiagonalFilter
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
 from vsfsim.vsf.sticking import stick
@@ -202,7 +203,7 @@ class Posterior:
         if not rows:
             return []
         # All at once: what the support tells is factored once.
-        every = reading_std(self.rows, sparse.vstack(rows), noise_std=self.model.settings.noise_std, prior=self.prior)
+        every = self._reading_std(sparse.vstack(rows))
         out, first = [], 0
         for action, mine in zip(actions, rows):
             unit = noise_unit(action)
@@ -218,7 +219,7 @@ class Posterior:
         there is none). The std is the mean of theirs, as if they erred together.
         """
         spacing = self.model.settings.spacing
-        std = structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+        std = self._std()
         tree = cKDTree(self.model.particles)
         nearest = tree.query(points)[1]
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
@@ -226,10 +227,45 @@ class Posterior:
         volume = spacing**3
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
 
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        """Of readings to come, rows (q, n), without their own noise (q,)."""
+        return reading_std(self.rows, rows, noise_std=self.model.settings.noise_std, prior=self.prior)
+
+    def _std(self) -> np.ndarray:
+        """Of each particle's spring constant (n,) [N/m]."""
+        return structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+
     def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
         touched = self.touched()
         return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, Locating(seed=seed))
+
+
+@dataclass
+class Filtered(Posterior):
+    """What the diagonal Kalman filter knows after the same touches, taken in frame by frame (Neural VSF section III-B). var: of each spring constant (n,) [(N/m)^2]."""
+
+    var: np.ndarray
+
+    @classmethod
+    def online(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Filtered:
+        """From one mean [N/m] and variance for all particles, touch after touch in the order given."""
+        state = DiagonalFilter.start(len(model.particles), mean=prior_mean, var=prior_var)
+        blocks = [sparse.csr_matrix((0, len(model.particles)))]
+        for index, reading in enumerate(support):
+            try:
+                rows, z = model.stack([reading])
+            except MethodError as error:
+                raise MethodError(str(error).replace("touch 0", f"touch {index}")) from error
+            state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size)
+            blocks.append(rows)
+        return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)), GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
+
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        return np.sqrt(sparse.csr_matrix(rows).power(2) @ self.var)
+
+    def _std(self) -> np.ndarray:
+        return np.sqrt(self.var)
 
 
 @dataclass
