@@ -51,6 +51,17 @@ def test_a_stiff_half_is_felt(build, skin):
         assert 0.2 * reading.value[-1, 0] < guess[-1, 0] < 5.0 * reading.value[-1, 0]
 
 
+def test_without_its_skin_a_field_is_fitted_to_the_total():
+    """`skin=False` and readings without a surface are one and the same; with it the forces on the vertices are looked at."""
+    view, readings = mock_view(0).view, pressed()
+    quick, answers = {**QUICK, "iterations": 10}, []
+    for method, given in ((GridVsf(**quick, skin=False), readings), (GridVsf(**quick), [Reading(r.action, r.value, r.valid) for r in readings]), (GridVsf(**quick), readings)):
+        method.adapt(view, given[:4])
+        answers.append(method.predict([readings[8].action])[0])
+    np.testing.assert_array_equal(answers[0], answers[1])
+    assert np.abs(answers[0] - answers[2]).max() > 0.0
+
+
 def test_a_dome_in_a_message_is_short():
     probe = pressed()[0].action.probe
     assert re.fullmatch(r"Dome\(61 vertices, 15.0 mm high, [0-9a-f]{8}\)", str(probe))
