@@ -32,19 +32,20 @@ class NeuralVsf:
             the paper's, which take minutes an object on a CPU.
         margin: by which the box of the field is wider than the visible cloud [m]. table_height: z of the table [m].
         depth: of the points that are asked where a hidden object lies [m]. seed: of weights and batches.
+        skin: fit the forces on a sensor's vertices where they were read; False: the total only, the pressure-only baseline.
         device: torch device.
     """
 
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
-                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
         from vsfsim.vsf.neural import Fitting
 
         if min(iterations, batch, samples) < 1 or not rate > 0.0:
             raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} must be at least 1 and rate {rate} greater than 0.")
         self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, seed=seed)
-        self.margin, self.table_height, self.depth, self.seed, self.device = margin, table_height, depth, seed, device
+        self.margin, self.table_height, self.depth, self.seed, self.skin, self.device = margin, table_height, depth, seed, skin, device
         self._field: dict[str, float] = {}
         self._model = None
 
@@ -68,7 +69,7 @@ class NeuralVsf:
                 raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
-        dense = all(r.surface is not None for r in support)
+        dense = self.skin and all(r.surface is not None for r in support)
         found = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
         touches = [touch for touch in found if touch is not None]
         if not touches:
@@ -108,11 +109,11 @@ class GridVsf(NeuralVsf):
     _kind = "grid"
 
     def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1, free_space: float = 1e-2,
-                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, device: str = "cpu"):
+                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, margin=margin, table_height=table_height,
-                         depth=depth, seed=seed, device=device)
+                         depth=depth, seed=seed, skin=skin, device=device)
         self._field = {"cell": cell}
 
 
@@ -138,11 +139,13 @@ def _surface_of(action: Action, force: np.ndarray):
     from vsfsim.vsf.palpation import dome
     from vsfsim.vsf.swept import TotalTouch
 
-    if isinstance(action.probe, Dome) and action.observation in ("normal-force", "pressure"):
+    if isinstance(action.probe, Dome):
+        if action.observation not in ("normal-force", "pressure"):
+            raise MethodError(f"the readings are '{action.observation}'; of a bubble the continuous VSF knows 'normal-force' and 'pressure'.")
         places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
         return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
     if not isinstance(action.probe, Sphere):
-        raise MethodError(f"the probe is {action.probe}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
+        raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
     if action.observation != "normal-force":
         raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)

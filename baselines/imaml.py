@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.baselines.vsf_object import digest
 from vsfsim.bench.method import Action, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
@@ -45,6 +46,7 @@ class Imaml:
         self.regularisation, self.cg_damping, self.cg_steps = regularisation, cg_damping, cg_steps
         self.features, self.weights, self.device = features, weights, device
         self._scale: dict[str, np.ndarray] | None = None
+        self._tokens: dict[bytes, np.ndarray] = {}  # by view: a view is met at every shot and seed
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the start of all adaptations.
@@ -157,7 +159,12 @@ class Imaml:
         return Network(inputs, outputs, token=len(self._scale["token_mean"]), hidden=HIDDEN, encoder=ENCODER)
 
     def _token(self, view: View) -> np.ndarray:
-        return view_token(self.features, view, weights=self.weights, device=self.device).astype(np.float64) if self._vision else np.zeros(0)
+        if not self._vision:
+            return np.zeros(0)
+        key = digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
+        if key not in self._tokens:
+            self._tokens[key] = view_token(self.features, view, weights=self.weights, device=self.device).astype(np.float64)
+        return self._tokens[key]
 
     def _halves(self, touches: Sequence[tuple[np.ndarray, np.ndarray]], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
         """A training object's touches, divided at random into support (at least one touch) and query (at least one)."""

@@ -6,6 +6,7 @@ most cases, while the outline of the stiff columns (`vsfsim.vsf.lying`) finds th
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -51,11 +52,21 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        return lying_pose(KnownObject.of(vertices, triangles), (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
+        return lying_pose(_known(_kept(vertices, float), _kept(triangles, np.int64)), (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
     except VsfError:
         out = np.eye(4)
         out[:3, 3] = cloud.mean(axis=0)
         return out
+
+
+@functools.lru_cache(maxsize=16)
+def _known(vertices: tuple[tuple[int, ...], bytes], triangles: tuple[tuple[int, ...], bytes]) -> KnownObject:
+    # The same object is asked for at every shot and seed, and its inside test takes seconds to make.
+    return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]), np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))
+
+
+def _kept(array: np.ndarray, kind: type) -> tuple[tuple[int, ...], bytes]:
+    return np.shape(array), np.ascontiguousarray(array, kind).tobytes()
 
 
 def touched_points(view: View, support: Sequence[Reading], *, depth: float) -> np.ndarray:

@@ -12,10 +12,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfSettings
+from vsfsim.baselines.vsf_object import Filtered, ObjectShelf, Posterior, VsfSettings
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
+
+ESTIMATORS = ("batch", "filter")
 
 
 class PointVsf:
@@ -30,11 +32,14 @@ class PointVsf:
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         device: Warp device.
+        estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which takes in one frame after the other (Neural VSF section III-B).
     """
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, prior_std: float = 1000.0,
-                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
-        self.prior_std = prior_std
+                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu", estimator: str = "batch"):
+        if estimator not in ESTIMATORS:
+            raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
+        self.prior_std, self.estimator = prior_std, estimator
         self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
@@ -43,7 +48,8 @@ class PointVsf:
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Fit the springs to the support touches."""
         self._view = view
-        self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
+        estimate = Filtered.online if self.estimator == "filter" else Posterior.of
+        self._posterior = estimate(self._shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet."""

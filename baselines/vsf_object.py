@@ -24,6 +24,7 @@ from vsfsim.data.records import View
 from vsfsim.vsf.arm_rows import arm_torque_rows
 from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.kalman import DiagonalFilter
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
 from vsfsim.vsf.sticking import stick
@@ -90,7 +91,7 @@ class VsfObject:
         """W (T d, n) of a touch, frame by frame: readings = W K."""
         if action.observation == "joint-torque":
             return self._torque_rows(action)
-        key = _digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
+        key = digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
         if key not in self.rows:
             moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction, device=self.settings.device)
             if action.observation == "normal-force":
@@ -107,7 +108,7 @@ class VsfObject:
         """Rows of SBML eq. 7, contact along the whole arm."""
         if not isinstance(action.probe, Chain) or action.q is None:
             raise MethodError("joint torques need an arm: a touch with joint angles, and the arm's chain as its probe.")
-        key = _digest(action.q, action.axis) + b"joint-torque"
+        key = digest(action.q, action.axis) + b"joint-torque"
         if key not in self.rows:
             self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction, device=self.settings.device)
         return self.rows[key]
@@ -144,7 +145,7 @@ class VsfObject:
         """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural VSF eq. 3): with W^T W = V s V^T
         they are sqrt(s) V^T and V^T W^T z / sqrt(s), as many as particles were moved at most, where W has three a vertex and frame."""
         assert reading.surface is not None
-        key = _digest(reading.surface.vertices, reading.surface.force, reading.valid)
+        key = digest(reading.surface.vertices, reading.surface.force, reading.valid)
         if key not in self.skins:
             touch = skin_touch(reading)
             if touch is None:
@@ -198,12 +199,17 @@ class Posterior:
 
     def predict_std(self, actions: Sequence[Action]) -> list[np.ndarray]:
         """Standard deviations (T, d) of the readings: what is left of the springs', and the noise of a reading."""
-        out = []
-        for action in actions:
-            std = reading_std(self.rows, self.model.observe(action), noise_std=self.model.settings.noise_std, prior=self.prior)
+        rows = [self.model.observe(action) for action in actions]
+        if not rows:
+            return []
+        # All at once: what the support tells is factored once.
+        every = self._reading_std(sparse.vstack(rows))
+        out, first = [], 0
+        for action, mine in zip(actions, rows):
             unit = noise_unit(action)
-            noise = self.model.settings.noise_std * self.model.noise_factor(unit * (self.model.observe(action) @ self.stiffness)) / unit
-            out.append(np.hypot(std, noise).reshape(-1, action.size))
+            noise = self.model.settings.noise_std * self.model.noise_factor(unit * (mine @ self.stiffness)) / unit
+            out.append(np.hypot(every[first:first + mine.shape[0]], noise).reshape(-1, action.size))
+            first += mine.shape[0]
         return out
 
     def density(self, points: np.ndarray) -> Estimate:
@@ -213,7 +219,7 @@ class Posterior:
         there is none). The std is the mean of theirs, as if they erred together.
         """
         spacing = self.model.settings.spacing
-        std = structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+        std = self._std()
         tree = cKDTree(self.model.particles)
         nearest = tree.query(points)[1]
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
@@ -221,10 +227,45 @@ class Posterior:
         volume = spacing**3
         return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
 
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        """Of readings to come, rows (q, n), without their own noise (q,)."""
+        return reading_std(self.rows, rows, noise_std=self.model.settings.noise_std, prior=self.prior)
+
+    def _std(self) -> np.ndarray:
+        """Of each particle's spring constant (n,) [N/m]."""
+        return structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+
     def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
         touched = self.touched()
         return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, Locating(seed=seed))
+
+
+@dataclass
+class Filtered(Posterior):
+    """What the diagonal Kalman filter knows after the same touches, taken in frame by frame (Neural VSF section III-B). var: of each spring constant (n,) [(N/m)^2]."""
+
+    var: np.ndarray
+
+    @classmethod
+    def online(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Filtered:
+        """From one mean [N/m] and variance for all particles, touch after touch in the order given."""
+        state = DiagonalFilter.start(len(model.particles), mean=prior_mean, var=prior_var)
+        blocks = [sparse.csr_matrix((0, len(model.particles)))]
+        for index, reading in enumerate(support):
+            try:
+                rows, z = model.stack([reading])
+            except MethodError as error:
+                raise MethodError(str(error).replace("touch 0", f"touch {index}")) from error
+            state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size)
+            blocks.append(rows)
+        return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)), GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
+
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        return np.sqrt(sparse.csr_matrix(rows).power(2) @ self.var)
+
+    def _std(self) -> np.ndarray:
+        return np.sqrt(self.var)
 
 
 @dataclass
@@ -236,13 +277,14 @@ class ObjectShelf:
 
     def get(self, view: View) -> VsfObject:
         """The object behind ``view``."""
-        key = _digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
+        key = digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
         if key not in self.objects:
             self.objects[key] = VsfObject.behind(view, self.settings)
         return self.objects[key]
 
 
-def _digest(*arrays: np.ndarray) -> bytes:
+def digest(*arrays: np.ndarray) -> bytes:
+    """Of the arrays' bytes: the same arrays give the same."""
     out = hashlib.blake2b()
     for array in arrays:
         out.update(np.ascontiguousarray(array).tobytes())

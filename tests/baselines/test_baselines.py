@@ -115,3 +115,26 @@ def test_refusals(train, subject):
     method.adapt(view.view, [])
     with pytest.raises(MethodError, match="no observation rows for 'smell'"):
         method.predict([action])
+
+
+def test_the_filter_takes_frames_one_by_one_and_one_frame_as_the_batch_does(subject):
+    """After one frame there is nothing to forget: both estimators say the same."""
+    view, recording = subject[0].view, subject[1]
+    one = recording.readings[0]
+    last = dataclasses.replace(one, valid=np.arange(len(one.valid)) == len(one.valid) - 1)
+    batch, online = PointVsf(), PointVsf(estimator="filter")
+    for method in (batch, online):
+        method.adapt(view, [last])
+    np.testing.assert_allclose(online._posterior.stiffness, batch._posterior.stiffness, rtol=1e-9, atol=1e-9)
+    points = batch._posterior.model.particles[:50]
+    np.testing.assert_allclose(online.stiffness(points).std, batch.stiffness(points).std, rtol=1e-6)
+    for method in (batch, online):
+        method.adapt(view, recording.readings[:4])
+    assert np.abs(online._posterior.stiffness - batch._posterior.stiffness).max() > 0.0  # it forgets what a frame correlates
+    asked = recording.readings[5].action
+    assert np.isfinite(online.predict([asked])[0]).all() and (online.predict_std([asked])[0] >= 1.0).all()
+    broken = dataclasses.replace(one, value=np.full_like(one.value, np.nan))
+    with pytest.raises(MethodError, match="touch 2 of the support"):
+        online.adapt(view, [*recording.readings[1:3], broken])
+    with pytest.raises(MethodError, match="batch, filter"):
+        PointVsf(estimator="kalman")

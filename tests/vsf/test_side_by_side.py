@@ -1,12 +1,15 @@
 """`vsfsim bench methods`: the literal forms give the same answers, and what would not fit is not tried."""
 
+import json
 import mmap
 
 import numpy as np
 import pytest
+from scipy import optimize, sparse
 
 from vsfsim.vsf import bench_fields, bench_sbml, memory, side_by_side
 from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.side_by_side import Workload, batch, batch_dense
 
 
 def test_equal_answers():
@@ -80,3 +83,20 @@ def test_the_fields_are_compared_on_one_case():
 def test_refusals():
     with pytest.raises(VsfError, match="at least 1, 1 and 2"):
         side_by_side.Workload.of(100, 0, 3)
+
+
+def test_an_exported_workload_gives_an_outsider_the_same_answer(tmp_path):
+    """The matrices, readings, noise and prior in the files are all that eq. 16 needs."""
+    load = Workload.of(60, 2, 3)
+    load.export(tmp_path / "new" / "folder")
+    told = json.loads((tmp_path / "new" / "folder" / "readings.json").read_text())
+    z = np.load(tmp_path / "new" / "folder" / "readings.npz")
+    for name, mine in (("pressure", batch), ("dense", batch_dense)):
+        w = sparse.load_npz(tmp_path / "new" / "folder" / f"{name}.npz").toarray()
+        a = np.concatenate([w / told["noise_std_N"], np.eye(w.shape[1]) / told["prior_std_N_per_m"]])
+        b = np.concatenate([z[name] / told["noise_std_N"], np.full(w.shape[1], told["prior_mean_N_per_m"] / told["prior_std_N_per_m"])])
+        np.testing.assert_allclose(optimize.nnls(a, b)[0], mine(load)[1], rtol=1e-6, atol=1e-6)
+    assert w.shape[0] == len(z["touch"]) * told["rows_of_a_frame"] == 6 * told["rows_of_a_frame"]
+    (tmp_path / "file").write_text("")
+    with pytest.raises(VsfError, match="cannot be written"):
+        load.export(tmp_path / "file" / "folder")

@@ -13,16 +13,20 @@ ten degrees; so the best one is at last refined on the loss itself, by a shrinki
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.dynamics import VsfError
 
 _TRIPLES = 20_000  # of model points, whose edge lengths are looked up
 _CLOUD = 400  # points of the cloud that vote
 _GRID = 32  # cells along the longest edge of the inside test
+# Poses that the random search starts from, and by how much they must be turned against each other to be two [rad].
+_STARTS, _APART = 3, 0.5
 
 
 @dataclass(frozen=True)
@@ -88,7 +92,8 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
 
     Args:
         known: the object. points: that were touched, world (n, 3) [m]. stiffness: there (n,). threshold: above the cover's.
-        tries: registrations, of which the best is kept. refine: steps of the random search after them. seed: of the draws.
+        tries: registrations, of which the best is kept. refine: steps of the random search after them, from
+            each of the best three that are turned against each other. seed: of the draws.
 
     Raises:
         VsfError: fewer than 10 points are stiffer than the threshold.
@@ -102,16 +107,26 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
         inside = known.contains((points - transform[:3, 3]) @ transform[:3, :3])
         return Pose(transform, float(lack[inside].sum() + threshold * np.count_nonzero(stiff & ~inside)))
 
-    best = min((judged(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0]) for attempt in range(tries)), key=lambda p: p.loss)
+    found = sorted((judged(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0]) for attempt in range(tries)), key=lambda p: p.loss)
+    if not refine:
+        return found[0]
+    # A pose that is turned over may fit the sheet of stiff points nearly as well: the search starts from the best of each kind.
+    starts: list[Pose] = []
+    for pose in found:
+        if len(starts) < _STARTS and all(pose_errors(pose.transform, other.transform)[1] > _APART for other in starts):
+            starts.append(pose)
+    return min((_searched(pose, judged, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed) for pose in starts), key=lambda p: p.loss)
+
+
+def _searched(best: Pose, judged: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int, seed: int) -> Pose:
+    """A random search from ``best``, about ``centre`` (3,) [m]: from ``reach`` [m] and 0.2 rad down to a thirtieth of that."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-    centre = points[stiff].mean(axis=0)
-    for step in range(refine):
-        # From a tenth of the object's size and 0.2 rad down to a thirtieth of that.
-        size = 30.0 ** (-step / refine)
+    for step in range(steps):
+        size = 30.0 ** (-step / steps)
         turn = _turned(0.2 * size * rng.standard_normal(3))
         moved = best.transform.copy()
         moved[:3, :3] = turn @ moved[:3, :3]
-        moved[:3, 3] = centre + turn @ (moved[:3, 3] - centre) + 0.1 * _GRID * known.cell * size * rng.standard_normal(3)
+        moved[:3, 3] = centre + turn @ (moved[:3, 3] - centre) + reach * size * rng.standard_normal(3)
         trial = judged(moved)
         best = trial if trial.loss <= best.loss else best
     return best

@@ -10,10 +10,12 @@ workload's touches as it can take, and its time for the whole is estimated from 
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -89,6 +91,27 @@ class Workload:
         rows = touches * self.frames
         return Workload(self.pressure[:rows], self.pressure_z[:rows], self.touch[:rows], self.dense[:rows * self.frame],
                         self.dense_z[:rows * self.frame], self.frame, self.frames)
+
+    def export(self, folder: Path) -> None:
+        """Write the workload for an estimator from elsewhere: pressure.npz and dense.npz (CSR, `scipy.sparse.load_npz`), readings.npz and readings.json, which
+        says what each is and gives the noise and the prior.
+
+        Raises:
+            VsfError: the folder cannot be written.
+        """
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            sparse.save_npz(folder / "pressure.npz", self.pressure)
+            sparse.save_npz(folder / "dense.npz", self.dense)
+            np.savez(folder / "readings.npz", pressure=self.pressure_z, dense=self.dense_z, touch=self.touch)
+            (folder / "readings.json").write_text(json.dumps({
+                "model": "z = W K + noise, K >= 0: spring constants K [N/m] of particles, W [m], z [N]",
+                "pressure.npz": "W of the force sums, one row a frame: (frames of all touches, particles)",
+                "dense.npz": f"W of the contact forces on a sensor's vertices, {self.frame} rows a frame (vertex by vertex, x y z)",
+                "readings.npz": {"pressure": "z of pressure.npz", "dense": "z of dense.npz", "touch": "which touch each frame is of"},
+                "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE, "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD}, indent=1) + "\n")
+        except OSError as error:
+            raise VsfError(f"bench methods: the workload cannot be written to '{folder}': {error}. Give a folder that can be made.") from error
 
     @property
     def touches(self) -> int:
@@ -249,15 +272,17 @@ class Comparison:
     literal_whole: float
 
 
-def compare(particles: int, touches: int, frames: int, *, literal: bool = True, device: str = "cpu",
+def compare(particles: int, touches: int, frames: int, *, literal: bool = True, device: str = "cpu", export: Path | None = None,
             progress: Callable[[int, int, str], None] | None = None) -> list[Comparison]:
     """Run all estimators on one workload.
 
     Args:
         particles, touches, frames: of the workload. literal: run the literal forms, too. device: of torch, where an estimator uses it (eq. 15).
-        progress: called with (done, of how many, what).
+        export: folder to write the workload to, see `Workload.export`. progress: called with (done, of how many, what).
     """
     load = Workload.of(particles, touches, frames)
+    if export is not None:
+        load.export(export)
     out = []
     for index, e in enumerate(ESTIMATORS):
         if progress is not None:
