@@ -33,7 +33,7 @@ from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-PATIENCE = 30_000  # Newton iterations after which a guarded touch ends where it is: six times the mean
+WORK, PATIENCE = 300, 30_000  # Newton iterations of a guarded touch: of a frame, after which it is not tried in shorter strides any more (a third of the work of 800, and as many frames that converge), and in all, four times the mean
 
 
 @dataclass
@@ -162,7 +162,8 @@ def rod_options(scene: Scene) -> RodOptions:
     assert scene.touches is not None and scene.arm is not None
     guarded = scene.arm.at_limit == "return"
     _, _, hold, out = scene.touches.frames
-    return RodOptions(force_limit=scene.touches.force_limit, guarded=guarded, hold=hold, out=out, patience=PATIENCE if guarded else None)
+    options = RodOptions(force_limit=scene.touches.force_limit)
+    return dataclasses.replace(options, guarded=True, hold=hold, out=out, work=WORK, patience=PATIENCE) if guarded else options
 
 
 def begin(batch: RodBatch, subject: Subject, number: int) -> slice:

@@ -8,7 +8,7 @@ import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Here, Results, Touches, Trees, Work
-from vsfsim.physics.rods.guard import capsules_at, copy_all, watch, where_to
+from vsfsim.physics.rods.guard import HOPELESS, capsules_at, copy_all, watch, where_to
 from vsfsim.physics.rods.lanes import count_all, late, meet, most, total
 from vsfsim.physics.rods.newton import balance
 from vsfsim.physics.rods.search import ride, surface_point
@@ -19,7 +19,6 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
-WORK = wp.constant(800)  # Newton iterations that one frame may take, retries included
 DEEP = wp.constant(wp.float64(1e-3))  # m: what is further inside a link may come out on its wrong side
 ASTRAY = wp.constant(6)  # frames.Reason
 WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # of a frame, but for rounding
@@ -225,6 +224,9 @@ def advance(
         part = w.part[b]
         h = w.stride[b]
         used = w.used[b]
+        work = touch.work
+        if touch.guarded == 1 and w.fails[b] >= HOPELESS:
+            work = 0
         if h == ZERO:
             h = base
         reason = int(0)
@@ -242,10 +244,10 @@ def advance(
                 reason, its, residual, count = balance(tree, touch, w, at, side, 1 - side, weighs, load)
                 used = used + its
                 taken = taken + its + 1
-                if reason == 4 or (reason != 0 and h > real(1.5) * base * SHORTER and used < WORK):
+                if reason == 4 or (reason != 0 and h > real(1.5) * base * SHORTER and used < work):
                     copy_all(at, w.x_start, w.q_start, w.x, w.q)
                     h = real(0.25) * h
-                    if reason == 4 and (h < base * SHORTER or used >= WORK):
+                    if reason == 4 and (h < base * SHORTER or used >= work):
                         # the state that was not finite is given up: what is kept is the one before
                         part = ONE
                 else:
@@ -276,7 +278,7 @@ def advance(
                 astray = 0
             if pressed > touch.force_limit and touch.guarded == 0:
                 ended = t + 1  # this frame is not kept
-            total_used = w.total[b] + used + 1
+            total_used = w.total[b] + used
             if total_used > touch.patience and kept == 1:
                 ended = t + 2  # this one is
             meet()

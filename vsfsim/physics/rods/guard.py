@@ -3,7 +3,7 @@
 Poses stand along the way in; a frame is at a number of them, `at`, which may be a fraction: between poses the tool goes along the cubic through four of them. A planned frame is at the plan's number. A guarded touch
 (`Touches.guarded`) whose next frame would pass the force limit goes back to the last equilibrium under it and creeps on from there, a quarter as far a frame, and again, down to a 64th; it speeds up again
 while the force is under half the limit. Then it stands still and goes back the way it came to where it first met the plant, in as many frames as are left: how far frames are apart follows from their number, which stays.
-The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one.
+The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one. On the way back such frames go on, marked, each stride tried once.
 """
 
 import warp as wp
@@ -163,6 +163,7 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
     turned = w.turned[b]
     met = w.met[b]
     fails = w.fails[b]
+    fails = wp.where(reason == 0, 0, fails + 1)
     if touch.guarded == 1 and (phase == CREEPING or (phase == AS_PLANNED and t < touch.inward[b])):
         if pressed > touch.force_limit and t > 0:
             pace = SLOWER * pace
@@ -173,7 +174,6 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
                 turned = t
         elif reason == 0 or t == 0:
             good = goal
-            fails = 0
             if phase == CREEPING and pressed < HALF * touch.force_limit:
                 pace = wp.min(real(2.0) * pace, ONE)
             if touching > 0:
@@ -181,13 +181,12 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
             elif met == 0:
                 low = goal
             keep(w, at, side)
-        else:
-            fails = fails + 1
-            if fails >= HOPELESS:
-                phase = BACK
-                turned = t + 1
+        elif fails >= HOPELESS:
+            phase = BACK
+            turned = t + 1
         if kept == 0 or phase == BACK:
             restored = 1
+            fails = 0
             here = good
             top = good
             restore(w, at, side)
