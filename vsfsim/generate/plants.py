@@ -33,7 +33,7 @@ from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-WORK, PATIENCE = 300, 30_000  # Newton iterations of a guarded touch: of a frame, after which it is not tried in shorter strides any more (a third of the work of 800, and as many frames that converge), and in all, four times the mean
+WORK, PATIENCE = 300, 30_000  # Newton iterations of a guarded touch: of a frame, after which it is not tried in shorter strides any more (with 800 the work is half as much again, for as many frames that converge), and in all, three times the mean
 
 
 @dataclass

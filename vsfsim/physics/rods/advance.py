@@ -232,6 +232,7 @@ def advance(
         reason = int(0)
         residual = ZERO
         count = int(0)
+        lost = int(0)
         while go == 1 and part < WHOLE:
             if taken >= share or late(clock, slot) == 1:
                 go = 0
@@ -256,6 +257,9 @@ def advance(
                         settle(tree, touch, w, at, side, count, weighs, wp.where(reason == 0, 1, 0))
                     part = to
                     h = wp.min(real(2.0) * h, base)
+                    if touch.guarded == 1 and reason != 0 and work > 0 and used >= 2 * work:
+                        part = ONE  # the rest of the frame is not worth it
+                        lost = 1
         if part < WHOLE:
             # the launch is over: the next one goes on here
             meet()
@@ -267,13 +271,13 @@ def advance(
         else:
             pressed, deepest, touching = report(tree, touch, w, out, at, t, side, count)
             # a frame that failed may leave a leaf in a link, where it can find an equilibrium pierced, or come out on the other side: such frames are marked until nothing touches any more
-            if deepest > DEEP:
+            if deepest > DEEP or lost == 1:
                 astray = 1
             elif touching == 0 and reason == 0:
                 astray = 0
             if astray == 1 and reason == 0:
                 reason = ASTRAY
-            kept, restored = watch(touch, w, at, t, goal, side, pressed, touching, reason)
+            kept, restored = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
             if restored == 1:
                 astray = 0
             if pressed > touch.force_limit and touch.guarded == 0:

@@ -3,7 +3,8 @@
 Poses stand along the way in; a frame is at a number of them, `at`, which may be a fraction: between poses the tool goes along the cubic through four of them. A planned frame is at the plan's number. A guarded touch
 (`Touches.guarded`) whose next frame would pass the force limit goes back to the last equilibrium under it and creeps on from there, a quarter as far a frame, and again, down to a 64th; it speeds up again
 while the force is under half the limit. Then it stands still and goes back the way it came to where it first met the plant, in as many frames as are left: how far frames are apart follows from their number, which stays.
-The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one. On the way back such frames go on, marked, each stride tried once.
+The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one. On the way back such frames go on, marked, each stride tried once. After a frame that
+left a link inside the plant, or took too long, the next one begins at the last equilibrium, too, five times on end at most.
 """
 
 import warp as wp
@@ -146,8 +147,8 @@ def restore(w: Work, at: Here, side: int):
 
 
 @wp.func
-def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pressed: real, touching: int, reason: int):
-    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if the state went back to one that was good.
+def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pressed: real, touching: int, reason: int, astray: int):
+    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if the state went back to one that was good, as it does where a link got into the plant (``astray``).
 
     The first frame is taken as good: the arm starts clear of the plant.
     """
@@ -155,6 +156,7 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
     phase = w.phase[b]
     kept = int(1)
     restored = int(0)
+    lost = astray
     here = goal
     good = w.good[b]
     pace = w.pace[b]
@@ -163,15 +165,19 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
     turned = w.turned[b]
     met = w.met[b]
     fails = w.fails[b]
-    fails = wp.where(reason == 0, 0, fails + 1)
-    if touch.guarded == 1 and (phase == CREEPING or (phase == AS_PLANNED and t < touch.inward[b])):
-        if pressed > touch.force_limit and t > 0:
+    if touch.guarded == 1:
+        fails = wp.where(reason == 0, 0, fails + 1)
+        inward = int(0)
+        if phase == CREEPING or (phase == AS_PLANNED and t < touch.inward[b]):
+            inward = 1
+        if inward == 1 and pressed > touch.force_limit and t > 0:
             pace = SLOWER * pace
             phase = CREEPING
             kept = 0
             if pace < SLOWEST:
                 phase = BACK
                 turned = t
+                top = good
         elif reason == 0 or t == 0:
             good = goal
             if phase == CREEPING and pressed < HALF * touch.force_limit:
@@ -181,14 +187,17 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
             elif met == 0:
                 low = goal
             keep(w, at, side)
-        elif fails >= HOPELESS:
+        elif inward == 1 and fails >= HOPELESS:
             phase = BACK
             turned = t + 1
-        if kept == 0 or phase == BACK:
-            restored = 1
-            fails = 0
-            here = good
             top = good
+            fails = 0
+            lost = 1
+        elif fails > HOPELESS:
+            lost = 0  # ever further from the last equilibrium: it goes on from where it is
+        if kept == 0 or lost == 1:
+            restored = 1
+            here = good
             restore(w, at, side)
     meet()
     if at.lane == 0:
