@@ -274,7 +274,7 @@ def test_the_full_scene_has_the_papers_size():
 
 
 @pytest.mark.parametrize(("old", "new", "word"), [
-    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
+    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"', "at_limit"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
 ])
 def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
     text = find_scene("plants-mini").read_text()
