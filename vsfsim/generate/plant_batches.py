@@ -49,6 +49,7 @@ def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spen
         pool: processes that prepare. spent: where the time of all processes is charged. until: on the clock (`time.perf_counter`) when no launch is begun any more; views under way then come as far as they are, others not at all.
         watch: called with what happened, "prepared" or "solved", how many views or frames newly did, and touches that go on.
     """
+    coming = {pool.submit(prepare_one, job, device): k for k, job in enumerate(jobs)}
     since = spent.begin()
     outlines = [outline(job) for job in jobs]
     scene = outlines[0].scene
@@ -57,7 +58,6 @@ def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spen
     solver = RodSolver([o.model for o in outlines], load(scene.arm).shapes, device=device, options=rod_options(scene))
     batch = RodBatch(solver, max(min(PLACES, sum(o.touches.count for o in outlines)), outlines[0].touches.count), frames=free + inward + hold + out, poses=inward + 1)
     spent.charge("grow", since)
-    coming = {pool.submit(prepare_one, job, device): k for k, job in enumerate(jobs)}
     ready: list[tuple[int, Subject]] = []
     inside: dict[int, tuple[Subject, slice]] = {}
     while coming or ready or inside:
