@@ -23,6 +23,7 @@ from vsfsim.generate.plants import Seconds, Subject, begin, finish, outline, pre
 from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
 
 PLACES = 4096  # touches on a device at once: 7 GB
+SHORT_SPAN = 3.0  # s: a launch on a GPU while views are still to come
 
 
 @contextlib.contextmanager
@@ -76,7 +77,7 @@ def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spen
             k, subject = ready.pop(0)
             inside[k] = subject, begin(batch, subject, k)
         if batch.live:
-            new = batch.advance(seconds=min(GPU_SPAN, left))
+            new = batch.advance(seconds=min(SHORT_SPAN if coming or ready else GPU_SPAN, left))
             if watch is not None:
                 watch("solved", new, batch.live)
         for k in [k for k, (_, some) in inside.items() if batch.done(some)]:

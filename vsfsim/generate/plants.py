@@ -33,7 +33,8 @@ from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-WORK, PATIENCE = 300, 30_000  # Newton iterations of a guarded touch: of a frame, after which it is not tried in shorter strides any more (with 800 the work is half as much again, for as many frames that converge), and in all, three times the mean
+TRAVEL, WORK, PATIENCE = 80, 200, 30_000  # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter strides any more, and in all.
+# with 400 and 800, those of other touches, the work is two thirds more for as many frames that converge
 
 
 @dataclass
@@ -163,7 +164,7 @@ def rod_options(scene: Scene) -> RodOptions:
     guarded = scene.arm.at_limit == "return"
     _, _, hold, out = scene.touches.frames
     options = RodOptions(force_limit=scene.touches.force_limit)
-    return dataclasses.replace(options, guarded=True, hold=hold, out=out, work=WORK, patience=PATIENCE) if guarded else options
+    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE) if guarded else options
 
 
 def begin(batch: RodBatch, subject: Subject, number: int) -> slice:

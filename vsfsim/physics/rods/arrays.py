@@ -47,7 +47,7 @@ class Touches:
     plan: where on the way each frame is meant to be, in numbers of poses (B, T). inward: frames before the planned way out (B,).
 
     force_limit: no frame is kept that is past it [N]; guarded: 0, the touch ends there, 1: the arm turns back, see `guard`; hold, out: frames that such a touch stands still and at least goes back.
-    newton: iterations of one try at a stride, work: of a frame, after which no stride is tried again in shorter ones, patience: of a touch, after which it is given up. tolerance: unbalanced over contact force [-]; contact forces under ``faint`` count as that [N].
+    newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count; work: of a frame, after which no stride is tried again in shorter ones, patience: of a touch, after which it is given up. tolerance: unbalanced over contact force [-]; contact forces under ``faint`` count as that [N].
     """
 
     plant: wp.array(dtype=wp.int32)
@@ -64,6 +64,7 @@ class Touches:
     hold: wp.int32
     out: wp.int32
     newton: wp.int32
+    travel: wp.int32
     work: wp.int32
     patience: wp.int32
     force_limit: wp.float64

@@ -22,7 +22,7 @@ from vsfsim.physics.rods.model import RodError, RodModel
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
-GPU_SPAN = 4.0  # s: a launch on a GPU; touches that found no room on it go first in the next one
+GPU_SPAN = 20.0  # s: a launch on a GPU, which ends up to 2 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
 ENDLESS = 2**31 - 1  # Newton iterations
 
 
@@ -30,7 +30,7 @@ ENDLESS = 2**31 - 1  # Newton iterations
 class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
     0.1 mN m, a thousandth of the noise of its sensor. force_limit: no frame is kept that is past it [N]. guarded: False, a touch ends there; True, the arm slows down, turns back and keeps its number of frames, as `guard` says;
-    hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride. work: of a frame, after which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
+    hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count. work: of a frame, after which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
     room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
     lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU always has 32."""
 
@@ -41,6 +41,7 @@ class RodOptions:
     hold: int = 0
     out: int = 0
     newton: int = 60
+    travel: int = 400
     work: int = 800
     patience: int | None = None
     room: int = ROOM
@@ -145,7 +146,7 @@ class RodBatch:
             self._touch = make_touches(places, frames, poses, [0.5 * s.length for s in shapes], [s.radius for s in shapes])
             touch = self._touch
             touch.guarded, touch.hold, touch.out = int(options.guarded), options.hold, options.out
-            touch.newton, touch.work = options.newton, options.work
+            touch.newton, touch.travel, touch.work = options.newton, options.travel, options.work
             touch.patience = ENDLESS if options.patience is None else options.patience
             touch.force_limit, touch.tolerance, touch.faint = float(options.force_limit), float(options.tolerance), float(options.faint)
             self._work = make_work(places, self._wide, len(shapes), options.room, max(len(levels_of(m)[1]) for m in solver.models))
