@@ -69,6 +69,23 @@ def test_the_file_holds_what_was_made(made):
     assert any(t.touched for t in there.touches)
 
 
+def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp_path):
+    """With a limit of 3 N: the arm turns back, every touch has all its readings, none past the limit, and the tool stays on its line where readings are between the planned ones."""
+    text = scene_file.text.replace('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "return"').replace("force_limit = 40.0", "force_limit = 3.0")
+    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3, tier=None, device="cpu", precision="float64", renderer="warp")
+    job = jobs_of(recipe, scene_file.path, None, tmp_path, None)[0]
+    touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
+    turned = 0
+    for touch, a in zip(touches, aims, strict=True):
+        assert len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
+        off = touch.mount_pose[:, :3, 3] - a.start
+        assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5  # what the inverse kinematics promise
+        planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
+        turned += np.abs((off @ a.axis) / planned - np.rint((off @ a.axis) / planned)).max() > 0.01
+    assert turned > 0, "at least one touch has readings between the planned ones"
+    assert np.array_equal(aims[0].angles(aims[0].plan), aims[0].line[aims[0].plan.astype(int)])
+
+
 def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
     _, view, job = made
     recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
@@ -250,13 +267,14 @@ def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
 def test_the_full_scene_has_the_papers_size():
     """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a depth camera's noise; 3,255 touches and 807,103 readings in all."""
     scene = load_scene(find_scene("plants")).sample(0)
-    assert scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70 and sum(scene.touches.frames) == 250
-    assert abs(12 * 4 * scene.touches.count / 3255 - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
+    assert scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70 and scene.arm.at_limit == "return"
+    touches = 12 * 4 * scene.touches.count
+    assert abs(touches / 3255 - 1) < 0.01 and abs(touches * sum(scene.touches.frames) / 807_103 - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
     assert scene.object.shape.parameters["species"] == "by-object"
 
 
 @pytest.mark.parametrize(("old", "new", "word"), [
-    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
+    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"', "at_limit"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
 ])
 def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
     text = find_scene("plants-mini").read_text()

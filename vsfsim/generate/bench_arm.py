@@ -34,7 +34,7 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
     compile_kernels(_kernels("float64", loaded.sample(0)), device)
     subject = prepare_job(job, device=device)
     progress("touching")
-    (frames, _), = solve([subject], device=device)
+    (frames,) = solve([subject], device=device)
     assert subject.arm is not None
     rows = []
     for name, drive in (("position", POSITION), ("impedance", IMPEDANCE)):
@@ -42,13 +42,14 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
         for b, a in enumerate(subject.aims):
             n = int(frames.frames[b])
             good = np.flatnonzero(frames.converged[:n, b])
+            q = a.angles(frames.where[good, b])
             force = frames.force[good, b]
             if len(good) < 3 or not np.abs(force).any():
                 continue
             progress(f"{name} drive, touch {b}")
             time_ = times(n)[good]
-            time_ = time_ * max(1.0, float(np.abs(np.diff(a.q[good], axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
-            found.append(difference(subject.arm, a.q[good], time_, force, frames.moment[good, b], drive=drive))
+            time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
+            found.append(difference(subject.arm, q, time_, force, frames.moment[good, b], drive=drive))
         rows.append({"drive": name, "touches": len(found), "scale": max((d.scale for d in found), default=0.0),
                      "kinematic_rms": _joined([np.sqrt((d.kinematic**2).mean(axis=0)) for d in found]), **{part: _joined([getattr(d, part) for d in found]) for part in PARTS},
                      "largest": np.max([d.largest for d in found], axis=0).tolist() if found else [], "tool_m": max((d.tool for d in found), default=0.0),

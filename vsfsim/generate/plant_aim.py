@@ -26,16 +26,34 @@ PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
 
 @dataclass(frozen=True)
 class ArmAim:
-    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the tool (3,) [m]. q: joint angles of all frames (T, 7) [rad]. draws: targets drawn.
-    refused: why those before were not taken."""
+    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the tool (3,) [m]. line: joint angles along the way in (P, 7) [rad]. plan: where on it each frame is
+    meant to be (T,), in numbers of its rows. inward: frames before the way out. draws: targets drawn. refused: why those before were not taken."""
 
     target: np.ndarray
     axis: np.ndarray
     start: np.ndarray
     stop: np.ndarray
-    q: np.ndarray
+    line: np.ndarray
+    plan: np.ndarray
+    inward: int
     draws: int
     refused: Counter
+
+    def angles(self, where: np.ndarray) -> np.ndarray:
+        """Joint angles (T, 7) [rad] at numbers ``where`` (T,) of the line: its rows, and between them the cubic through the four around, as `physics.rods.guard` takes the poses of the capsules."""
+        last = len(self.line) - 1
+        row = np.clip(np.floor(where).astype(int), 0, last)
+        out = self.line[row].copy()
+        between = np.flatnonzero(where > row)
+        if last < 3:
+            part = (where - row)[between, None]
+            out[between] += part * (self.line[np.minimum(row[between] + 1, last)] - out[between])
+            return out
+        first = np.clip(row[between] - 1, 0, last - 3)
+        u = where[between] - first
+        weights = [np.prod([(u - m) / (j - m) for m in range(4) if m != j], axis=0) for j in range(4)]
+        out[between] = sum(w[:, None] * self.line[first + j] for j, w in enumerate(weights))
+        return out
 
 
 def load(spec: ArmSpec) -> Arm:
@@ -88,8 +106,8 @@ def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.nd
             refused[POT] += 1
             continue
         back = np.rint(np.linspace(inward, 0, out + 1)).astype(int)[1:] if out else np.zeros(0, int)
-        q = np.concatenate([np.repeat(line[:1], free, axis=0), line[1:], np.repeat(line[-1:], hold, axis=0), line[back]])
-        return ArmAim(target, way, start, stop, q, draw, refused)
+        plan = np.concatenate([np.zeros(free), np.arange(1.0, inward + 1), np.full(hold, float(inward)), back])
+        return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
     raise SceneError(f"{where} [touches]: none of {DRAWS} targets can be reached: {reasons}. Move [arm] base or the object, or use a smaller approach or depth.")
 

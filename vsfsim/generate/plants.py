@@ -22,7 +22,7 @@ from vsfsim.generate.plant_truth import plant_truth
 from vsfsim.generate.touch import _BALANCE, REASONS
 from vsfsim.physics.rods.family import grow as grow_family
 from vsfsim.physics.rods.model import RodModel, build
-from vsfsim.physics.rods.solver import RodFrames, RodOptions, RodSolver
+from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
 from vsfsim.robot.arm import Arm
 from vsfsim.robot.chain import chain_of
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
@@ -33,7 +33,8 @@ from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
 JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-BATCH = 4096  # touches that are solved together, views whole: 5 GB of a GPU; on a CPU one thread does them one after the other, and the bits are the same
+TRAVEL, WORK, PATIENCE = 120, 200, 30_000  # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter strides any more, and in all.
+# with 400 and 800, those of other touches, the work is two thirds more for as many frames that converge
 
 
 @dataclass
@@ -67,8 +68,19 @@ def make_views(jobs: Sequence[Any], *, device: str, progress: Callable[[int], No
     return touch([prepare_job(job, device=device, seconds=seconds) for job in jobs], device=device, progress=progress, seconds=seconds)
 
 
-def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Subject:
-    """The view of a job, ready to be touched."""
+@dataclass(frozen=True)
+class Outline:
+    """A view before it is seen: its scene, the plant as this view turns it, and that as beams. seeds: streams by name: "depth", and "aim" with the number of a touch."""
+
+    scene: Scene
+    touches: TouchSpec
+    plant: Plant
+    model: RodModel
+    seeds: Callable[[str], Any]
+
+
+def outline(job: Any) -> Outline:
+    """The plant of a job (`generate.run.Job`), turned for its view."""
     from vsfsim.generate.run import _AIM, _BODY, _SCENE, stream
 
     r = job.recipe
@@ -79,16 +91,34 @@ def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Sub
     o, v = job.object_index, job.view_index
 
     def seeds(name: str) -> np.random.SeedSequence:
-        if name == "body":
-            return stream(r.seed, _BODY, o)
         return stream(r.seed, _DEPTH, o, v) if name == "depth" else stream(r.seed, _AIM, o, v, int(name.split()[1]))
 
-    return prepare(scene, dataclasses.replace(scene.touches, count=r.touches), seeds, name=job.name, split=job.split, numbers=(o, v), views=r.views, device=device, renderer=r.renderer, seconds=seconds)
+    plant = grow(scene, stream(r.seed, _BODY, o), number=o).turned(2.0 * np.pi * v / r.views)
+    return Outline(scene, dataclasses.replace(scene.touches, count=r.touches), plant, build(plant, gravity=scene.gravity), seeds)
+
+
+def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Subject:
+    """The view of a job, ready to be touched: its picture is taken and its touches are chosen."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    o = outline(job)
+    since = seconds.charge("grow", since)
+    view = see(o.plant, o.scene.camera, device=device, renderer=job.recipe.renderer)
+    if o.scene.camera.noise == "kinect":
+        view = kinect_depth(view, o.seeds("depth"))
+    since = seconds.charge("look", since)
+    assert o.scene.arm is not None
+    arm = load(o.scene.arm)
+    aims = aim_arm(arm, o.scene.arm, o.touches, o.plant, view, lambda k: np.random.default_rng(o.seeds(f"aim {k}")), where=str(o.scene.source))
+    since = seconds.charge("aim", since)
+    poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
+    seconds.charge("kinematics", since)
+    return Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, view, arm, aims, poses)
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A view that is ready to be touched. name, split: of the view. numbers: (object, view). plant: turned as this view shows it."""
+    """A view that is ready to be touched. name, split: of the view. numbers: (object, view). plant: turned as this view shows it. poses: of the arm's capsules along the lines of all touches (P, B, K, 4, 4) [m]."""
 
     name: str
     split: str
@@ -99,6 +129,7 @@ class Subject:
     view: View
     arm: Arm | None
     aims: list[ArmAim]
+    poses: np.ndarray
 
 
 def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
@@ -114,29 +145,6 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
 
 
-def prepare(scene: Scene, touches: TouchSpec, seeds: Callable[[str], Any], *, name: str, split: str, numbers: tuple[int, int], views: int, device: str, renderer: str,
-            seconds: Seconds | None = None) -> Subject:
-    """Grow a plant, turn it, take its picture and choose its touches.
-
-    Args:
-        seeds: streams by name: "body", "depth", and "aim" with the number of a touch. views: of the object; it is turned by a full circle over as many.
-    """
-    assert scene.arm is not None
-    seconds = seconds or Seconds()
-    since = seconds.begin()
-    plant = grow(scene, seeds("body"), number=numbers[0]).turned(2.0 * np.pi * numbers[1] / views)
-    model = build(plant, gravity=scene.gravity)
-    since = seconds.charge("grow", since)
-    view = see(plant, scene.camera, device=device, renderer=renderer)
-    if scene.camera.noise == "kinect":
-        view = kinect_depth(view, seeds("depth"))
-    since = seconds.charge("look", since)
-    arm = load(scene.arm)
-    aims = aim_arm(arm, scene.arm, touches, plant, view, lambda k: np.random.default_rng(seeds(f"aim {k}")), where=str(scene.source))
-    seconds.charge("aim", since)
-    return Subject(name, split, numbers, scene, plant, model, view, arm, aims)
-
-
 def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:
     """The picture of a table camera that stands still while plants are turned."""
     low, high = plant.nodes.min(axis=0), plant.nodes.max(axis=0)
@@ -147,52 +155,50 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
 def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
     found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames), seconds=seconds)
-    return [finish(subject, frames, columns, device=device, seconds=seconds) for subject, (frames, columns) in zip(subjects, found, strict=True)]
+    return [finish(subject, frames, device=device, seconds=seconds) for subject, frames in zip(subjects, found, strict=True)]
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None, seconds: Seconds | None = None, options: RodOptions | None = None,
-          limit: float | None = None, keep_nodes: bool = False) -> list[tuple[RodFrames, slice]]:
-    """The equilibria of some views' touches: for each view its frames, and which columns of them are its.
+def rod_options(scene: Scene) -> RodOptions:
+    """Of the solver, as the scene has them."""
+    assert scene.touches is not None and scene.arm is not None
+    guarded = scene.arm.at_limit == "return"
+    _, _, hold, out = scene.touches.frames
+    options = RodOptions(force_limit=scene.touches.force_limit)
+    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE) if guarded else options
+
+
+def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
+    """The touches of a subject enter a batch, as of its solver's plant ``number``; their places."""
+    aims = subject.aims
+    return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]), friction=subject.scene.object.friction, inward=np.array([a.inward for a in aims]))
+
+
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None, seconds: Seconds | None = None, keep_nodes: bool = False) -> list[RodFrames]:
+    """The equilibria of some views' touches, for each view its frames; in `plant_batches` views come and go.
 
     Args:
-        progress: called with the number of frames newly done and of the touches that go on. options: of the solver; the force limit is the scene's. limit: seconds after which no batch goes on, keep_nodes: as of `RodSolver.run`.
+        progress: called with the number of frames newly done and of the touches that go on. keep_nodes: as of `RodSolver.run`.
     """
     seconds = seconds or Seconds()
     since = seconds.begin()
-    arm, scene = arm_of(subjects[0]), subjects[0].scene
-    assert scene.touches is not None
-    out: list[tuple[RodFrames, slice]] = []
-    group: list[Subject] = []
-    for k, subject in enumerate(subjects):
-        group.append(subject)
-        more = sum(len(s.aims) for s in group) + (len(subjects[k + 1].aims) if k + 1 < len(subjects) else BATCH) > BATCH
-        if not more:
-            continue
-        every = [(s, a) for s, member in enumerate(group) for a in member.aims]
-        poses = np.zeros((max(len(a.q) for _, a in every), len(every), len(arm.shapes), 4, 4))
-        for b, (_, a) in enumerate(every):
-            own = arm.body_poses(a.q)
-            poses[:len(own), b] = own
-            poses[len(own):, b] = own[-1]
-        since = seconds.charge("kinematics", since)
-        solver = RodSolver([s.model for s in group], arm.shapes, device=device, options=dataclasses.replace(options or RodOptions(), force_limit=scene.touches.force_limit))
-        frames = solver.run(np.array([s for s, _ in every]), poses, friction=np.array([group[s].scene.object.friction for s, _ in every]), frames=np.array([len(a.q) for _, a in every]), progress=progress, seconds=limit, keep_nodes=keep_nodes)
-        begin = 0
-        for member in group:
-            own_frames = frames.columns(slice(begin, begin + len(member.aims)))
-            out.append((own_frames, slice(0, len(member.aims))))
-            begin += len(member.aims)
-        group = []
-        since = seconds.charge("solve", since)
+    solver = RodSolver([s.model for s in subjects], arm_of(subjects[0]).shapes, device=device, options=rod_options(subjects[0].scene))
+    batch = RodBatch(solver, sum(len(s.aims) for s in subjects), frames=len(subjects[0].aims[0].plan), poses=len(subjects[0].poses), keep_nodes=keep_nodes)
+    places = [begin(batch, s, k) for k, s in enumerate(subjects)]
+    while batch.live:
+        new = batch.advance()
+        if progress is not None:
+            progress(new, batch.live)
+    out = [batch.take(some) for some in places]
+    seconds.charge("solve", since)
     return out
 
 
-def finish(subject: Subject, frames: RodFrames, columns: slice, *, device: str, seconds: Seconds | None = None) -> ObjectView:
+def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds | None = None) -> ObjectView:
     """The object view of a touched subject: records, torques and truth."""
     seconds = seconds or Seconds()
     since = seconds.begin()
     arm = arm_of(subject)
-    touches = finish_touches(subject, frames, columns)
+    touches = finish_touches(subject, frames)
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
     truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
@@ -200,11 +206,11 @@ def finish(subject: Subject, frames: RodFrames, columns: slice, *, device: str, 
     return ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth)
 
 
-def finish_touches(subject: Subject, frames: RodFrames, columns: slice) -> list[Touch]:
+def finish_touches(subject: Subject, frames: RodFrames) -> list[Touch]:
     """The records and torques of a touched subject."""
     arm = arm_of(subject)
     subject = dataclasses.replace(subject, arm=arm)
-    return [_touch(subject, a, arm.postures(a.q), frames, columns.start + b) for b, a in enumerate(subject.aims)]
+    return [_touch(subject, a, frames, b) for b, a in enumerate(subject.aims)]
 
 
 def arm_of(subject: Subject) -> Arm:
@@ -213,17 +219,19 @@ def arm_of(subject: Subject) -> Arm:
     return subject.arm or load(subject.scene.arm)
 
 
-def _touch(subject: Subject, a: ArmAim, at: Any, frames: RodFrames, b: int) -> Touch:
+def _touch(subject: Subject, a: ArmAim, frames: RodFrames, b: int) -> Touch:
     spec, arm = subject.scene.arm, subject.arm
     assert spec is not None and arm is not None
     n = int(frames.frames[b])
-    if n < len(a.q):
+    if n < len(a.plan) and spec.at_limit == "end":
         # stopped by the force limit: what did not converge on the way there is no reading either
         good = np.flatnonzero(frames.converged[:n, b])
         n = int(good[-1]) + 1 if len(good) else 1
+    # a touch whose first frame is past the limit has one frame, which was not solved
+    q = a.angles(np.where(np.isfinite(frames.where[:n, b]), frames.where[:n, b], a.plan[:n]))
+    postures = arm.postures(q)
     force, moment = frames.force[:n, b], frames.moment[:n, b]
-    postures = type(at)(at.links[:n], at.tool[:n], at.anchors[:n], at.axes[:n])
-    time_, q = times(n), a.q[:n]
+    time_ = times(n)
     if spec.mode == "dynamic" and n > 1:
         time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
         motion = simulate(arm, q, time_, series(time_, force, moment), drive=IMPEDANCE if spec.drive == "impedance" else POSITION)

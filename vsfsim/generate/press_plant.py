@@ -90,24 +90,27 @@ def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, s
     def done(frames: int, _going: int) -> None:
         so_far[0] += frames
         if progress is not None:
-            progress(so_far[0], len(aim.q), "frames")
+            progress(so_far[0], len(aim.plan), "frames")
 
     so_far = [0]
-    ((frames, columns),) = solve([subject], device=device, progress=done, keep_nodes=keep)
-    (touch,) = finish_touches(subject, frames, columns)
+    (frames,) = solve([subject], device=device, progress=done, keep_nodes=keep)
+    (touch,) = finish_touches(subject, frames)
     n = len(touch.time)
     depth = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis
     limit = subject.scene.touches
     assert limit is not None and touch.q is not None and touch.torque is not None and subject.arm is not None
     notes = [*subject.plant.notes, f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
-    if n < len(aim.q):
-        notes.append(f"the touch ends at frame {n} of {len(aim.q)}: in the next the contact force would pass force_limit = {limit.force_limit:g} N")
+    if n < len(aim.plan):
+        notes.append(f"the touch ends at frame {n} of {len(aim.plan)}: in the next the contact force would pass force_limit = {limit.force_limit:g} N")
+    elif not np.array_equal(frames.where[:n, 0], aim.plan):
+        notes.append(f"the arm turns back {1e3 * (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max() * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of its way: further in the contact force would pass "
+                     f"force_limit = {limit.force_limit:g} N, or no equilibrium is found")
     elif not touch.touched:
         notes.append("the arm met nothing on its way; take another --seed")
     state = None
     if keep:
         assert frames.nodes is not None and frames.turns is not None
-        state = (subject, {"node_position": frames.nodes[:n, 0], "node_rotation": frames.turns[:n, 0], "capsule_pose": subject.arm.body_poses(aim.q[:n]), "body_force": frames.force[:n, 0], "body_moment": frames.moment[:n, 0]})
+        state = (subject, {"node_position": frames.nodes[:n, 0], "node_rotation": frames.turns[:n, 0], "capsule_pose": subject.arm.body_poses(touch.q), "body_force": frames.force[:n, 0], "body_moment": frames.moment[:n, 0]})
     return PlantPress(
         depth=depth, force=touch.force, torque=touch.torque, q=touch.q, reaction=touch.reaction, target=aim.target, axis=aim.axis, draws=aim.draws, contacts=frames.contacts[:n, 0],
         converged=touch.converged, reason=tuple(("", *touch.reason_names)[k] for k in touch.reason), residual=touch.residual, iterations=touch.iterations,

@@ -221,8 +221,9 @@ def _kernels(precision: str, scene: Scene) -> list[Any]:
 
     if scene.arm is not None:
         from vsfsim.physics.rods.advance import advance
+        from vsfsim.physics.rods.memory import enter
 
-        return [advance, render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
+        return [advance, enter, render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
     if scene.sensor is not None:
         from vsfsim.generate.touch_bubble import KINDS
 

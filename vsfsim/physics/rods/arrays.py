@@ -1,5 +1,5 @@
 """What the rod kernels read and write, as Warp structs: trees, touches, workspace, results. Shapes: P plants, S all nodes of all of them, B touches,
-N nodes of the largest plant, K capsules, T frames, C places for contacts."""
+N nodes of the largest plant, K capsules, T frames, P poses on the way, C places for contacts."""
 
 import warp as wp
 
@@ -43,10 +43,11 @@ class Trees:
 
 @wp.struct
 class Touches:
-    """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses (T, B, K).
+    """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses on the way, P of them (B, P, K); last: number of the last one (B,).
+    plan: where on the way each frame is meant to be, in numbers of poses (B, T). inward: frames before the planned way out (B,).
 
-    force_limit: a touch ends before the first frame past it [N]. tolerance: unbalanced over contact force [-]; contact forces
-    under ``faint`` count as that [N].
+    force_limit: no frame is kept that is past it [N]; guarded: 0, the touch ends there, 1: the arm turns back, see `guard`; hold, out: frames that such a touch stands still and at least goes back.
+    newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count; work: of a frame, after which no stride is tried again in shorter ones, patience: of a touch, after which it is given up. tolerance: unbalanced over contact force [-]; contact forces under ``faint`` count as that [N].
     """
 
     plant: wp.array(dtype=wp.int32)
@@ -56,6 +57,16 @@ class Touches:
     radius: wp.array(dtype=wp.float64)
     place: wp.array3d(dtype=wp.vec3d)
     turn: wp.array3d(dtype=wp.quatd)
+    last: wp.array(dtype=wp.int32)
+    plan: wp.array2d(dtype=wp.float64)
+    inward: wp.array(dtype=wp.int32)
+    guarded: wp.int32
+    hold: wp.int32
+    out: wp.int32
+    newton: wp.int32
+    travel: wp.int32
+    work: wp.int32
+    patience: wp.int32
     force_limit: wp.float64
     tolerance: wp.float64
     faint: wp.float64
@@ -90,6 +101,9 @@ class Work:
     hn, ht, hc: second derivatives, and that of friction by the normal way [N/m]; out_f, out_m: wrench on the capsule.
     side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
     astray: 1 since something was deep in a link, until nothing touches (B,).
+    A frame that a launch could not finish: part of it that is done, stride that comes next, 0 for a fresh frame (B,) [-]; used: its iterations so far (B,). total: of the whole touch (B,).
+    The guard (B,), see `guard`: at: where the arm is on the way, good: where it last was in equilibrium under the limit, pace: poses a frame when it creeps, top: where it turned, low: where nothing was met yet;
+    phase, turned, met, fails. What it goes back to: x_good, q_good, strained_good (B, N), contacts key_good, stuck_good, anchor_good (B, C), count_good (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
@@ -169,12 +183,32 @@ class Work:
     next: wp.array(dtype=wp.int32)
     ended: wp.array(dtype=wp.int32)
     astray: wp.array(dtype=wp.int32)
+    part: wp.array(dtype=wp.float64)
+    stride: wp.array(dtype=wp.float64)
+    used: wp.array(dtype=wp.int32)
+    total: wp.array(dtype=wp.int32)
+    at: wp.array(dtype=wp.float64)
+    good: wp.array(dtype=wp.float64)
+    pace: wp.array(dtype=wp.float64)
+    top: wp.array(dtype=wp.float64)
+    low: wp.array(dtype=wp.float64)
+    phase: wp.array(dtype=wp.int32)
+    turned: wp.array(dtype=wp.int32)
+    met: wp.array(dtype=wp.int32)
+    fails: wp.array(dtype=wp.int32)
+    x_good: wp.array2d(dtype=wp.vec3d)
+    q_good: wp.array2d(dtype=wp.quatd)
+    strained_good: wp.array2d(dtype=wp.int32)
+    key_good: wp.array2d(dtype=wp.int32)
+    stuck_good: wp.array2d(dtype=wp.int32)
+    anchor_good: wp.array2d(dtype=wp.vec3d)
+    count_good: wp.array(dtype=wp.int32)
 
 
 @wp.struct
 class Results:
-    """What comes out. force, moment: on each capsule, the moment about its origin (T, B, K) [N, N m]. reaction: of the pot on the plant, force and moment about its node 0
-    (T, B). residual, energy, penetration, slipping: (T, B) [-, J, m, -]. iterations, reason, contacts: (T, B). x, q: nodes (T, B, N), or of no length."""
+    """What comes out. force, moment: on each capsule, the moment about its origin (B, T, K) [N, N m]. reaction: of the pot on the plant, force and moment about its node 0
+    (B, T). residual, energy, penetration, slipping: (B, T) [-, J, m, -]. where: on the way (B, T) [poses]. iterations, reason, contacts: (B, T). x, q: nodes (B, T, N), or of no length."""
 
     force: wp.array3d(dtype=wp.vec3d)
     moment: wp.array3d(dtype=wp.vec3d)
@@ -183,6 +217,7 @@ class Results:
     energy: wp.array2d(dtype=wp.float64)
     penetration: wp.array2d(dtype=wp.float64)
     slipping: wp.array2d(dtype=wp.float64)
+    where: wp.array2d(dtype=wp.float64)
     iterations: wp.array2d(dtype=wp.int32)
     reason: wp.array2d(dtype=wp.int32)
     contacts: wp.array2d(dtype=wp.int32)

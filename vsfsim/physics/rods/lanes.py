@@ -93,3 +93,21 @@ def count_all(x: wp.int32) -> wp.int32:
 def ahead(x: wp.int32) -> wp.int32:
     """Sum over the lanes before this one."""
     ...
+
+
+@wp.func_native(snippet="""
+#if defined(__CUDA_ARCH__)
+    if (span <= 0)
+        return 0;
+    unsigned long long now;
+    asm volatile("mov.u64 %0, %%globaltimer;" : "=l"(now));
+    const unsigned long long first = atomicCAS((unsigned long long*)clock.data, 0ull, now);
+    const int over = first != 0ull && now > first + (unsigned long long)span;
+    return __shfl_sync(0xffffffffu, over, 0);
+#else
+    return 0;
+#endif
+""")
+def late(clock: wp.array(dtype=wp.uint64), span: wp.int64) -> wp.int32:
+    """1 once ``span`` [ns] have gone since the launch first asked; ``clock`` (1,) is 0 before it. On a CPU, and without a span, never: there the iterations are counted. It decides where a launch stops, no bit depends on it."""
+    ...

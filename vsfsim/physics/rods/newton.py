@@ -16,8 +16,6 @@ MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be liste
 MOVE = wp.constant(wp.float64(0.85))  # longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is under half of the thinnest
 TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
 BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
-NEWTON = wp.constant(60)  # iterations, those not counted in which something goes as far as it may
-TRAVEL = wp.constant(400)  # and all of them
 HALVINGS = wp.constant(12)
 SHRINK = wp.constant(wp.float64(0.25))  # least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
 TRIES = wp.constant(3)  # lengths that such a step is tried at
@@ -188,8 +186,8 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
     slope = ZERO
     turn = ZERO
     turns = int(0)
-    for _it in range(3 * TRAVEL):
-        if spent >= NEWTON or turns >= TRAVEL:
+    for _it in range(3 * touch.travel):
+        if spent >= touch.newton or turns >= touch.travel:
             break
         if same == 0:
             turns = turns + 1

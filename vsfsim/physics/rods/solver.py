@@ -6,7 +6,6 @@ All touches of a batch advance together, each by itself, and may be of different
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -16,25 +15,35 @@ import warp as wp
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.advance import advance
-from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
 from vsfsim.physics.rods.lanes import LANES
+from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touches, make_trees, make_work, quaternions
 from vsfsim.physics.rods.model import RodError, RodModel
 
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
-CPU_SHARE, GPU_SHARE = 1000, 1000  # Newton iterations of a touch in one launch: some seconds for a view on a CPU core, and for thousands of touches on a GPU
+CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
+GPU_SPAN = 20.0  # s: a launch on a GPU, which ends up to 2 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
+ENDLESS = 2**31 - 1  # Newton iterations
 
 
 @dataclass(frozen=True)
 class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
-    0.1 mN m, a thousandth of the noise of its sensor. force_limit: a touch ends before the first frame past it [N].
+    0.1 mN m, a thousandth of the noise of its sensor. force_limit: no frame is kept that is past it [N]. guarded: False, a touch ends there; True, the arm slows down, turns back and keeps its number of frames, as `guard` says;
+    hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count. work: of a frame, after which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
     room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
     lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU always has 32."""
 
     tolerance: float = 1e-4
     faint: float = 1.0
     force_limit: float = np.inf
+    guarded: bool = False
+    hold: int = 0
+    out: int = 0
+    newton: int = 60
+    travel: int = 400
+    work: int = 800
+    patience: int | None = None
     room: int = ROOM
     share: int | None = None
     lanes: int = 1
@@ -49,6 +58,7 @@ class RodFrames:
     (T, B). residual: (T, B) [-]. iterations: Newton's (T, B). energy: elastic (T, B) [J]. penetration: deepest sample inside a capsule (T, B) [m].
     contacts: samples in contact (T, B). slipping: their share that slips (T, B) [-]. force_balance: |force on capsules - reaction - weight| over the larger, or over 0.1 N
     (T, B) [-].
+    where: the arm on its way (T, B), in numbers of poses.
     nodes: positions (T, B, N, 3) [m], turns: quaternions x y z w (T, B, N, 4), or None.
     """
 
@@ -66,6 +76,7 @@ class RodFrames:
     contacts: np.ndarray
     slipping: np.ndarray
     force_balance: np.ndarray
+    where: np.ndarray
     nodes: np.ndarray | None
     turns: np.ndarray | None
 
@@ -92,193 +103,176 @@ class RodSolver:
         for shape in self.shapes:
             if not isinstance(shape, Capsule):
                 raise RodError(f"plants are touched by capsules only, not by {shape!r}; give vsfsim.core.shape.Capsule, of length 0 for a ball.")
-        self._trees = self._make_trees()
-        self._weighs = int(any(m.weight.any() for m in self.models))
+        self.trees = make_trees(self.models, device)
+        self.weighs = int(any(m.weight.any() for m in self.models))
 
-    def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0, frames: np.ndarray | None = None, keep_nodes: bool = False,
-            progress: Callable[[int, int], None] | None = None, seconds: float | None = None) -> RodFrames:
+    def run(self, plant: np.ndarray, poses: np.ndarray, *, friction: np.ndarray | float = 0.0, frames: np.ndarray | None = None, plan: np.ndarray | None = None, inward: np.ndarray | None = None,
+            keep_nodes: bool = False, progress: Callable[[int, int], None] | None = None) -> RodFrames:
         """Carry out touches.
 
         Args:
-            plant: number of the touched plant of each touch (B,). poses: of the capsules, z along their axes (T, B, K, 4, 4) [m]. friction: (B,) or one for all [-].
-            frames: of each touch (B,), None for T. keep_nodes: return where the nodes are. progress: called with the number of frames newly done and of the touches that go on.
-            seconds: after this time on the clock no launch is begun; touches then end early. For measurements.
+            plant: number of the touched plant of each touch (B,). poses: of the capsules along the way, z along their axes (P, B, K, 4, 4) [m]. friction: (B,) or one for all [-].
+            plan: where on the way, in numbers of poses, each frame is (B, T), None for one frame a pose. frames: of each touch (B,), None for T. inward: those before the planned way out (B,), None for all.
+            keep_nodes: return where the nodes are. progress: called with the number of frames newly done and of the touches that go on.
 
         Raises:
             RodError: shapes that do not fit, or poses that are not finite.
         """
+        p, b = len(poses), len(np.asarray(plant))
+        plan = np.tile(np.arange(p, dtype=float), (b, 1)) if plan is None else np.asarray(plan, float)
+        batch = RodBatch(self, b, frames=plan.shape[1], poses=p, keep_nodes=keep_nodes)
+        batch.add(plant, poses, plan=plan, friction=friction, frames=frames, inward=inward)
+        while batch.live:
+            new = batch.advance()
+            if progress is not None:
+                progress(new, batch.live)
+        return batch.take(slice(0, b))
+
+
+class RodBatch:
+    """Places for touches on a device; they come and go while others are under way.
+
+    Args:
+        solver: with the plants. places: for how many touches. frames, poses: the most of a touch, and of its way. keep_nodes: return where the nodes are.
+    """
+
+    def __init__(self, solver: RodSolver, places: int, *, frames: int, poses: int, keep_nodes: bool = False):
+        self.solver, self.keep_nodes, self._poses = solver, keep_nodes, poses
+        self._wide, options, shapes = max(len(m.plant.nodes) for m in solver.models), solver.options, solver.shapes
+        self._plant = np.zeros(places, np.int32)
+        self._frames, self._next, self._ended = np.zeros((3, places), np.int32)
+        self._taken = np.zeros(places, bool)
+        with wp.ScopedDevice(solver.device):
+            self._touch = make_touches(places, frames, poses, [0.5 * s.length for s in shapes], [s.radius for s in shapes])
+            touch = self._touch
+            touch.guarded, touch.hold, touch.out = int(options.guarded), options.hold, options.out
+            touch.newton, touch.travel, touch.work = options.newton, options.travel, options.work
+            touch.patience = ENDLESS if options.patience is None else options.patience
+            touch.force_limit, touch.tolerance, touch.faint = float(options.force_limit), float(options.tolerance), float(options.faint)
+            self._work = make_work(places, self._wide, len(shapes), options.room, max(len(levels_of(m)[1]) for m in solver.models))
+            self._out = make_results(places, frames, len(shapes), self._wide if keep_nodes else 0)
+            self._clock = wp.zeros(1, dtype=wp.uint64)
+        self._gpu = wp.get_device(solver.device).is_cuda
+
+    @property
+    def live(self) -> int:
+        """Touches that go on."""
+        return int(self._going().sum())
+
+    def _going(self) -> np.ndarray:
+        return self._taken & (self._next < self._frames) & (self._ended == 0)
+
+    def room(self, touches: int) -> bool:
+        """Whether there are places for so many touches more."""
+        return self._free(touches) is not None
+
+    def _free(self, touches: int) -> int | None:
+        """The first of so many free places in a row."""
+        begin = 0
+        for place in range(len(self._taken)):
+            if self._taken[place]:
+                begin = place + 1
+            elif place + 1 - begin == touches:
+                return begin
+        return None
+
+    def add(self, plant: np.ndarray, poses: np.ndarray, *, plan: np.ndarray, friction: np.ndarray | float = 0.0, frames: np.ndarray | None = None, inward: np.ndarray | None = None) -> slice:
+        """Begin touches; the arguments are those of `RodSolver.run`.
+
+        Returns:
+            Their places; they are free again after `take`.
+
+        Raises:
+            RodError: shapes that do not fit, poses that are not finite, or no room.
+        """
+        models, k = self.solver.models, len(self.solver.shapes)
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
-        t, b, k = poses.shape[0], len(plant), len(self.shapes)
-        if poses.shape != (t, b, k, 4, 4) or t == 0 or b == 0:
+        p, b, t = poses.shape[0], len(plant), plan.shape[1] if plan.ndim == 2 else 0
+        if poses.shape != (p, b, k, 4, 4) or p == 0 or b == 0:
             raise RodError(f"poses have the shape {poses.shape} for {b} touches and {k} capsules; give (T, {b}, {k}, 4, 4).")
         if not np.isfinite(poses).all():
             raise RodError("a pose is not finite; leave out frames that the arm cannot reach.")
-        if plant.min() < 0 or plant.max() >= len(self.models):
-            raise RodError(f"a touch is of plant {int(plant.max())}, but there are {len(self.models)}, counted from 0.")
+        if plan.shape != (b, t) or not ((plan >= 0.0) & (plan <= p - 1)).all():
+            raise RodError(f"the plan has the shape {plan.shape} and numbers {plan.min():g} to {plan.max():g}; give ({b}, frames) numbers of the {p} poses, from 0.")
+        if plant.min() < 0 or plant.max() >= len(models):
+            raise RodError(f"a touch is of plant {int(plant.max())}, but there are {len(models)}, counted from 0.")
         friction = np.broadcast_to(np.asarray(friction, float), (b,))
         if not ((friction >= 0.0) & (friction <= 10.0)).all():
             raise RodError(f"friction is {friction.min():g} to {friction.max():g}; it must be from 0 to 10.")
-        count = np.full(b, t, np.int32) if frames is None else np.asarray(frames, np.int32)
-        wide = max(len(m.plant.nodes) for m in self.models)
-        with wp.ScopedDevice(self.device):
-            touch = Touches()
-            touch.plant, touch.friction = wp.array(plant, dtype=wp.int32), wp.array(friction, dtype=wp.float64)
-            touch.frames = wp.array(count, dtype=wp.int32)
-            touch.half = wp.array([0.5 * s.length for s in self.shapes], dtype=wp.float64)
-            touch.radius = wp.array([s.radius for s in self.shapes], dtype=wp.float64)
-            touch.place = wp.array(np.ascontiguousarray(poses[..., :3, 3]), dtype=wp.vec3d)
-            touch.turn = wp.array(quaternions(poses[..., :3, :3]), dtype=wp.quatd)
-            touch.force_limit, touch.tolerance, touch.faint = float(self.options.force_limit), float(self.options.tolerance), float(self.options.faint)
-            work = self._make_work(plant, b, wide, k)
-            out = _make_results(t, b, k, wide if keep_nodes else 0)
-            gpu = wp.get_device(self.device).is_cuda
-            lanes, share = (LANES, GPU_SHARE) if gpu else (self.options.lanes, CPU_SHARE)
-            live, done, until = np.arange(b), 0, None if seconds is None else time.perf_counter() + seconds
-            while len(live) and (until is None or time.perf_counter() < until):
-                wp.launch(advance, dim=len(live) * lanes, inputs=[self._trees, touch, wp.array(live, dtype=wp.int32), lanes, self.options.share or share, self._weighs],
-                          outputs=[work, out], block_dim=lanes)
-                there = work.next.numpy()
-                live = np.flatnonzero((there < count) & (work.ended.numpy() == 0))
-                if progress is not None:
-                    progress(int(there.sum()) - done, len(live))
-                done = int(there.sum())
-            ended = work.ended.numpy()
-            return self._frames(out, np.minimum(count, work.next.numpy()), ended, plant, keep_nodes)
+        begin = self._free(b)
+        if begin is None or p > self._poses or t > self._touch.plan.shape[1]:
+            raise RodError(f"no room for {b} touches of {t} frames and {p} poses: {int((~self._taken).sum())} places for {self._touch.plan.shape[1]} and {self._poses} are free.")
+        some = slice(begin, begin + b)
+        self._taken[some], self._plant[some], self._next[some], self._ended[some] = True, plant, 0, 0
+        self._frames[some] = t if frames is None else frames
 
-    def _make_trees(self) -> Trees:
-        m, tree = self.models, Trees()
-        total = np.cumsum([0, *(len(x.plant.nodes) for x in m)])
-        samples = np.cumsum([0, *(len(x.along) for x in m)])
+        def put(array: wp.array, values: np.ndarray) -> None:
+            array[some].assign(np.ascontiguousarray(values.astype(np.int32 if array.dtype is wp.int32 else np.float64)))
 
-        def one(values: list[np.ndarray], dtype: type) -> wp.array:
-            return wp.array(np.ascontiguousarray(np.concatenate(values)), dtype=dtype)
+        def along(values: np.ndarray) -> np.ndarray:
+            """(P, B, ...) as the device has it; poses past the last one are never read."""
+            return np.concatenate([np.swapaxes(values, 0, 1), np.repeat(values[-1][:, None], self._poses - p, axis=1)], axis=1)
 
-        with wp.ScopedDevice(self.device):
-            tree.first = wp.array(total, dtype=wp.int32)
-            tree.parent = one([x.plant.parent for x in m], wp.int32)
-            tree.rest = one([x.plant.nodes for x in m], wp.vec3d)
-            tree.frame = one([quaternions(x.frame) for x in m], wp.quatd)
-            tree.length = one([x.plant.lengths() for x in m], wp.float64)
-            tree.kd, tree.kphi = one([x.kd for x in m], wp.vec3d), one([x.kphi for x in m], wp.vec3d)
-            tree.load, tree.reach = one([x.weight for x in m], wp.vec3d), one([x.reach for x in m], wp.float64)
-            tree.bound = one([x.plant.radius + x.plant.half_width for x in m], wp.float64)
-            tree.sample = one([*(x.first[:-1] + s for x, s in zip(m, samples)), samples[-1:]], wp.int32)
-            tree.child, tree.next = one([c for c, _ in map(_children, m)], wp.int32), one([c for _, c in map(_children, m)], wp.int32)
-            ranks = [_levels(x) for x in m]
-            tree.rank = one([rank for rank, _ in ranks], wp.int32)
-            tree.level = one([level + o for (_, level), o in zip(ranks, total, strict=False)], wp.int32)
-            tree.levels = wp.array(np.cumsum([0, *(len(level) for _, level in ranks)]), dtype=wp.int32)
-            tree.along, tree.offset = one([x.along for x in m], wp.float64), one([x.offset for x in m], wp.vec3d)
-            tree.radius, tree.penalty = one([x.radius for x in m], wp.float64), one([x.penalty for x in m], wp.float64)
-            tree.floor = wp.array([x.floor() for x in m], dtype=wp.float64)
-        return tree
+        with wp.ScopedDevice(self.solver.device):
+            touch = self._touch
+            put(touch.plant, plant)
+            put(touch.friction, friction)
+            put(touch.frames, self._frames[some])
+            put(touch.last, np.full(b, p - 1))
+            put(touch.inward, self._frames[some] if inward is None else np.asarray(inward))
+            put(touch.plan, np.pad(plan, ((0, 0), (0, touch.plan.shape[1] - t))))
+            put(touch.place, along(poses[..., :3, 3]))
+            put(touch.turn, along(quaternions(poses[..., :3, :3])))
+            wp.launch(enter, dim=(b, self._wide), inputs=[self.solver.trees, touch, begin], outputs=[self._work])
+        return some
 
-    def _make_work(self, plant: np.ndarray, b: int, n: int, k: int) -> Work:
-        w, room = Work(), self.options.room
-        rest = np.zeros((b, n, 3))
-        for i, p in enumerate(plant):
-            nodes = self.models[p].plant.nodes
-            rest[i, :len(nodes)] = nodes
-        turn = np.zeros((b, n, 4))
-        turn[..., 3] = 1.0
-        for name in ("x", "x_start", "x_try", "x_keep"):
-            setattr(w, name, wp.array(rest, dtype=wp.vec3d))
-        for name in ("q", "q_start", "q_try", "q_keep"):
-            setattr(w, name, wp.array(turn, dtype=wp.quatd))
-        for name in ("active", "order", "strained", "first", "many", "stale"):
-            setattr(w, name, wp.zeros((b, n), dtype=wp.int32))
-        w.level = wp.zeros((b, max(len(_levels(m)[1]) for m in self.models) + 1), dtype=wp.int32)
-        for name in ("rider", "clear", "room"):
-            setattr(w, name, wp.zeros((b, n), dtype=wp.float64))
-        for name in ("g", "g_on", "g_up", "elastic", "elastic_up", "right", "right_on", "right_up", "held", "step"):
-            setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_vectord))
-        for name in ("own", "own_up", "mixed", "diagonal", "diagonal_on", "diagonal_up", "coupling", "across", "passed"):
-            setattr(w, name, wp.zeros((b, n), dtype=wp.spatial_matrixd))
-        w.mid = wp.zeros((b, n), dtype=wp.quatd)
-        for name in ("stretch", "half_turn", "rate", "relative"):
-            setattr(w, name, wp.zeros((b, n), dtype=wp.vec3d))
-        for name, dtype in (("cap_x", wp.vec3d), ("cap_q", wp.quatd), ("cap_x_start", wp.vec3d), ("cap_q_start", wp.quatd)):
-            setattr(w, name, wp.zeros((b, k), dtype=dtype))
-        for name in ("key", "sample", "node", "body", "stuck", "on"):
-            setattr(w, name, wp.zeros((2, b, room), dtype=wp.int32))
-        for name in ("anchor", "local0", "lever", "normal", "hold"):
-            setattr(w, name, wp.zeros((2, b, room), dtype=wp.vec3d))
-        for name in ("gap0", "tau", "depth"):
-            setattr(w, name, wp.zeros((2, b, room), dtype=wp.float64))
-        for name in ("arm_p", "arm_c", "rub_p", "rub_c", "fn", "ft", "slid", "out_f", "out_m"):
-            setattr(w, name, wp.zeros((b, room), dtype=wp.vec3d))
-        for name in ("hn", "ht", "hc"):
-            setattr(w, name, wp.zeros((b, room), dtype=wp.mat33d))
-        w.count = wp.zeros((2, b), dtype=wp.int32)
-        w.side, w.next, w.ended, w.astray = (wp.zeros(b, dtype=wp.int32) for _ in range(4))
-        return w
+    def advance(self, *, seconds: float = GPU_SPAN) -> int:
+        """One launch for all touches that go on, on a GPU for about so many seconds [s]; the number of frames newly done.
 
-    def _frames(self, out: Results, count: np.ndarray, ended: np.ndarray, plant: np.ndarray, keep_nodes: bool) -> RodFrames:
+        Those with most frames before them go first: if not all find room at once, the hardest do.
+        """
+        live = np.flatnonzero(self._going())
+        if not len(live):
+            return 0
+        options, before = self.solver.options, int(self._next[self._taken].sum())
+        if self._gpu:
+            live = live[np.argsort(self._next[live] - self._frames[live], kind="stable")]
+        lanes, share, span = (LANES, options.share or ENDLESS, round(1e9 * seconds)) if self._gpu else (options.lanes, options.share or CPU_SHARE, 0)
+        with wp.ScopedDevice(self.solver.device):
+            self._clock.zero_()
+            wp.launch(advance, dim=len(live) * lanes, inputs=[self.solver.trees, self._touch, wp.array(live, dtype=wp.int32), lanes, share, span, self.solver.weighs],
+                      outputs=[self._clock, self._work, self._out], block_dim=lanes)
+            self._next[:], self._ended[:] = self._work.next.numpy(), self._work.ended.numpy()
+        return int(self._next[self._taken].sum()) - before
+
+    def done(self, some: slice) -> bool:
+        """Whether all of these touches have ended."""
+        return not self._going()[some].any()
+
+    def take(self, some: slice) -> RodFrames:
+        """The frames of some touches, as far as they are; their places are free."""
+        out, models = self._out, self.solver.models
+        count, ended, plant = np.minimum(self._frames[some], self._next[some]), self._ended[some], self._plant[some]
         done = np.where(ended > 0, np.minimum(ended - 1, count), count)
-        t = out.residual.shape[0]
+        t = out.residual.shape[1]
         solved = np.arange(t)[:, None] < done[None, :]
-        reaction = out.reaction.numpy()
+
+        def of(array: wp.array) -> np.ndarray:
+            return np.ascontiguousarray(np.swapaxes(array[some].numpy(), 0, 1))
+
+        reaction = of(out.reaction)
         # spatial vectors come out as (top, bottom)
         root, root_moment = reaction[..., :3].copy(), reaction[..., 3:].copy()
-        force, moment = out.force.numpy(), out.moment.numpy()
-        reason = np.where(solved, out.reason.numpy(), 0)
-        weight = np.stack([self.models[p].weight.sum(axis=0) for p in plant])
-        weight -= np.stack([self.models[p].weight[0] for p in plant])  # what rests on the clamp itself bends nothing
+        force, moment = of(out.force), of(out.moment)
+        reason = np.where(solved, of(out.reason), 0)
+        weight = np.stack([models[p].weight.sum(axis=0) for p in plant])
+        weight -= np.stack([models[p].weight[0] for p in plant])  # what rests on the clamp itself bends nothing
         whole = force.sum(axis=2)
         gap = np.linalg.norm(whole - root - weight, axis=-1)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
-        floats = [np.where(solved, a.numpy(), np.nan) for a in (out.residual, out.energy, out.penetration, out.slipping)]
+        floats = [np.where(solved, of(a), np.nan) for a in (out.residual, out.energy, out.penetration, out.slipping, out.where)]
         for array in (force, moment, root, root_moment):
             array[~solved] = np.nan
-        return RodFrames(done, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0], np.where(solved, out.iterations.numpy(), 0), floats[1], floats[2],
-                         np.where(solved, out.contacts.numpy(), 0), floats[3], np.where(solved, gap / size, np.nan), out.x.numpy() if keep_nodes else None, out.q.numpy() if keep_nodes else None)
-
-
-def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
-    """The highest child of each node, and the next lower one of the same parent (n,); -1 for none."""
-    parent = model.plant.parent
-    child, following = np.full(len(parent), -1), np.full(len(parent), -1)
-    for i in range(1, len(parent)):
-        following[i] = child[parent[i]]
-        child[parent[i]] = i
-    return child, following
-
-
-def _levels(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes by their number of segments from the root (n,), and the first of each number in this order, and the end (levels + 1,)."""
-    parent = model.plant.parent
-    depth = np.zeros(len(parent), int)
-    for i in range(1, len(parent)):
-        depth[i] = depth[parent[i]] + 1
-    rank = np.argsort(depth, kind="stable")
-    return rank, np.searchsorted(depth[rank], np.arange(depth.max() + 2))
-
-
-def _make_results(t: int, b: int, k: int, n: int) -> Results:
-    out = Results()
-    out.force, out.moment = wp.zeros((t, b, k), dtype=wp.vec3d), wp.zeros((t, b, k), dtype=wp.vec3d)
-    out.reaction = wp.zeros((t, b), dtype=wp.spatial_vectord)
-    for name in ("residual", "energy", "penetration", "slipping"):
-        setattr(out, name, wp.full((t, b), np.nan, dtype=wp.float64))
-    for name in ("iterations", "reason", "contacts"):
-        setattr(out, name, wp.zeros((t, b), dtype=wp.int32))
-    rows = t if n else 0
-    out.x, out.q = wp.zeros((rows, b, n), dtype=wp.vec3d), wp.zeros((rows, b, n), dtype=wp.quatd)
-    return out
-
-
-def quaternions(turn: np.ndarray) -> np.ndarray:
-    """x y z w (..., 4) of rotations (..., 3, 3): the largest of the four components first, the others from it (Shepperd 1978)."""
-    m = turn.reshape(-1, 3, 3)
-    trace = np.trace(m, axis1=1, axis2=2)
-    which = np.argmax(np.stack([m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], trace], axis=1), axis=1)
-    out = np.empty((len(m), 4))
-    for k in range(3):
-        s = which == k
-        i, j = (k + 1) % 3, (k + 2) % 3
-        out[s, k] = 1.0 - trace[s] + 2.0 * m[s, k, k]
-        out[s, i], out[s, j] = m[s, i, k] + m[s, k, i], m[s, j, k] + m[s, k, j]
-        out[s, 3] = m[s, j, i] - m[s, i, j]
-    s = which == 3
-    out[s] = np.stack([m[s, 2, 1] - m[s, 1, 2], m[s, 0, 2] - m[s, 2, 0], m[s, 1, 0] - m[s, 0, 1], 1.0 + trace[s]], axis=1)
-    return (out / np.linalg.norm(out, axis=1, keepdims=True)).reshape(*turn.shape[:-2], 4)
+        self._taken[some] = False
+        return RodFrames(done, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0], np.where(solved, of(out.iterations), 0), floats[1], floats[2],
+                         np.where(solved, of(out.contacts), 0), floats[3], np.where(solved, gap / size, np.nan), floats[4], of(out.x) if self.keep_nodes else None, of(out.q) if self.keep_nodes else None)
