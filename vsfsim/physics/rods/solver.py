@@ -29,7 +29,7 @@ ENDLESS = 2**31 - 1  # Newton iterations
 @dataclass(frozen=True)
 class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
-    0.1 mN m, a thousandth of the noise of its sensor. force_limit: no frame is kept that is past it [N]. guarded: False, a touch ends there; True, the arm slows down, turns back and keeps its number of frames, as `guard` says;
+    0.1 mN m, a thousandth of the noise of its sensor. force_limit: on the way in no frame is kept that is past it [N]. guarded: False, a touch ends there, on the way out too; True, the arm slows down, turns back and keeps its number of frames, as `guard` says;
     hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count. work: of a frame, after which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
     room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
     lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU always has 32."""
