@@ -74,6 +74,11 @@ def test_links_lead_somewhere():
             assert (ROOT / path).exists() or path.endswith(("NAME.py", "NAME.toml", "NAME-v1.toml")), path
 
 
+@pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")]), ids=lambda page: page.name)
+def test_no_page_has_a_conflict_left_by_a_merge(page):
+    assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(), re.MULTILINE)
+
+
 def test_the_tiers_of_the_readme_are_those_of_the_code():
     from vsfsim.physics.tiers import TIERS
 
