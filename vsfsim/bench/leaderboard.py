@@ -53,11 +53,11 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
     # a shipped result that was made again here, to the same numbers, is one row
-    unique: dict[str, tuple[Path, Result]] = {}
+    unique: list[tuple[Path, Result]] = []
     for path, result in results:
-        same = repr((result.method, result.parameters, result.task_sha256, result.dataset_sha256, result.scores))
-        unique.setdefault(same, (path, result))
-    results = list(unique.values())
+        if not any(_again(result, before) for _, before in unique):
+            unique.append((path, result))
+    results = unique
     same_task = [result.dataset_sha256 for _, result in results if result.task_sha256 == task.sha256]
     counts = Counter(same_task)
     reference = task.dataset.sha256 or max(sorted(counts), key=counts.__getitem__, default="")
@@ -70,6 +70,13 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     rows = [Row(i, "", result, path) for i, (path, result, _) in enumerate(good, start=1)]
     rows += [Row(None, mark, result, path) for path, result, mark in odd]
     return Board(task, reference, tuple(rows))
+
+
+def _again(result: Result, before: Result) -> bool:
+    """Is it the same result? One of the two may be from before a parameter existed: the numbers tell."""
+    known = result.parameters.keys() & before.parameters.keys()
+    return (repr((result.method, result.task_sha256, result.dataset_sha256, result.scores)) == repr((before.method, before.task_sha256, before.dataset_sha256, before.scores))
+            and all(result.parameters[key] == before.parameters[key] for key in known))
 
 
 def _mark(result: Result, task: Task, reference: str) -> str:
