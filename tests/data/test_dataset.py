@@ -171,11 +171,10 @@ import os, sys, time
 sys.path.insert(0, {str(Path(__file__).parent)!r})
 from test_dataset import NAMES, RECIPE, DatasetWriter
 writer = DatasetWriter({str(tmp_path / "d")!r}, RECIPE, NAMES)
-child = os.fork()
-if child == 0:
+if os.fork() == 0:
+    print(os.getpid(), flush=True)  # only now has it begun, and let go of what is not its own
     time.sleep(20)
     os._exit(0)
-print(child, flush=True)
 time.sleep(20)
 """
     parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
