@@ -17,7 +17,7 @@ from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.plant_batches import add, crew, finish_one, touched
-from vsfsim.generate.plants import PATIENCE, Seconds
+from vsfsim.generate.plants import Seconds, rod_options
 from vsfsim.generate.run import jobs_of, make_recipe
 from vsfsim.generate.touch import _BALANCE
 from vsfsim.physics.rods.solver import RodFrames
@@ -85,7 +85,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
         clock["all records made"] = time.perf_counter() - start
         progress(f"{clock['all records made']:.1f} s: records and truth of {len(made)} views")
     return {"scene": loaded.name, "device": device, "machine": f"{platform.machine()}, {os.cpu_count()} CPU cores", "workers": count, "views": len(found), "views_asked": len(jobs), "segments": segments,
-            **_audit(found), "readings_planned": planned, "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling, "wall_s": clock["all records made"], "clock_s": clock,
+            **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned, "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling, "wall_s": clock["all records made"], "clock_s": clock,
             "stages_s": {name: spent.spent[name] for name in WHAT}, "stages_cpu_s": {name: spent.cpu[name] for name in WHAT}}
 
 
@@ -103,11 +103,11 @@ def _finished(waiting: list[Future[tuple[ObjectView, Seconds]]], limit: float | 
     return out
 
 
-def _audit(found: list[RodFrames]) -> dict[str, Any]:
+def _audit(found: list[RodFrames], patience: int | None) -> dict[str, Any]:
     solved = [np.arange(f.residual.shape[0])[:, None] < f.frames[None] for f in found]
     good = [f.converged & (f.force_balance <= _BALANCE) for f in found]  # the others are marked in a dataset
     return {"touches": int(sum((f.frames > 0).sum() for f in found)), "readings": int(sum(f.frames.sum() for f in found)), "in_contact": int(sum((f.contacts > 0).sum() for f in found)),
-            "unconverged": int(sum((s & ~g).sum() for s, g in zip(solved, good, strict=True))), "given_up": int(sum((f.iterations.sum(axis=0) > PATIENCE).sum() for f in found)),
+            "unconverged": int(sum((s & ~g).sum() for s, g in zip(solved, good, strict=True))), "patience": patience, "given_up": 0 if patience is None else int(sum((f.iterations.sum(axis=0) > patience).sum() for f in found)),
             "most_iterations": int(max(f.iterations.sum(axis=0).max() for f in found)), "mean_iterations": float(np.mean(np.concatenate([f.iterations.sum(axis=0) for f in found]))),
             "largest_penetration": max(float(np.max(f.penetration[g], initial=0.0)) for f, g in zip(found, good, strict=True)),
             "worst_balance": max(float(np.max(f.force_balance[g], initial=0.0)) for f, g in zip(found, good, strict=True))}
@@ -127,11 +127,12 @@ def paper_seconds(found: dict[str, Any]) -> tuple[float, float]:
 def table(found: dict[str, Any]) -> str:
     """The result for the terminal."""
     n, wall, (clock, cpu) = max(found["readings"], 1), found["wall_s"], paper_seconds(found)
+    ended = "" if found["patience"] is None else f", {found['given_up']} touches ended after {found['patience']}"
     cut = "" if whole(found) else f" (NOT ALL: {found['views_asked']} views were asked for, records were made of {found['records']} readings; the time was up)"
     lines = [f"{found['scene']} on {found['device']} ({found['machine']}), {found['workers']} processes: {found['views']} views{cut} of plants with {min(found['segments'])} to "
              f"{max(found['segments'])} segments, {found['touches']} touches, {found['readings']} of {found['readings_planned']} readings",
              f"{found['in_contact']} readings in contact, {found['unconverged']} ({100 * found['unconverged'] / n:.2f} %) not converged and marked; deepest penetration {1e3 * found['largest_penetration']:.2g} mm, "
-             f"worst force balance {found['worst_balance']:.1e}; {found['given_up']} touches ended after {PATIENCE} Newton iterations, {found['mean_iterations']:.0f} a touch on average, {found['most_iterations']} the most", "",
+             f"worst force balance {found['worst_balance']:.1e}; {found['mean_iterations']:.0f} Newton iterations a touch on average, {found['most_iterations']} the most{ended}", "",
              f"{'stage':<12}{'s':>9}{'CPU s':>9}{'CPU ms a reading':>18}   what; seconds of all processes together"]
     for name, what in WHAT.items():
         s, busy = found["stages_s"][name], found["stages_cpu_s"][name]

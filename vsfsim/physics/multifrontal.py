@@ -151,10 +151,10 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out
 # Two ways through the fronts: for one right-hand side, and for sixteen of them in one vector. Four rows of a block are read at a time: as four sums, or added up
 # in what the rows below get. Both take their forces from ``right`` and leave what they found in ``out``, each column by its own measure, since single precision
 # has no room for forces that are far below one.
-_BEGIN = """
+_BEGIN = f"""
     const long long* t = table.data; const int* below = rows.data; const int* place = places.data; const short* block = blocks.data;
     const float* pivot = pivots.data; const float* ratio = ratios.data; const double* b = right.data + start;
-    const float unit = 1.0f / 32767.0f;
+    const float unit = 1.0f / {_UNIT}f;
     // numbers in a cache line; and how far ahead of its use one is asked for: the processor itself looks no further than a page, and rows are short
     const int LINE = 32, AHEAD = 4096, BEHIND = 2048;
 """
