@@ -3,13 +3,14 @@
 import dataclasses
 import json
 
+import matplotlib.image
 import numpy as np
 import pytest
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate import press_bubble, press_bubble_file
+from vsfsim.generate import press_bubble, press_bubble_file, press_bubble_picture
 from vsfsim.generate.press_command import press as command
 
 
@@ -77,14 +78,35 @@ def test_what_is_saved(down, tmp_path):
         assert np.abs(data["node_position"][:, data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
 
 
-def test_what_a_sensor_has_not_is_said(tmp_path):
+def shades(image):
+    """Pixels that are red, blue and grey (3,)."""
+    red, green, blue = image.reshape(-1, 3).astype(int).T
+    grey = (abs(red - green) < 12) & (abs(green - blue) < 20) & (red < 200)
+    return np.array([(red > blue + 60).sum(), (blue > red + 60).sum(), grey.sum()])
+
+
+def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
+    scene = parse_scene(text(DOWN), "small.toml").sample(0)
+    depth = press_bubble_picture.inwards(down.state, 2)
+    # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has to go somewhere
+    assert depth.max() == pytest.approx(down.depth[2], rel=0.05) and -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
+    assert np.abs(depth[down.state.model.mesh.rim]).max() < 1e-12
+    faces = down.state.model.mesh.faces
+    colour = np.where((depth[faces].mean(axis=1) > 0.0)[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    alone = dataclasses.replace(scene, obstacles=())
+    with_ball, without = (shades(press_bubble_picture.outside(down.state, s, 2, colour, "cpu")) for s in (scene, alone))
+    assert (with_ball > 2000).all() and (without[:2] > 2000).all() and without[2] == 0
+    press_bubble_picture.picture(down, scene, "small", tmp_path / "p.png")
+    drawn = matplotlib.image.imread(tmp_path / "p.png")
+    assert drawn.shape[1] > 3 * drawn.shape[0] and np.ptp(drawn[:, -200:, 0]) > 0.3, "the camera inside sees dots"
+
+
+def test_what_a_sensor_has_not_is_said():
     scene = load_scene(find_scene("punyo"))
     with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
         command(load_scene(find_scene("punyo-block")), seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier=None, refine=3, picture=None, plot=None, save=None)
-    for option, value in (("tier", "fem"), ("picture", tmp_path / "a.png")):
-        given = {"tier": None, "refine": None, "picture": None, "plot": None, "save": None, option: value}
-        with pytest.raises(SceneError, match=f"--{option}"):
-            command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, **given)
+    with pytest.raises(SceneError, match="--tier fem"):
+        command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier="fem", refine=None, picture=None, plot=None, save=None)
     with pytest.raises(SceneError, match=r"needs a \[press\]"):
         press_bubble.press(dataclasses.replace(scene.sample(0), press=None))
 
@@ -117,7 +139,8 @@ frames = 2
 
 
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
-    result = press_bubble.press(parse_scene(SOFT, "soft.toml").sample(0), keep=True)
+    scene = parse_scene(SOFT, "soft.toml").sample(0)
+    result = press_bubble.press(scene, keep=True)
     assert result.converged.all() and result.force[-1, 2] > 0.5
     assert result.reaction == pytest.approx(-result.force, rel=1e-2, abs=1e-3), "the mount holds it"
     assert result.body_force[:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
@@ -125,3 +148,7 @@ def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pus
     assert result.state.read_out_force().sum(axis=1) == pytest.approx(own, rel=1e-9, abs=1e-9)
     moment = np.cross(result.state.read_out_position(), result.state.read_out_force()).sum(axis=1)
     assert moment == pytest.approx(result.wrench[:, 3:], abs=1e-9)
+    # the picture's block lies where the skin is pushed in
+    faces = result.state.model.mesh.faces
+    red, _, grey = shades(press_bubble_picture.outside(result.state, scene, 1, np.tile([1.0, 0.0, 0.0], (len(faces), 1)), "cpu"))
+    assert red > 2000 and grey > 20_000

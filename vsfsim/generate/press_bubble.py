@@ -25,6 +25,7 @@ from vsfsim.physics.coupled import CoupledSolver, free_way
 from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
 from vsfsim.physics.frames import Frames, SolverOptions
 from vsfsim.physics.membrane_refine import wishes
+from vsfsim.physics.model import Model
 from vsfsim.physics.rigid import RigidBodies
 from vsfsim.physics.solver import Solver
 from vsfsim.robot.press import press_path
@@ -38,13 +39,16 @@ class BubbleState:
     """The sensor in every frame, in its mount frame.
 
     model: the bubble. mount: its pose in the world (T, 4, 4) [m]. node_position: of the fine mesh (T, n, 3) [m].
-    node_force: contact force on every node of it (T, n, 3) [N].
+    node_force: contact force on every node of it (T, n, 3) [N]. object: the deformable body that it presses, or None. object_displacement: of that
+    body's nodes, in the world (T, N, 3) [m], or None.
     """
 
     model: bubble.BubbleModel
     mount: np.ndarray
     node_position: np.ndarray
     node_force: np.ndarray
+    object: Model | None = None
+    object_displacement: np.ndarray | None = None
 
     def read_out_position(self) -> np.ndarray:
         """Nodes of the read-out mesh (T, 390, 3) [m]."""
@@ -112,7 +116,8 @@ class _Run:
 
     gap: way of the mount to first contact [m]. node: positions of the membrane's nodes in the mount frame (T, n, 3) [m]; push: contact forces on them (T, n, 3) [N].
     pressure: gauge (T,) [Pa]. inside: volume under the membrane (T,) [m^3]. reaction: of the mount on the sensor, in the world (T, 3) [N].
-    body_force: on each body (T, K, 3) [N]. friction: Coulomb coefficient of each (K,) [-]. tolerance: of the residual [-].
+    body_force: on each body (T, K, 3) [N]. friction: Coulomb coefficient of each (K,) [-]. tolerance: of the residual [-]. object, moved: the deformable body and
+    the displacements of its nodes (T, N, 3) [m], if there is one.
     """
 
     frames: Frames
@@ -127,6 +132,8 @@ class _Run:
     friction: tuple[float, ...]
     tolerance: float
     notes: tuple[str, ...] = ()
+    object: Model | None = None
+    moved: np.ndarray | None = None
 
 
 def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str = "cpu", precision: str = "float64", cache: Path | None = None, keep: bool = False,
@@ -183,7 +190,7 @@ def press(scene: Scene, *, tier: str | None = None, seed: int = 0, device: str =
         dome_volume=float(model.mesh.volume[0]), edge=model.element_size, build_seconds=built, triangles=len(model.mesh.faces), nodes=len(model.mesh.points),
         device=device, precision=precision, tolerance=run.tolerance, inward=spec.inward, notes=(*path_notes(run.gap, float(way.max()), 0.0), *said, *run.notes),
         statement=_statement(frames, statement(frames, 0, edge=model.element_size, tolerance=run.tolerance, linear=False)),
-        state=BubbleState(model, mount, run.node, run.push) if keep else None)
+        state=BubbleState(model, mount, run.node, run.push, run.object, run.moved) if keep else None)
 
 
 def _on_obstacles(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, poses: np.ndarray, axis: np.ndarray, start: np.ndarray, device: str, precision: str,
@@ -233,7 +240,8 @@ def _on_object(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis:
     return _Run(frames, free_way(body, model, first, axis), node, push, np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0],
                 -frames.reaction[:, 0],  # of what holds the object: the mount holds against it
                 -frames.force, ("object",), (scene.sensor.friction,), options.tolerance,
-                notes=(*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the object's"))
+                notes=(*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the object's"), object=body,
+                moved=np.stack([u[:3 * len(body.mesh.points), 0].reshape(-1, 3) for u in solver.history]))
 
 
 def _statement(frames: Frames, words: str) -> str:

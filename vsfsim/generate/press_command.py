@@ -26,9 +26,7 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     keep = picture is not None or save is not None
     scene = loaded.sample(seed)
     if scene.sensor is not None:
-        if picture is not None:
-            raise SceneError(f"--picture {picture}: a press of a [sensor] has no such output yet; leave --picture out.")
-        return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, refine=refine, plot=plot, save=save, progress=progress)
+        return _press_bubble(scene, loaded.name, tier=tier, seed=seed, device=device, precision=precision, refine=refine, plot=plot, picture=picture, save=save, progress=progress)
     if scene.arm is not None:
         if refine is not None:
             raise SceneError(f"--refine {refine}: a plant has the segments that its family gave it, and no finer mesh; leave --refine out, or make segment in [object.shape] smaller.")
@@ -63,13 +61,13 @@ def press(loaded: SceneFile, *, seed: int, tier: str | None, device: str, precis
     return "\n".join([table(result), *words]), {**result.table(), **found}, good
 
 
-def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, device: str, precision: str, refine: int | None, plot: Path | None, save: Path | None,
-                  progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
+def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, device: str, precision: str, refine: int | None, plot: Path | None, picture: Path | None,
+                  save: Path | None, progress: Callable[[int, int, str], None]) -> tuple[str, dict[str, Any], bool]:
     from vsfsim.generate import press_bubble, press_bubble_file, press_plot
 
     words, found = [], {}
     if refine is None:
-        result = press_bubble.press(scene, tier=tier, seed=seed, device=device, precision=precision, keep=save is not None, progress=progress)
+        result = press_bubble.press(scene, tier=tier, seed=seed, device=device, precision=precision, keep=picture is not None or save is not None, progress=progress)
         good = bool(result.converged.all())
     else:
         from vsfsim.generate import refine_bubble as refinement
@@ -82,6 +80,11 @@ def _press_bubble(scene: Scene, name: str, *, tier: str | None, seed: int, devic
     if plot is not None:
         press_plot.plot_pressure(result, name, plot)
         words.append(f"plot: {plot}")
+    if picture is not None:
+        from vsfsim.generate.press_bubble_picture import picture as paint
+
+        paint(result, scene, name, picture, device=device)
+        words.append(f"picture: {picture}")
     if save is not None:
         press_bubble_file.save(result, save)
         words.append(f"saved: {save}")

@@ -41,7 +41,7 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
     rigid = [tessellate(shape, 1.2 * size) for shape in state.bodies.shapes]
     placed = [v @ pose[:3, :3].T + pose[:3, 3] for (v, _), pose in zip(rigid, state.poses[t], strict=True)]
     looks = [(1e3 * values, "displacement [mm]", "viridis", True), (pressure / 1e3, "contact pressure [kPa]", "inferno_r", False)]
-    intrinsics, pose = _camera(vertices, np.concatenate(placed))
+    intrinsics, pose = fitting_camera(vertices, np.concatenate(placed))
     # a wall or a plate between the camera and the body would hide all there is to see: it is left out
     hides = [isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0 for shape, p in zip(state.bodies.shapes, state.poses[t], strict=True)]
     placed, faces = ([x for x, h in zip(every, hides, strict=True) if not h] for every in (placed, [f for _, f in rigid]))
@@ -53,7 +53,7 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
         colour = scale.to_rgba(value)[:, :3]
         if not with_rigid:
             colour[value <= 0.0] = 0.82  # free surface
-        shown = _coloured(vertices, triangles, colour)
+        shown = coloured(vertices, triangles, colour)
         if with_rigid:
             shown = shown if not placed else with_bodies(shown, placed, faces)
         image = render(shown, intrinsics, pose, SIZE, TALL, device=device, shading=0.55, background=(255, 255, 255)).rgb
@@ -164,13 +164,13 @@ def _revolved(radius: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.nd
     return vertices, faces[size > 0.0]
 
 
-def _camera(vertices: np.ndarray, probe: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Intrinsics (3, 3) [px] and pose (4, 4) of a camera obliquely above, that fits ``vertices`` and the ``probe`` (k, 3) [m] next to them tightly."""
+def fitting_camera(vertices: np.ndarray, probe: np.ndarray, *, elevation: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
+    """Intrinsics (3, 3) [px] and pose (4, 4) of a camera so far above the horizon [rad], that fits ``vertices`` and the ``probe`` (k, 3) [m] next to them tightly."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
     # the part of the probe that is near the body; a plane or a long handle would push the camera away
     near = np.concatenate([vertices, probe[np.linalg.norm(probe - middle, axis=1) < 0.75 * reach]])
-    pose = look_at(CameraSpec(SIZE, TALL, 0.5, 3.0 * reach, -1.0, 0.6), middle)[1]
+    pose = look_at(CameraSpec(SIZE, TALL, 0.5, 3.0 * reach, -1.0, elevation), middle)[1]
     seen = (near - pose[:3, 3]) @ pose[:3, :3]
     seen = seen[:, :2] / seen[:, 2:]
     first, last = seen.min(axis=0), seen.max(axis=0)
@@ -179,7 +179,7 @@ def _camera(vertices: np.ndarray, probe: np.ndarray) -> tuple[np.ndarray, np.nda
     return np.array([[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]]), pose
 
 
-def _coloured(vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray) -> Surface:
+def coloured(vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray) -> Surface:
     """A surface in plain colours (g, 3) sRGB, one a triangle."""
     shades, region = np.unique(np.rint(colour * 255).astype(int), axis=0, return_inverse=True)
     plain = len(shades)
