@@ -302,9 +302,8 @@ def test_bending_does_not_depend_on_the_mesh(nodes):
     a, b, c = (flat[faces[inner, k]] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     density = 0.5 * d * ((1.0 - nu) * (k11**2 + k22**2 + 2.0 * k12**2) + nu * (k11 + k22) ** 2)
-    good = np.abs(energy / (density * area) - 1.0) < 1e-9
-    # a patch whose six nodes lie near a conic cannot tell one curvature, and takes it as none
-    assert good.mean() > 0.97 and (energy <= density * area * (1.0 + 1e-9))[good].all()
+    # rounding of second differences, worst where six nodes lie near a conic: 8e-9 with 1,000 nodes. Every patch is exact
+    assert np.abs(energy / (density * area) - 1.0).max() < 1e-7
 
 
 # ------------------------------------------------------------------------------------------ 6: the flat plate
