@@ -9,7 +9,7 @@ import pytest
 from vsfsim.bench import leaderboard
 from vsfsim.bench.evaluate import evaluate, scores_of
 from vsfsim.bench.predictions import questions, score_predictions
-from vsfsim.bench.result import QUERY_COLUMNS, Result
+from vsfsim.bench.result import QUERY_COLUMNS, READING_COLUMNS, Result, readings_apart
 from vsfsim.core.errors import MethodError, TaskError
 
 
@@ -33,6 +33,7 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
     (lambda t: t.update(schema_version=99), "schema version 99"),
     (lambda t: t.pop("timing"), "missing or unknown timing"),
     (lambda t: t["queries"]["n"].pop(), "different lengths"),
+    (lambda t: t["readings"]["ss"].pop(), "columns of readings have different lengths"),
     (lambda t: t["scores"]["rmse"]["0"].update(mean=0.0), "does not fit its 3 seeds"),
     (lambda t: t["scores"]["rmse"]["0"].pop("std"), "malformed"),
 ])
@@ -48,17 +49,59 @@ def test_malformed_results_are_refused(results, tmp_path, change, message):
 def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, tmp_path):
     for name, result in zip("abc", results):
         dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
-    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64).save(tmp_path / "d.json")
+    scaled = {**results[1].readings, "ss": [1.21 * v for v in results[1].readings["ss"]]}
+    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64, readings=scaled).save(tmp_path / "d.json")
+    dataclasses.replace(results[1], method="unknown", dataset_sha256="f" * 64, readings={}).save(tmp_path / "f.json")
     dataclasses.replace(results[1], method="older", task_sha256="e" * 64).save(tmp_path / "e.json")
     board = leaderboard.collect(task, [tmp_path])
     mean = {n: r.scores["rmse"]["5"].mean for n, r in zip("abc", results)}
     ranked = [row.result.method for row in board.rows if row.rank]
-    assert ranked == sorted(mean, key=mean.get) and [row.rank for row in board.rows] == [1, 2, 3, None, None]
+    assert ranked == sorted(mean, key=mean.get) and [row.rank for row in board.rows] == [1, 2, 3, None, None, None]
     text = leaderboard.text(board)
-    assert "stranger: other dataset (ffffffffffff), not ranked" in text and "older: other text of the task" in text
+    assert "stranger: other dataset (ffffffffffff, its readings are 10 % off), not ranked" in text and "older: other text of the task" in text
+    assert "unknown: other dataset (ffffffffffff), not ranked" in text
     assert "1.00 ± 0.10" in text and "hPa" in text and "not comparable" in text
     page = leaderboard.markdown(board)
     assert page.startswith("# toy-v1") and "| 1 | " + ranked[0] + " |" in page
+
+
+def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results, task, tmp_path):
+    for name, result in zip("abc", results):
+        dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
+    there = {**results[1].readings, "ss": [(1.0 + 2e-6) * v for v in results[1].readings["ss"]]}
+    close = {metric: {shot: dataclasses.replace(score, per_seed=tuple((1.0 + 1e-6) * v for v in score.per_seed), mean=(1.0 + 1e-6) * score.mean) for shot, score in by_shot.items()}
+             for metric, by_shot in results[1].scores.items()}
+    elsewhere = dataclasses.replace(results[1], dataset_sha256="f" * 64, readings=there)
+    dataclasses.replace(elsewhere, method="new").save(tmp_path / "d.json")
+    # what was made again there, to the same numbers, is no second row; what came out otherwise is
+    dataclasses.replace(elsewhere, method="b", scores=close).save(tmp_path / "e.json")
+    dataclasses.replace(elsewhere, method="a").save(tmp_path / "f.json")
+    board = leaderboard.collect(task, [tmp_path])
+    assert sorted((row.result.method, row.rank is not None, bool(row.apart)) for row in board.rows) == [
+        ("a", True, False), ("a", True, True), ("b", True, False), ("c", True, False), ("new", True, True)]
+    assert max(row.apart for row in board.rows) == pytest.approx(1e-6, rel=1e-3)
+    text = leaderboard.text(board)
+    assert "new ~" in text and "~ on the same dataset made on a machine that rounds otherwise; its readings are 0.0001 % off at most" in text
+
+
+def test_how_far_readings_are_apart():
+    one = {"object": ["x", "x"], "touch": [0, 3], "n": [2, 2], "ss": [9.0, 16.0]}
+    assert readings_apart({**one, "ss": [9.0, 25.0]}, one) == pytest.approx(1.0 / 5.0) and readings_apart(one, one) == 0.0
+    swapped = {"object": ["x", "x"], "touch": [3, 0], "n": [2, 2], "ss": [16.0, 9.0]}
+    assert readings_apart(swapped, one) == 0.0, "by touch, not by row"
+    assert readings_apart({**one, "touch": [0, 4]}, one) is None and readings_apart({}, one) is None and readings_apart(one, {}) is None
+
+
+def test_readings_are_the_true_ones_of_the_query_touches(results):
+    for result in results:
+        rows = zip(*(result.queries[c] for c in ("object", "touch", "shot", "seed", "n")))
+        asked = {(name, touch): n for name, touch, shot, seed, n in rows if (shot, seed) == ("0", 0)}
+        kept = result.readings
+        assert dict(zip(zip(kept["object"], kept["touch"]), kept["n"])) == asked and kept == results[0].readings
+    # of the method that says 1 everywhere, sum (1 - v)^2 lies between (|v| -+ sqrt n)^2
+    sse = dict(zip(zip(*(results[1].queries[c] for c in ("object", "touch"))), results[1].queries["sse"]))
+    for name, touch, n, ss in zip(*(kept[c] for c in READING_COLUMNS)):
+        assert (ss**0.5 - n**0.5) ** 2 <= sse[name, touch] * (1 + 1e-12) and sse[name, touch] <= (ss**0.5 + n**0.5) ** 2 * (1 + 1e-12)
 
 
 def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +24,7 @@ from vsfsim.bench.method import (
 from vsfsim.bench.metrics import READING_METRICS, STIFFNESS_METRICS, reading_scores, stiffness_scores, touch_errors
 from vsfsim.bench.protocol import Draw, Recording, divide, record, specimen, support
 from vsfsim.bench.reached import reached
-from vsfsim.bench.result import QUERY_COLUMNS, Result, Score, machine, peak_memory_mib, versions
+from vsfsim.bench.result import QUERY_COLUMNS, READING_COLUMNS, Result, Score, machine, peak_memory_mib, versions
 from vsfsim.bench.task import ALL, Task
 from vsfsim.bench.uncertainty import (
     STIFFNESS_UNCERTAINTY,
@@ -66,7 +66,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by), method=name,
         entry=f"{factory.__module__}:{getattr(factory, '__qualname__', factory)}", parameters=values, observation=task.observation.name,
         unit=task.observation.unit, shots=task.protocol.labels, seeds=run.seeds, scores=run.scores(), queries=run.columns(),
-        timing=dict(run.timing), peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(), notes=tuple(notes))
+        timing=dict(run.timing), peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(), notes=tuple(notes),
+        readings=run.readings)
 
 
 @dataclass(frozen=True)
@@ -93,11 +94,13 @@ class _Run:
     rows: list[dict[str, Any]] = field(default_factory=list)
     stiffness: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)
     spread: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)  # of readings, one row a query touch
+    readings: dict[str, list] = field(default_factory=dict)  # as `Result.readings`
     hidden: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)  # scores of the mask or the pose, one row an object
     timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0, "adapts": 0, "predicts": 0})
 
     def all(self) -> None:
         subjects = [self._subject(name) for name in self.dataset.names(self.task.protocol.test)]
+        self.readings = readings_of([(subject.recording, subject.draw.query) for subject in subjects])
         specimens = [specimen(view, self.task) for view in map(self.dataset.blind().load, self.dataset.names(self.task.protocol.train))]
         # A method without a `seed` must be deterministic (`vsfsim check` proves it), so a support set that is the same for
         # every seed needs only one adaptation.
@@ -251,6 +254,13 @@ class _Run:
 
     def columns(self) -> dict[str, list]:
         return {name: [row[name] for row in self.rows] for name in QUERY_COLUMNS}
+
+
+def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
+    """`Result.readings` of recordings and their query touches."""
+    rows = [(recording.name, index, recording.clean[index][recording.readings[index].valid]) for recording, query in asked for index in query]
+    columns = ([name for name, _, _ in rows], [int(index) for _, index, _ in rows], [int(v.size) for _, _, v in rows], [float(np.sum(v**2)) for _, _, v in rows])
+    return dict(zip(READING_COLUMNS, columns, strict=True))
 
 
 def scores_of(rows: list[dict[str, Any]], labels: tuple[str, ...], seeds: tuple[int, ...]) -> dict[str, dict[str, Score]]:

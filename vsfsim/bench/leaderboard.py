@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,20 +10,27 @@ from pathlib import Path
 
 from vsfsim.bench.hidden import HIDDEN_UNITS
 from vsfsim.bench.metrics import READING_METRICS
-from vsfsim.bench.result import Result, Score
+from vsfsim.bench.result import Result, Score, readings_apart
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
 
+_SAME = 1e-3
+"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds otherwise: no score tells them apart, since
+methods are ranked by differences of several per cent. Different seeds, scenes or physics differ by tens of per cent."""
+_AGAIN = 1e-4  # of a score: a method that is made again on such a dataset
+
 
 @dataclass(frozen=True)
 class Row:
-    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came from."""
+    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came from.
+    apart: how far the readings of its dataset are from those of the others [-], 0 where they are the same bits, None where that is not known."""
 
     rank: int | None
     mark: str
     result: Result
     path: Path
+    apart: float | None
 
 
 @dataclass(frozen=True)
@@ -37,13 +45,15 @@ class Board:
 def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of them).
 
-    A result on another dataset (its content's sha256 differs from the task's own, or, if the task names none, from that of
-    most results) or of another text of the task is shown, marked and not ranked: its numbers do not compare. Equal results are one row.
+    A result on another dataset or of another text of the task is shown, marked and not ranked: its numbers do not compare. The board's own dataset is the task's, or,
+    if the task names none, that of most shipped results (of most results, if none ships). One with other bits is the same if its readings are (`_SAME`): the
+    same command on another machine. Equal results are one row.
 
     Raises:
         TaskError: a file that is not a result, or one of another task.
     """
-    files = sorted((folder("leaderboard") / task.name).glob("*.json"))
+    shipped = sorted((folder("leaderboard") / task.name).glob("*.json"))
+    files = list(shipped)
     for path in paths:
         if not path.exists():
             raise TaskError(f"{path} does not exist; give result files of `vsfsim evaluate --out`, or folders of them.")
@@ -52,38 +62,46 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     for path, result in results:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
-    # a shipped result that was made again here, to the same numbers, is one row
-    unique: list[tuple[Path, Result]] = []
-    for path, result in results:
-        if not any(_again(result, before) for _, before in unique):
-            unique.append((path, result))
-    results = unique
-    same_task = [result.dataset_sha256 for _, result in results if result.task_sha256 == task.sha256]
-    counts = Counter(same_task)
-    reference = task.dataset.sha256 or max(sorted(counts), key=counts.__getitem__, default="")
+    reference = task.dataset.sha256 or _most([r for path, r in results if path in shipped], task) or _most([r for _, r in results], task)
+    known = next((r.readings for _, r in results if r.dataset_sha256 == reference and r.readings), {})
     good, odd = [], []
     for path, result in results:
-        mark = _mark(result, task, reference)
-        (odd if mark else good).append((path, result, mark))
+        apart = 0.0 if result.dataset_sha256 == reference else readings_apart(result.readings, known)
+        mark = _mark(result, task, apart)
+        # a shipped result that was made again here, to the same numbers, is one row
+        if not any(_again(result, before) for _, before, *_ in (odd if mark else good)):
+            (odd if mark else good).append((path, result, mark, apart))
     sign = -1.0 if task.higher_is_better else 1.0
     good.sort(key=lambda item: (sign * item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
-    rows = [Row(i, "", result, path) for i, (path, result, _) in enumerate(good, start=1)]
-    rows += [Row(None, mark, result, path) for path, result, mark in odd]
+    rows = [Row(i, "", result, path, apart) for i, (path, result, _, apart) in enumerate(good, start=1)]
+    rows += [Row(None, mark, result, path, apart) for path, result, mark, apart in odd]
     return Board(task, reference, tuple(rows))
 
 
+def _most(results: list[Result], task: Task) -> str:
+    """The dataset of most results of this very task, "" if there is none."""
+    counts = Counter(result.dataset_sha256 for result in results if result.task_sha256 == task.sha256)
+    return max(sorted(counts), key=counts.__getitem__, default="")
+
+
 def _again(result: Result, before: Result) -> bool:
-    """Is it the same result? One of the two may be from before a parameter existed: the numbers tell."""
+    """Is it the same result? One of the two may be from before a parameter existed, or from a machine that rounds otherwise: the numbers tell."""
     known = result.parameters.keys() & before.parameters.keys()
-    return (repr((result.method, result.task_sha256, result.dataset_sha256, result.scores)) == repr((before.method, before.task_sha256, before.dataset_sha256, before.scores))
-            and all(result.parameters[key] == before.parameters[key] for key in known))
+    if (result.method, result.task_sha256) != (before.method, before.task_sha256) or any(result.parameters[key] != before.parameters[key] for key in known):
+        return False
+    if result.dataset_sha256 == before.dataset_sha256:
+        return repr(result.scores) == repr(before.scores)
+    apart = readings_apart(result.readings, before.readings)
+    return apart is not None and apart < _SAME and result.scores.keys() == before.scores.keys() and all(
+        math.isclose(one, other, rel_tol=_AGAIN) for metric in READING_METRICS if metric in result.scores for shot, score in result.scores[metric].items()
+        for one, other in zip(score.per_seed, before.scores[metric][shot].per_seed, strict=False))
 
 
-def _mark(result: Result, task: Task, reference: str) -> str:
+def _mark(result: Result, task: Task, apart: float | None) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
-    if result.dataset_sha256 != reference:
-        return f"other dataset ({result.dataset_sha256[:12]})"
+    if apart is None or not apart < _SAME:
+        return f"other dataset ({result.dataset_sha256[:12]}" + (")" if apart is None else f", its readings are {100.0 * apart:.2g} % off)")
     if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:
         return f"no {task.primary} at {task.ranking_shot}-shot"
     return ""
@@ -141,7 +159,7 @@ def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
         stiffness = row.result.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
-        rows.append([str(row.rank or "-"), label + (" *" if row.mark else ""), *(_number(by_shot.get(shot)) for shot in labels),
+        rows.append([str(row.rank or "-"), label + (" *" if row.mark else " ~" if row.apart else ""), *(_number(by_shot.get(shot)) for shot in labels),
                      _number(stiffness), f"{adapt:.2f} s", f"{row.result.made_by.get('vsfsim')} {commit}".strip()])
     return head, rows
 
@@ -158,6 +176,9 @@ def _labels(results: list[Result]) -> list[str]:
 
 def _footnotes(board: Board) -> list[str]:
     lines = [f"* {row.result.method}: {row.mark}, not ranked" for row in board.rows if row.mark]
+    rounded = [row.apart for row in board.rows if row.apart and not row.mark]
+    if rounded:
+        lines.append(f"~ on the same dataset made on a machine that rounds otherwise; its readings are {100.0 * max(rounded):.1g} % off at most")
     if not board.rows:
         lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name + " --out FILE` makes one")
     elif any("stiffness_spearman" in row.result.scores for row in board.rows):

@@ -13,7 +13,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from vsfsim.bench.evaluate import scores_of
+from vsfsim.bench.evaluate import readings_of, scores_of
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
 from vsfsim.bench.metrics import touch_errors
 from vsfsim.bench.protocol import divide, record, support
@@ -67,8 +67,9 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
     except (OSError, ValueError, BadZipFile) as error:
         raise MethodError(f"predictions {path} cannot be read: {error}. Give an .npz as numpy.savez writes it.") from error
     clean = {view.name: record(view, task) for view in map(dataset.blind().load, dataset.names(task.protocol.test))}
-    rows, asked = [], set()
+    rows, asked, queries = [], set(), {}
     for question in questions(task, dataset):
+        queries[question.name] = question.touches
         for key, touch, action in zip(question.keys, question.touches, question.actions):
             if key not in given:
                 raise MethodError(f"predictions {path} have no '{key}'. One array (T, d) a query is needed; `vsfsim.bench.predictions.questions` lists the keys.")
@@ -85,4 +86,5 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by), method=name, entry="predictions file",
         parameters={}, observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
         scores=scores_of(rows, task.protocol.labels, seeds), queries={column: [row[column] for row in rows] for column in QUERY_COLUMNS},
-        timing={}, peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(), notes=("scored from a file of predictions",))
+        timing={}, peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(), notes=("scored from a file of predictions",),
+        readings=readings_of((clean[name], touches) for name, touches in queries.items()))

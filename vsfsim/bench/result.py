@@ -19,6 +19,7 @@ from vsfsim.data.disk import write_atomic
 FORMAT = "vsfsim-result"
 SCHEMA_VERSION = 1
 QUERY_COLUMNS = ("object", "shot", "seed", "touch", "n", "sse", "sae")
+READING_COLUMNS = ("object", "touch", "n", "ss")
 
 
 @dataclass(frozen=True)
@@ -48,6 +49,8 @@ class Result:
     shot and seed: object, shot, seed, touch, number of readings n, sum of squares sse [unit^2] and of absolute errors sae [unit].
     timing: seconds of meta_fit_s, adapt_s, predict_s, and the calls adapts, predicts. peak_memory_mib: of the process.
     machine: cpu, cores, system. made_by: vsfsim and commit. versions: of the packages. notes: for the reader.
+    readings: the true readings of the query touches in short, columns, one row a touch: object, touch, number of readings n, their sum of squares
+    ss [unit^2]. They tell whether a dataset made on another machine, with other bits, is the same to what a score shows; empty in results from before they were kept.
     """
 
     task: str
@@ -69,6 +72,7 @@ class Result:
     made_by: Mapping[str, Any]
     versions: Mapping[str, str]
     notes: tuple[str, ...] = ()
+    readings: Mapping[str, list] = dataclasses.field(default_factory=dict)
 
     def save(self, path: str | Path) -> None:
         """Write the JSON; the file appears whole or not at all.
@@ -101,7 +105,7 @@ class Result:
         if table.get("schema_version") != SCHEMA_VERSION:
             raise TaskError(f"result {path} has schema version {table.get('schema_version')}; this vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
         names = [f.name for f in dataclasses.fields(cls)]
-        given = {key: value for key, value in table.items() if key not in ("format", "schema_version")}
+        given = {"readings": {}, **{key: value for key, value in table.items() if key not in ("format", "schema_version")}}
         if set(given) != set(names):
             odd = ", ".join(sorted(set(given) ^ set(names)))
             raise TaskError(f"result {path} is malformed: missing or unknown {odd}. Evaluate the method again.")
@@ -118,10 +122,24 @@ class Result:
         columns = {name: self.queries[name] for name in QUERY_COLUMNS}
         if len({len(column) for column in columns.values()}) != 1:
             raise TaskError(f"result {path} is malformed: the columns of queries have different lengths.")
+        if self.readings and len({len(self.readings[name]) for name in READING_COLUMNS}) != 1:
+            raise TaskError(f"result {path} is malformed: the columns of readings have different lengths.")
         for metric, by_shot in self.scores.items():
             for shot, score in by_shot.items():
                 if shot not in self.shots or len(score.per_seed) != len(self.seeds) or not math.isclose(score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12):
                     raise TaskError(f"result {path} is malformed: {metric} at shot {shot} does not fit its {len(self.seeds)} seeds.")
+
+
+def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float | None:
+    """How far two datasets' readings of the same query touches differ [-]: the root of sum (|a| - |b|)^2 over sum |b|^2, with |.| the length of a touch's
+    readings; None where they are not of the same touches, or not kept."""
+    if not one or not other:
+        return None
+    a, b = ({(name, touch): math.sqrt(ss) for name, touch, ss in zip(r["object"], r["touch"], r["ss"], strict=True)} for r in (one, other))
+    if a.keys() != b.keys():
+        return None
+    size = math.fsum(v * v for v in b.values())
+    return math.sqrt(math.fsum((a[key] - b[key]) ** 2 for key in b) / size) if size > 0.0 else None
 
 
 def machine() -> dict[str, Any]:
