@@ -76,6 +76,18 @@ def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(mo
     assert (frames.slipping == 0.0).all()
 
 
+def test_a_ball_that_ploughs_on_arrives_in_few_iterations(block, line, device):
+    """In every frame points come into touch where the body bulges up before the ball; anchors that went along with them crept on, hundreds of iterations a frame, and frames were lost."""
+    soft = block((0.06, 0.06, 0.03), 0.006, young_modulus=E, poisson_ratio=0.45)
+    path = drag(line, Sphere(0.012), (0.0, 0.0, 0.03 + 0.012), 0.003, [0.0005 * k for k in range(1, 11)])
+    frames = Solver(soft, Sphere(0.012), friction=0.6, device=device, options=USUAL).run(path)
+    assert frames.converged.all() and frames.slipping[-1, 0] > 0.8, "it slides"
+    assert frames.iterations[:, 0].mean() < 40 and frames.iterations.max() < 120
+    along, normal = -frames.force[-1, 0, 0], frames.force[-1, 0, 2]
+    # on a dented surface the drag is mu N and what it takes to push the heap ahead
+    assert 0.55 * normal < along < 0.9 * normal
+
+
 def test_holding_still_changes_nothing(model, line, device):
     frames = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
     # points that slip sit exactly on their limit: the step that holds still finds them in balance within the tolerance

@@ -7,7 +7,7 @@
 integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), or of every part of a linear one, never at vertices alone. g is the distance
 to the nearest rigid body, d the tangential way of the point from its anchor, the spot of the body where it last stuck. The limit tau and
 the normal of the tangent plane are held while Newton's method brings the forces into balance, which then has a potential, and renewed
-until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
+(`relaxation`) until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
 the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives way by a thousandth of an element at most.
 w_q = area x PENALTY x modulus / element size: so stiff that the penetration stays far under 1 % of the element size
 (it is measured and stored in every frame), and soft enough that float64 keeps its digits; the solver inverts
@@ -24,7 +24,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics import sdf
+from vsfsim.physics import relaxation, sdf
 from vsfsim.physics.mesh import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
@@ -61,6 +61,12 @@ def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(_BARY), 6)
 
 
+def shape_grid(steps: int) -> np.ndarray:
+    """Shape values (s, 6) of a linear triangle on a grid of ``steps`` along each edge."""
+    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+    return np.hstack([bary, np.zeros_like(bary)])
+
+
 @functools.cache
 def kernels() -> Any:
     """The contact kernels and their types.
@@ -72,6 +78,8 @@ def kernels() -> Any:
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_contact"
     probe = sdf.functions(real, module)
+    relaxed = relaxation.function(real, module)
+    most_anchorings = wp.constant(relaxation.ANCHORINGS)
     facing = wp.constant(real(FACING))
 
     @wp.func(module=module)
@@ -222,6 +230,10 @@ def kernels() -> Any:
         owner_out: wp.array3d(dtype=wp.int32),
         limit_out: wp.array3d(dtype=real),
         across_out: wp.array3d(dtype=vec3),
+        anchorings_out: wp.array3d(dtype=wp.int32),
+        damping_out: wp.array3d(dtype=real),
+        change_out: wp.array3d(dtype=real),
+        miss_out: wp.array3d(dtype=real),
     ):
         # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this frame
         f, k = wp.tid()
@@ -233,7 +245,9 @@ def kernels() -> Any:
                 j = body_in[b, f, q]
                 limit = -friction[j] * softening[b] * stiffness[b, f, q] * g
                 across_out[b, f, q] = wp.normalize(normal_in[b, f, q])
-                if owner_out[b, f, q] != j:
+                owner = owner_out[b, f, q]
+                if owner != j and (owner != -2 - j or anchorings_out[b, f, q] < most_anchorings):
+                    anchorings_out[b, f, q] = anchorings_out[b, f, q] + 1
                     # where the body's surface came upon it in this step, had it stood still; or where it is, if the object bulged up
                     p0 = place(shape, q, b, f, local, x_before)
                     start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
@@ -246,7 +260,11 @@ def kernels() -> Any:
                         p1 = place(shape, q, b, f, local, x_in)
                         anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
                     owner_out[b, f, q] = -2 - j
+            limit, damping, change, miss = relaxed(limit, limit_out[b, f, q], damping_out[b, f, q], change_out[b, f, q])
             limit_out[b, f, q] = limit
+            damping_out[b, f, q] = damping
+            change_out[b, f, q] = change
+            miss_out[b, f, q] = miss
 
     @wp.kernel(module=module, enable_backward=False)
     def settle(

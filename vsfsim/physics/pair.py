@@ -116,7 +116,7 @@ class PairTouching(PairSurfaces):
 
     def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
         """By how much friction's limits miss Coulomb's (k,) [N]: what damping has held back of their last change."""
-        return sum(side.iteration["miss"][columns].sum(dim=1) for side in self._sides)
+        return sum(side.relaxation.unlawful(columns) for side in self._sides)
 
     def settle(self, columns: torch.Tensor) -> None:
         """The step is done: let slipping points drag their anchors, and forget those that left."""

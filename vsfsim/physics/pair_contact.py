@@ -19,12 +19,11 @@ from typing import Any
 import warp as wp
 
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics import closest_point
+from vsfsim.physics import closest_point, relaxation
 from vsfsim.physics.contact import FACING
 
 CANDIDATES = 12  # faces of the other surface that one point may meet in one step
 FIXED, NEW = 1, 2  # an anchor: from a step before, or made in this one, which may still move it
-ANCHORINGS = 3  # times that an iteration of friction may still move it: a point whose anchor goes along with it creeps on for ever
 
 
 @functools.cache
@@ -37,9 +36,10 @@ def kernels() -> Any:
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_pair_contact"
     near = closest_point.functions(real, module)
+    relaxed = relaxation.function(real, module)
     facing = wp.constant(real(FACING))
     most = wp.constant(CANDIDATES)
-    most_anchorings = wp.constant(ANCHORINGS)
+    most_anchorings = wp.constant(relaxation.ANCHORINGS)
     fixed, new = wp.constant(FIXED), wp.constant(NEW)
 
     @wp.func(module=module)
@@ -324,15 +324,11 @@ def kernels() -> Any:
                 anchor_face_out[b, q] = face
                 anchor_shape_out[b, q] = shape
                 anchored_out[b, q] = new
-        # where friction lifts the point off and touch brings it back, the whole change would go to and fro for ever. So the part of it that is made goes by
-        # the secant of the last two changes (Aitken's relaxation)
-        change = limit - limit_out[b, q]
-        last = change_out[b, q]
-        if (last - change) * last > real(0.0):
-            damping_out[b, q] = wp.clamp(damping_out[b, q] * last / (last - change), real(1.0 / 16.0), real(1.0))
+        limit, damping, change, miss = relaxed(limit, limit_out[b, q], damping_out[b, q], change_out[b, q])
+        limit_out[b, q] = limit
+        damping_out[b, q] = damping
         change_out[b, q] = change
-        limit_out[b, q] = limit_out[b, q] + damping_out[b, q] * change
-        miss_out[b, q] = (real(1.0) - damping_out[b, q]) * wp.abs(change)
+        miss_out[b, q] = miss
 
     @wp.kernel(module=module, enable_backward=False)
     def settle(

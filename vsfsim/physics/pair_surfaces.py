@@ -14,6 +14,7 @@ from vsfsim.physics import contact, pair_contact
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
 from vsfsim.physics.pair_links import Compliance
+from vsfsim.physics.relaxation import Relaxation
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
 _BULGE = 0.25  # of the sensor's height: by so much the surfaces may come past where the free sensor goes, it by swelling sideways, they by bulging
@@ -38,7 +39,7 @@ class Side:
     first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
     faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
     this step, -1 pads. state: what the kernels write, by name. memory: friction's.
-    iteration: of friction in this step (B, Q): how often an anchor was set, the limit's damping, its last change, and what is missing of it.
+    relaxation: friction's iteration in this step.
     views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
     around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
     """
@@ -51,7 +52,7 @@ class Side:
     candidates: torch.Tensor
     state: dict[str, torch.Tensor]
     memory: dict[str, torch.Tensor]
-    iteration: dict[str, torch.Tensor]
+    relaxation: Relaxation
     around: torch.Tensor
     smooth: torch.Tensor
     views: dict[str, wp.array]
@@ -221,15 +222,15 @@ class PairSurfaces:
         state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
                  "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
         memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
-        iteration = {"anchorings": zeros(dtype=torch.int32), "damping": zeros() + 1.0, "change": zeros(), "miss": zeros()}
+        relaxation = Relaxation(size, self.device)
         candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
         smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
         k = self.kernels
         types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33, **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
         facet, faces = facet.contiguous(), faces.contiguous()
-        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory, **iteration}
-        return Side(first, facet, stiffness, faces, count, candidates, state, memory, iteration, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
-                    {name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()})
+        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory}
+        return Side(first, facet, stiffness, faces, count, candidates, state, memory, relaxation, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
+                    {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()}, **dict(zip(("anchorings", "damping", "change", "miss"), relaxation.arrays(), strict=True))})
 
     # ------------------------------------------------------------------------------------------ poses and history
 
@@ -254,8 +255,7 @@ class PairSurfaces:
         """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
         self._u_before, self._pose_before = u.clone(), before[:, 0]
         for side in self._sides:
-            for name, value in side.iteration.items():
-                value.fill_(1.0 if name == "damping" else 0.0)
+            side.relaxation.begin()
         self._x_before.copy_(self._positions(u, before[:, 0]))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:

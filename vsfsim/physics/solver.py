@@ -337,7 +337,7 @@ class Solver:
                 touching.evaluate(every, moved)
                 touching.lag(every)
                 touching.evaluate(every, moved)
-                off = (touching.nodal(every) - pushed).norm(dim=1) / pushed.norm(dim=1).clamp(min=self._floor)
+                off = ((touching.nodal(every) - pushed).norm(dim=1) + touching.unlawful(every)) / pushed.norm(dim=1).clamp(min=self._floor)
                 error, start = torch.maximum(error, off), pushed
                 if bool((error <= _RENEWED).all()):
                     break

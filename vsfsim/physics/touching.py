@@ -17,6 +17,7 @@ from vsfsim.physics.contact_block import ContactBlock
 from vsfsim.physics.face_sums import FaceSums
 from vsfsim.physics.factor import Response, response
 from vsfsim.physics.model import Model
+from vsfsim.physics.relaxation import Relaxation
 from vsfsim.physics.rigid import RigidBodies
 
 _MOST_CUTS = 4  # of a linear face along its edge
@@ -54,7 +55,7 @@ class Touching:
         self._parts = len(self._table)
         self._shape = wp.array(self._table, dtype=wp.float64, device=device)
         # where penetration is looked for besides: corners, edges and inside of every linear face; a quadratic one has its Gauss points
-        self._fine = torch.as_tensor(_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
+        self._fine = torch.as_tensor(contact.shape_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
         self._surface = model.mesh.surface_nodes()
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
         rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
@@ -135,6 +136,7 @@ class Touching:
         self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(*size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
         cut = (batch, faces, 6)
+        self._relaxation = Relaxation(cut, self.device)
         view = {"dtype": k.vec3}
         self._w = {
             "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)), "slips": wp.from_torch(self.slips.view(cut)),
@@ -143,8 +145,7 @@ class Touching:
             "energy": wp.from_torch(self.energy_of_face), "astray": wp.from_torch(self._astray), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
             "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view), "across": wp.from_torch(self._across.view(*cut, 3), **view),
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
-            "softening": wp.from_torch(self.softening),
-        }
+            "softening": wp.from_torch(self.softening)}
         self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
         self.compliance = self.response.compliance()
 
@@ -157,6 +158,7 @@ class Touching:
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
         """A step begins: bodies at ``before`` (B, K, 4, 4), displacements u (3 n, B) [m]. Friction counts way from here."""
         self._before, self._u_before = self._placed(before), u.clone()
+        self._relaxation.begin()
         self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
@@ -189,7 +191,7 @@ class Touching:
             wp.launch(self.kernels.lag, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
                 self._shape, self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, w["softening"], self._friction,
                 *self._pose, w["x"], *self._before, w["before"], w["gap"], w["body"], w["normal"],
-                w["anchor"], w["owner"], w["limit"], w["across"]])
+                w["anchor"], w["owner"], w["limit"], w["across"], *self._relaxation.arrays()])
 
     def settle(self, columns: torch.Tensor) -> None:
         """The step is done: let slipping points drag their anchors, and forget those that left."""
@@ -204,8 +206,8 @@ class Touching:
         return (self._anchor.clone(), self._owner.clone(), self._limit.clone(), self._across.clone()) if self.rubs else ()
 
     def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
-        """By how much friction's limits miss Coulomb's after `lag` (k,) [N]: not at all."""
-        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
+        """By how much friction's limits miss Coulomb's after `lag` (k,) [N]."""
+        return self._relaxation.unlawful(columns)
 
     def restore(self, columns: torch.Tensor, memory: tuple[torch.Tensor, ...]) -> None:
         """Set friction's memory of ``columns`` back."""
@@ -384,12 +386,6 @@ def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
 
     ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
     return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))
-
-
-def _grid(steps: int) -> np.ndarray:
-    """Shape values (s, 6) of a linear triangle on a grid of ``steps`` along each edge."""
-    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
-    return np.hstack([bary, np.zeros_like(bary)])
 
 
 def _assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
