@@ -245,7 +245,7 @@ def _touch(subject: Subject, a: ArmAim, frames: RodFrames, b: int) -> Touch:
     return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
                  residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
                  reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
-                 draws=a.draws)
+                 draws=a.draws, ended=int(frames.ended[b]) if spec.at_limit == "return" else None)
 
 
 def _by_link(arm: Arm, at: Any, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

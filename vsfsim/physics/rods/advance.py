@@ -278,13 +278,13 @@ def advance(
                 astray = 0
             if astray == 1 and reason == 0:
                 reason = ASTRAY
-            kept, restored = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
+            kept, restored, stopped = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
             if restored == 1:
                 astray = 0
-            if pressed > touch.force_limit and touch.guarded == 0:
+            if stopped == 1 or (pressed > touch.force_limit and touch.guarded == 0):
                 ended = t + 1  # this frame is not kept
             total_used = w.total[b] + used
-            if total_used > touch.patience and kept == 1:
+            if total_used > touch.patience and kept == 1 and ended == 0:
                 ended = t + 2  # this one is
             meet()
             if at.lane == 0:
