@@ -102,23 +102,37 @@ def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Sub
     seconds = seconds or Seconds()
     since = seconds.begin()
     o = outline(job)
-    since = seconds.charge("grow", since)
+    seconds.charge("grow", since)
+    view = look(o, job, device=device, seconds=seconds)
+    arm, aims, poses = choose(o, view.points(), range(o.touches.count), seconds=seconds)
+    return Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, view, arm, aims, poses)
+
+
+def look(o: Outline, job: Any, *, device: str, seconds: Seconds) -> View:
+    """What the scene's camera sees of the plant of a job."""
+    since = seconds.begin()
     view = see(o.plant, o.scene.camera, device=device, renderer=job.recipe.renderer)
     if o.scene.camera.noise == "kinect":
         view = kinect_depth(view, o.seeds("depth"))
-    since = seconds.charge("look", since)
+    seconds.charge("look", since)
+    return view
+
+
+def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -> tuple[Arm, list[ArmAim], np.ndarray]:
+    """The scene's arm, the touches ``numbers`` of a view whose visible cloud (n, 3) [m] is given, and the poses of the arm's capsules along their lines (P, B, K, 4, 4) [m]."""
+    since = seconds.begin()
     assert o.scene.arm is not None
     arm = load(o.scene.arm)
-    aims = aim_arm(arm, o.scene.arm, o.touches, o.plant, view, lambda k: np.random.default_rng(o.seeds(f"aim {k}")), where=str(o.scene.source))
+    aims = aim_arm(arm, o.scene.arm, o.touches, o.plant, cloud, lambda k: np.random.default_rng(o.seeds(f"aim {k}")), numbers=numbers, where=str(o.scene.source))
     since = seconds.charge("aim", since)
     poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
     seconds.charge("kinematics", since)
-    return Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, view, arm, aims, poses)
+    return arm, aims, poses
 
 
 @dataclass(frozen=True)
 class Subject:
-    """A view that is ready to be touched. name, split: of the view. numbers: (object, view). plant: turned as this view shows it. poses: of the arm's capsules along the lines of all touches (P, B, K, 4, 4) [m]."""
+    """A view that is ready to be touched, or some touches of it. name, split: of the view. numbers: (object, view). plant: turned as this view shows it. poses: of the arm's capsules along the lines of the touches (P, B, K, 4, 4) [m]."""
 
     name: str
     split: str

@@ -23,7 +23,7 @@ from vsfsim.physics.rods.model import RodError, RodModel
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
-GPU_SPAN = 20.0  # s: a launch on a GPU, which ends up to 2 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
+GPU_SPAN = 10.0  # s: a launch on a GPU, which ends up to 1 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
 ENDLESS = 2**31 - 1  # Newton iterations
 
 
@@ -94,6 +94,16 @@ class RodFrames:
         """Those of some touches."""
         parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return RodFrames(**{name: None if a is None else a[some] if a.ndim == 1 else a[:, some] for name, a in parts.items()})
+
+    @staticmethod
+    def joined(parts: Sequence[RodFrames]) -> RodFrames:
+        """Those of some batches of as many frames, one after the other."""
+
+        def one(name: str) -> np.ndarray | None:
+            arrays = [getattr(p, name) for p in parts]
+            return None if arrays[0] is None else np.concatenate(arrays, axis=min(arrays[0].ndim - 1, 1))
+
+        return RodFrames(**{f.name: one(f.name) for f in dataclasses.fields(RodFrames)})  # type: ignore[arg-type]
 
 
 class RodSolver:
