@@ -22,7 +22,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate import bench_arm
+from vsfsim.generate import bench_arm, plant_batches
 from vsfsim.generate.bench_plants import bench, table
 from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
@@ -77,7 +77,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
     touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
     turned = 0
     for touch, a in zip(touches, aims, strict=True):
-        assert len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
+        assert touch.ended == 0 and len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
         off = touch.mount_pose[:, :3, 3] - a.start
         assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5  # what the inverse kinematics promise
         planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
@@ -88,12 +88,15 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
 
 def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
     _, view, job = made
+    assert all(t.ended is None for t in view.touches)  # no guarded move
+    view = dataclasses.replace(view, touches=(view.touches[0], dataclasses.replace(view.touches[1], ended=1)))
     recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
     with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
         write_view(writer.file_of(view.name), view)
         writer.finish()
     text = summary(tmp_path / "d")
     assert "penetration" in text and "min det" not in text  # beams have no det F
+    assert "1 touches at the arm's protective stop, 0 with" in text and read_view(tmp_path / "d" / f"{view.name}.h5").touches[1].ended == 1
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
@@ -287,14 +290,15 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
 
 
 @pytest.mark.slow
-def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
-    """The way of a GPU: prepared and finished by other processes, solved in one batch."""
+def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device, monkeypatch):
+    """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one batch."""
+    monkeypatch.setattr(plant_batches, "PART", 1)
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device, precision="float64", renderer="warp")
     jobs = jobs_of(recipe, scene_file.path, None, tmp_path, None)
     assert sum(frames for frames, _ in make_all(jobs, device=device, workers=2)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
-        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a, b in zip(together.touches, alone.touches, strict=True))
+        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a, b in zip(together.touches, alone.touches, strict=True))
 
 
 @pytest.mark.slow
