@@ -9,13 +9,14 @@ import warp as wp
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Here, Results, Touches, Trees, Work
 from vsfsim.physics.rods.guard import HOPELESS, capsules_at, copy_all, watch, where_to
-from vsfsim.physics.rods.lanes import count_all, late, meet, most, total
+from vsfsim.physics.rods.lanes import LANES, count_all, late, meet, most, total
 from vsfsim.physics.rods.newton import balance
 from vsfsim.physics.rods.search import ride, surface_point
 from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, real, six, strain, vec3
 from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+# the block that a GPU's launches have, so that compiling ahead compiles what is launched
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": LANES})
 
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end

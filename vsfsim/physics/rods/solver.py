@@ -25,6 +25,7 @@ ROOM = 512  # places for contacts (sample, capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
 GPU_SPAN = 10.0  # s: a launch on a GPU, which ends up to 1 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
 ENDLESS = 2**31 - 1  # Newton iterations
+MOST = 31  # capsules: `search` keeps a bit for each
 
 
 class Ended(IntEnum):
@@ -113,7 +114,7 @@ class RodSolver:
         models: the plants. shapes: of the capsules; one of length 0 is a ball. device: Warp device. options: limits.
 
     Raises:
-        RodError: no plant, or a shape that is no capsule.
+        RodError: no plant, a shape that is no capsule, or too many of them.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu", options: RodOptions | None = None):
@@ -123,6 +124,8 @@ class RodSolver:
         for shape in self.shapes:
             if not isinstance(shape, Capsule):
                 raise RodError(f"plants are touched by capsules only, not by {shape!r}; give vsfsim.core.shape.Capsule, of length 0 for a ball.")
+        if len(self.shapes) > MOST:
+            raise RodError(f"{len(self.shapes)} capsules, at most {MOST} can touch plants together.")
         self.trees = make_trees(self.models, device)
         self.weighs = int(any(m.weight.any() for m in self.models))
 
