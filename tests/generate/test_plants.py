@@ -279,7 +279,8 @@ def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
     found = bench(device="cpu", scene=str(path), objects=1, views=1, touches=1, progress=lambda what: None)
     assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
-    assert "touches a second" in table(found) and "stage" in table(found)
+    assert "touches a second" in table(found) and "stage" in table(found) and "NOT ALL" not in table(found)
+    assert "NOT ALL" in table({**found, "cut": 1}) and "NOT ALL" in table({**found, "views_made": 0})
 
 
 def test_the_full_scene_has_the_papers_size():
