@@ -22,7 +22,7 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate import bench_arm
+from vsfsim.generate import bench_arm, plant_batches
 from vsfsim.generate.bench_plants import bench, table
 from vsfsim.generate.plant_batches import make_all
 from vsfsim.generate.plant_truth import nearest_material_points
@@ -34,7 +34,7 @@ from vsfsim.robot.joint_torque import body_torque, contact_rows
 from vsfsim.scenes._plant_species import SPECIES
 from vsfsim.scenes.plant import grow
 from vsfsim.sensing.kinect import kinect_depth
-from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows
+from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows, arm_torque_rows_each
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +77,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
     touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
     turned = 0
     for touch, a in zip(touches, aims, strict=True):
-        assert len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
+        assert touch.ended == 0 and len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
         off = touch.mount_pose[:, :3, 3] - a.start
         assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5  # what the inverse kinematics promise
         planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
@@ -88,12 +88,15 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
 
 def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
     _, view, job = made
+    assert all(t.ended is None for t in view.touches)  # no guarded move
+    view = dataclasses.replace(view, touches=(view.touches[0], dataclasses.replace(view.touches[1], ended=1)))
     recipe = dataclasses.replace(job.recipe, objects=1, views=1, splits={"test": 1})
     with DatasetWriter(tmp_path / "d", recipe, [view.name]) as writer:
         write_view(writer.file_of(view.name), view)
         writer.finish()
     text = summary(tmp_path / "d")
     assert "penetration" in text and "min det" not in text  # beams have no det F
+    assert "1 touches at the arm's protective stop, 0 with" in text and read_view(tmp_path / "d" / f"{view.name}.h5").touches[1].ended == 1
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
@@ -208,6 +211,21 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)), moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
 
 
+def test_rows_of_several_touches_are_those_of_each_alone(device):
+    """On a GPU the launches of all are in flight together; particles begin each touch at rest."""
+    arm = load_arm("gen3")
+    chain = chain_of(arm)
+    rng = np.random.default_rng(2)
+    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
+    touches = [q0 + np.linspace(0.0, 1.0, n)[:, None] * rng.normal(0.0, 0.15, 7) for n in (5, 1, 9)]
+    centre = chain.capsule_poses(chain.links(touches[0]))[-1, :, :3, 3]
+    particles = centre[rng.integers(4, len(centre), 300)] + rng.normal(0.0, 0.04, (300, 3))
+    together = arm_torque_rows_each(particles, chain, touches, friction=0.4, device=device)
+    assert [w.shape for w in together] == [(7 * len(q), 300) for q in touches] and all(w.nnz > 0 for w in together)
+    for w, q in zip(together, touches, strict=True):
+        assert (w != arm_torque_rows(particles, chain, q, friction=0.4, device=device)).nnz == 0
+
+
 def test_every_species_grows_and_they_differ():
     sizes, soft = {}, {}
     for name in SPECIES:
@@ -261,7 +279,8 @@ def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
     found = bench(device="cpu", scene=str(path), objects=1, views=1, touches=1, progress=lambda what: None)
     assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
-    assert "touches a second" in table(found) and "stage" in table(found)
+    assert "touches a second" in table(found) and "stage" in table(found) and "NOT ALL" not in table(found)
+    assert "NOT ALL" in table({**found, "cut": 1}) and "NOT ALL" in table({**found, "views_made": 0})
 
 
 def test_the_full_scene_has_the_papers_size():
@@ -287,14 +306,15 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
 
 
 @pytest.mark.slow
-def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
-    """The way of a GPU: prepared and finished by other processes, solved in one batch."""
+def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device, monkeypatch):
+    """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one batch."""
+    monkeypatch.setattr(plant_batches, "PART", 1)
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device, precision="float64", renderer="warp")
     jobs = jobs_of(recipe, scene_file.path, None, tmp_path, None)
     assert sum(frames for frames, _ in make_all(jobs, device=device, workers=2)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
-        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a, b in zip(together.touches, alone.touches, strict=True))
+        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a, b in zip(together.touches, alone.touches, strict=True))
 
 
 @pytest.mark.slow

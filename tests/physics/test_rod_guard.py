@@ -8,7 +8,7 @@ from stems import crossing, stem
 
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build
-from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.physics.rods.solver import Ended, RodBatch, RodFrames, RodOptions, RodSolver
 
 HOLD, OUT, LIMIT = 3, 15, 40.0
 POSES = crossing(np.linspace(0.0, 0.06, 31), height=0.15, start=-0.07)
@@ -33,7 +33,7 @@ def guarded(device):
 
 def test_a_guarded_touch_keeps_its_frames_and_its_limit(guarded):
     force = np.linalg.norm(guarded.force[:, :, 0], axis=-1)
-    assert (guarded.frames == len(PLAN)).all() and guarded.converged.all() and force.max() <= LIMIT
+    assert (guarded.frames == len(PLAN)).all() and (guarded.ended == Ended.WHOLE).all() and guarded.converged.all() and force.max() <= LIMIT
     assert (guarded.where[:, 0] == PLAN).all() and force[:, 0].max() > 0.0, "the soft stem stays under the limit: all as planned"
     where = guarded.where[:, 1]
     top = where.max()
@@ -87,8 +87,38 @@ def test_touches_that_come_and_go_have_the_bits_of_those_alone(guarded, device):
         RodBatch(two, 2, frames=len(PLAN), poses=len(POSES)).add(np.zeros(1, int), POSES, plan=PLAN[None] + 1.0)
 
 
+def hooked(device: str, **options: object) -> RodFrames:
+    """The arm goes away from a stem, and on its way back, half a millimetre a frame, past its start into it."""
+    away = crossing(np.linspace(0.03, 0.1, 36), height=0.15, start=0.0)
+    plan = np.concatenate([np.arange(12.0, 36.0), np.linspace(35.0, 0.0, 141)[1:]])
+    return solver(1e9, device=device, out=140, **options).run(np.zeros(1, int), away, plan=plan[None], inward=np.array([24]), friction=0.4)
+
+
+def test_an_arm_that_hooks_something_on_its_way_back_comes_to_a_protective_stop(device):
+    """At 1.25 of the limit: there the touch ends, and what it has is what an arm without a limit measures up to there."""
+    whole, frames = hooked(device, force_limit=1e9), hooked(device)
+    force = np.linalg.norm(whole.force[:, 0, 0], axis=-1)
+    assert whole.frames[0] == len(force) and whole.ended[0] == Ended.WHOLE and whole.converged.all() and force.max() > 1.5 * LIMIT
+    n = int(frames.frames[0])
+    assert n == int(np.argmax(force > 1.25 * LIMIT)) and frames.ended[0] == Ended.FORCE and frames.converged[:n].all() and not frames.converged[n:].any()
+    assert np.array_equal(frames.force[:n], whole.force[:n]) and np.isnan(frames.force[n:]).all()
+    assert (force[:n] > LIMIT).sum() >= 2, "past the limit, which is one of the way in, and under the stop it goes on"
+
+
+def test_frames_without_an_equilibrium_stop_the_arm_only_where_several_on_end_are_past_its_force(device):
+    """Two iterations are too few for any frame that touches: all are marked, and it is the fifth past the stop's force, no earlier one, that ends the touch."""
+    few = {"newton": 2, "travel": 2, "work": 0}
+    whole, frames = hooked(device, force_limit=1e9, **few), hooked(device, **few)
+    force, n = np.linalg.norm(whole.force[:, 0, 0], axis=-1), int(frames.frames[0])
+    first = int(np.argmax(force > 0.0))
+    assert whole.ended[0] == Ended.WHOLE and not whole.converged[first:].any() and (force[first:] > 1.25 * LIMIT).all()
+    assert frames.ended[0] == Ended.FORCE and n == first + 4
+    assert np.array_equal(frames.force[:n], whole.force[:n]) and (frames.reason[first:n, 0] > 0).all()
+
+
 def test_a_touch_ends_when_its_patience_does(device):
     frames = push(solver(5e9, device=device, patience=20))
+    assert frames.ended[0] == Ended.PATIENCE
     assert 3 < frames.frames[0] < len(PLAN) and 20 < frames.iterations.sum() < 60 and np.isnan(frames.force[frames.frames[0]:]).all()
 
 

@@ -222,6 +222,8 @@ def test_what_cannot_be_solved_is_refused():
     model = build(stem(3))
     with pytest.raises(RodError, match="capsules only"):
         RodSolver([model], [Sphere(0.02)])
+    with pytest.raises(RodError, match="at most 31"):
+        RodSolver([model], [Capsule(0.02, 0.1)] * 32)
     solver = RodSolver([model], [Capsule(0.02, 0.1)])
     with pytest.raises(RodError, match="not finite"):
         solver.run(np.zeros(1, int), np.full((2, 1, 1, 4, 4), np.nan))

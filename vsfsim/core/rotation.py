@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 
@@ -18,20 +20,22 @@ def rotation_matrix(vector: np.ndarray | tuple[float, ...]) -> np.ndarray:
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Rotation vector (3,) [rad] of a matrix (3, 3), its angle from 0 to pi; through the quaternion, exact to rounding near both ends."""
-    m = np.asarray(matrix, float)
+    # as Python's numbers: nine of them are not worth numpy's overhead, and inverse kinematics asks a hundred times a pose
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(matrix, float).tolist()
     # the largest of the four squares makes the others safe to divide (Shepperd 1978)
-    squares = np.array([1 + m[0, 0] + m[1, 1] + m[2, 2], 1 + m[0, 0] - m[1, 1] - m[2, 2], 1 - m[0, 0] + m[1, 1] - m[2, 2], 1 - m[0, 0] - m[1, 1] + m[2, 2]])
-    a, b, c = m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]
-    d, e, f = m[1, 0] + m[0, 1], m[0, 2] + m[2, 0], m[2, 1] + m[1, 2]
-    rows = np.array([[squares[0], a, b, c], [a, squares[1], d, e], [b, d, squares[2], f], [c, e, f, squares[3]]])
-    q = rows[int(squares.argmax())]
-    q = q / np.linalg.norm(q)
+    squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
+    a, b, c = zy - yz, xz - zx, yx - xy
+    d, e, f = yx + xy, xz + zx, zy + yz
+    rows = ((squares[0], a, b, c), (a, squares[1], d, e), (b, d, squares[2], f), (c, e, f, squares[3]))
+    q = np.array(rows[squares.index(max(squares))])
+    q /= math.sqrt(q.dot(q))
     if q[0] < 0.0:
         q = -q
-    sine = float(np.linalg.norm(q[1:]))
+    axis = q[1:]
+    sine = math.sqrt(axis.dot(axis))
     if sine == 0.0:
         return np.zeros(3)
-    return 2.0 * np.arctan2(sine, q[0]) * q[1:] / sine
+    return 2.0 * np.arctan2(sine, q[0]) * axis / sine
 
 
 def between(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:

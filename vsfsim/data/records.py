@@ -72,6 +72,7 @@ class Touch:
     link_force: contact force on each of the arm's L links, world (T, L, 3) [N], or None without an arm.
     link_moment: contact moment on each about the origin of its frame, world (T, L, 3) [N m], or None without an arm.
     draws: how many targets were drawn until the arm could reach one [-], or None without an arm.
+    ended: why a guarded touch has fewer readings than planned [-], or None for others: 0 it has them all, 1 the arm's protective stop on its way back, 2 the solver's iterations were used up.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
     rest_pressure: that of its free dome, a number [Pa], or None for a rigid probe.
     moment: of the contact force on the sensor about the mount's origin, world (T, 3) [N m], or None for a rigid probe.
@@ -107,6 +108,7 @@ class Touch:
     link_force: np.ndarray | None = None
     link_moment: np.ndarray | None = None
     draws: int | None = None
+    ended: int | None = None
     pressure: np.ndarray | None = None
     rest_pressure: float | None = None
     moment: np.ndarray | None = None

@@ -92,6 +92,7 @@ FIELDS: tuple[Field, ...] = (
     _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False, masked=True),
     _touch("link_moment", "float64", "T L 3", "N m", "Contact moment on each link about the origin of its frame, world.", required=False, masked=True),
     _touch("draws", "int64", "", "1", "How many targets were drawn until the arm could reach one.", required=False),
+    _touch("ended", "int64", "", "1", "Why a guarded touch has fewer readings than planned: 0 it has them all, 1 the arm's protective stop on its way back, 2 the solver's iterations were used up.", required=False),
     _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
     _touch("rest_pressure", "float64", "", "Pa", "Gauge pressure of the free dome.", required=False),
     _touch("moment", "float64", "T 3", "N m", "Moment of the contact force on the sensor about the mount's origin, world.", required=False, masked=True),

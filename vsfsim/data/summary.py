@@ -20,6 +20,7 @@ def summary(path: str | Path) -> str:
     recipe = dataset.recipe
     force, change, iterations, balance, modulus, regions = [], [], [], [], [], {}
     touched = 0
+    ended = [0, 0, 0]
     audit = {("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
     reasons: dict[str, int] = {}
     for view in dataset:
@@ -30,6 +31,7 @@ def summary(path: str | Path) -> str:
             iterations.append(touch.iterations)
             balance.append(np.asarray(touch.audit["force_balance"])[contact_frames(touch)])
             touched += touch.touched
+            ended[touch.ended or 0] += 1
             for (name, _), values in audit.items():
                 if touch.audit.get(name) is not None:  # a plant has no det F
                     values.append(np.asarray(touch.audit[name])[touch.converged])
@@ -52,6 +54,7 @@ def summary(path: str | Path) -> str:
         ("made by", f"vsfsim {dataset.made_by['vsfsim']}, commit {dataset.made_by['commit'] or 'unknown'}"),
         ("objects", f"{objects} in {len(dataset)} views: " + ", ".join(f"{n} {split}" for split, n in by_split.items())),
         ("touches", f"{touches}, {touches - touched} met nothing"),
+        *([("ended early", f"{ended[1]} touches at the arm's protective stop, {ended[2]} with the solver's iterations used up")] if any(ended[1:]) else []),
         ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
         ("normal force", f"{_span(force_all)} N, converged frames"),
         *([("pressure", f"{_span(np.concatenate(change))} Pa over the free dome's, converged frames")] if change else []),

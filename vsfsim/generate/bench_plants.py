@@ -20,7 +20,7 @@ from vsfsim.generate.plant_batches import add, crew, finish_one, touched
 from vsfsim.generate.plants import Seconds, rod_options
 from vsfsim.generate.run import jobs_of, make_recipe
 from vsfsim.generate.touch import _BALANCE
-from vsfsim.physics.rods.solver import RodFrames
+from vsfsim.physics.rods.solver import Ended, RodFrames
 
 PAPER_TOUCHES, PAPER_READINGS = 3255, 807_103  # SBML appendix B.1
 WHAT = {"grow": "the plant and its beams", "look": "RGB-D picture", "aim": "straight lines by inverse kinematics", "kinematics": "poses of the capsules",
@@ -56,17 +56,17 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     count = workers or (1 if device == "cpu" else os.cpu_count() or 1)
     start = time.perf_counter()
     spent, solved, prepared = Seconds(), [0], [0]
-    clock = {"first view prepared": 0.0, "all views prepared": 0.0, "all touches solved": 0.0, "all records made": 0.0}
+    clock = {"first touches ready": 0.0, "all touches ready": 0.0, "all touches solved": 0.0, "all records made": 0.0}
 
     def watch(what: str, new: int, going: int) -> None:
         now = time.perf_counter() - start
         if what == "prepared":
             prepared[0] += new
-            clock["first view prepared"] = clock["first view prepared"] or now
-            clock["all views prepared"] = now
+            clock["first touches ready"] = clock["first touches ready"] or now
+            clock["all touches ready"] = now
         else:
             solved[0] += new
-        progress(f"{now:.1f} s: {prepared[0]} of {len(jobs)} views prepared, {solved[0]} readings solved, {going} touches go on")
+        progress(f"{now:.1f} s: {prepared[0]} of {recipe.touches * len(jobs)} touches ready, {solved[0]} readings solved, {going} touches go on")
 
     found: list[RodFrames] = []
     segments: list[int] = []
@@ -85,7 +85,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
         clock["all records made"] = time.perf_counter() - start
         progress(f"{clock['all records made']:.1f} s: records and truth of {len(made)} views")
     return {"scene": loaded.name, "device": device, "machine": f"{platform.machine()}, {os.cpu_count()} CPU cores", "workers": count, "views": len(found), "views_asked": len(jobs), "segments": segments,
-            **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned, "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling, "wall_s": clock["all records made"], "clock_s": clock,
+            **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned, "touches_asked": recipe.touches * len(jobs), "views_made": len(made), "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling, "wall_s": clock["all records made"], "clock_s": clock,
             "stages_s": {name: spent.spent[name] for name in WHAT}, "stages_cpu_s": {name: spent.cpu[name] for name in WHAT}}
 
 
@@ -106,16 +106,18 @@ def _finished(waiting: list[Future[tuple[ObjectView, Seconds]]], limit: float | 
 def _audit(found: list[RodFrames], patience: int | None) -> dict[str, Any]:
     solved = [np.arange(f.residual.shape[0])[:, None] < f.frames[None] for f in found]
     good = [f.converged & (f.force_balance <= _BALANCE) for f in found]  # the others are marked in a dataset
-    return {"touches": int(sum((f.frames > 0).sum() for f in found)), "readings": int(sum(f.frames.sum() for f in found)), "in_contact": int(sum((f.contacts > 0).sum() for f in found)),
-            "unconverged": int(sum((s & ~g).sum() for s, g in zip(solved, good, strict=True))), "patience": patience, "given_up": 0 if patience is None else int(sum((f.iterations.sum(axis=0) > patience).sum() for f in found)),
+    cut = sum(((f.frames < f.residual.shape[0]) & (f.ended == Ended.WHOLE)).sum() for f in found)
+    return {"touches": int(sum((f.frames > 0).sum() for f in found)), "empty": int(sum((f.frames == 0).sum() for f in found)), "cut": int(cut), "stopped": int(sum((f.ended == Ended.FORCE).sum() for f in found)), "readings": int(sum(f.frames.sum() for f in found)), "in_contact": int(sum((f.contacts > 0).sum() for f in found)),
+            "unconverged": int(sum((s & ~g).sum() for s, g in zip(solved, good, strict=True))), "patience": patience, "given_up": int(sum((f.ended == Ended.PATIENCE).sum() for f in found)),
             "most_iterations": int(max(f.iterations.sum(axis=0).max() for f in found)), "mean_iterations": float(np.mean(np.concatenate([f.iterations.sum(axis=0) for f in found]))),
             "largest_penetration": max(float(np.max(f.penetration[g], initial=0.0)) for f, g in zip(found, good, strict=True)),
             "worst_balance": max(float(np.max(f.force_balance[g], initial=0.0)) for f, g in zip(found, good, strict=True))}
 
 
 def whole(found: dict[str, Any]) -> bool:
-    """Whether everything that was asked for is done: all views, all their records."""
-    return found["views"] == found["views_asked"] and found["records"] == found["readings"]
+    """Whether everything that was asked for is done: all touches to their ends, all their records."""
+    # a record may have fewer readings than were solved: what is not in equilibrium before the force limit is left out of a touch that ends there
+    return found["touches"] + found["empty"] == found["touches_asked"] and found["cut"] == 0 and found["views_made"] == found["views_asked"]
 
 
 def paper_seconds(found: dict[str, Any]) -> tuple[float, float]:
@@ -127,8 +129,8 @@ def paper_seconds(found: dict[str, Any]) -> tuple[float, float]:
 def table(found: dict[str, Any]) -> str:
     """The result for the terminal."""
     n, wall, (clock, cpu) = max(found["readings"], 1), found["wall_s"], paper_seconds(found)
-    ended = "" if found["patience"] is None else f", {found['given_up']} touches ended after {found['patience']}"
-    cut = "" if whole(found) else f" (NOT ALL: {found['views_asked']} views were asked for, records were made of {found['records']} readings; the time was up)"
+    ended = "" if found["patience"] is None else f", {found['given_up']} touches ended after {found['patience']}; {found['stopped']} at the arm's protective stop"
+    cut = "" if whole(found) else f" (NOT ALL: {found['touches_asked']} touches of {found['views_asked']} views were asked for, {found['cut']} were cut, records were made of {found['views_made']} views; the time was up)"
     lines = [f"{found['scene']} on {found['device']} ({found['machine']}), {found['workers']} processes: {found['views']} views{cut} of plants with {min(found['segments'])} to "
              f"{max(found['segments'])} segments, {found['touches']} touches, {found['readings']} of {found['readings_planned']} readings",
              f"{found['in_contact']} readings in contact, {found['unconverged']} ({100 * found['unconverged'] / n:.2f} %) not converged and marked; deepest penetration {1e3 * found['largest_penetration']:.2g} mm, "

@@ -12,7 +12,6 @@ from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import TouchSpec
-from vsfsim.data.records import View
 from vsfsim.robot import clearance
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
@@ -65,19 +64,18 @@ def load(spec: ArmSpec) -> Arm:
     return load_arm(spec.model, punyo=spec.punyo, base=base)
 
 
-def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, view: View, stream: Callable[[int], np.random.Generator], *, where: str) -> list[ArmAim]:
-    """Draw the touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot is drawn again.
+def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
+    """Draw touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot is drawn again.
 
     Args:
-        stream: random stream of touch k. where: of the scene, for messages.
+        cloud: of the view (n, 3) [m]. stream: random stream of touch k. numbers: of the touches to draw; each has its own stream, so they may be drawn apart. where: of the scene, for messages.
 
     Raises:
         SceneError: nothing is visible, or none of 100 targets of a touch can be reached; with what was in the way.
     """
-    cloud = view.points()
     if not len(cloud):
         raise SceneError(f"{where}: the camera sees no plant; check [camera] distance, azimuth, elevation and fov.")
-    return [_one(arm, spec, touches, plant, cloud, stream(k), where) for k in range(touches.count)]
+    return [_one(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
 
 
 def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator, where: str) -> ArmAim:

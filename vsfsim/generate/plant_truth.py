@@ -10,7 +10,7 @@ from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.touch import cloud_normals
 from vsfsim.generate.truth import voxel_sample
 from vsfsim.physics.rods.model import RodModel
-from vsfsim.vsf.arm_rows import arm_torque_rows
+from vsfsim.vsf.arm_rows import arm_torque_rows_each
 from vsfsim.vsf.estimate import map_estimate
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
@@ -54,13 +54,13 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device, tolerance=0.5 * VSF_SPACING)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
-    for touch in touches:
-        assert touch.q is not None and touch.torque is not None
-        some = np.unique(np.rint(np.linspace(0, len(touch.q) - 1, FITTED_FRAMES)).astype(int))
-        w = arm_torque_rows(particles, chain, touch.q[some], friction=friction, device=device, max_step=4e-3)
-        good = touch.converged[some]
+    some = [np.unique(np.rint(np.linspace(0, len(touch.time) - 1, FITTED_FRAMES)).astype(int)) for touch in touches]
+    found = arm_torque_rows_each(particles, chain, [touch.q[k] for touch, k in zip(touches, some, strict=True)], friction=friction, device=device, max_step=4e-3)  # type: ignore[index]
+    for touch, k, w in zip(touches, some, found, strict=True):
+        assert touch.torque is not None
+        good = touch.converged[k]
         rows.append(w[np.flatnonzero(np.repeat(good, chain.dof))])
-        values.append(touch.torque[some][good].ravel())
+        values.append(touch.torque[k][good].ravel())
     w = sparse.csr_matrix(sparse.vstack(rows))
     fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8).mean if len(particles) else np.zeros(0)
     ends = np.stack([plant.nodes[plant.parent[1:]], plant.nodes[1:]], axis=1)

@@ -19,6 +19,7 @@ from vsfsim.generate.plants import Subject, finish_touches, prepare_job, solve
 from vsfsim.generate.run import _kernels, jobs_of, make_recipe
 from vsfsim.generate.table import plain
 from vsfsim.physics.device import compile_kernels
+from vsfsim.physics.rods.solver import Ended
 
 UNITS = {
     "node_position": "of the plant (T, n, 3) [m]", "node_rotation": "quaternions x y z w since rest (T, n, 4)", "node_rest": "(n, 3) [m]", "parent": "of each node (n,)",
@@ -100,7 +101,9 @@ def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, s
     limit = subject.scene.touches
     assert limit is not None and touch.q is not None and touch.torque is not None and subject.arm is not None
     notes = [*subject.plant.notes, f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
-    if n < len(aim.plan):
+    if touch.ended == Ended.FORCE:
+        notes.append(f"the arm comes to its protective stop at frame {n} of {len(aim.plan)}: on the way back the contact force would be more than a quarter past force_limit = {limit.force_limit:g} N")
+    elif n < len(aim.plan):
         notes.append(f"the touch ends at frame {n} of {len(aim.plan)}: in the next the contact force would pass force_limit = {limit.force_limit:g} N")
     elif not np.array_equal(frames.where[:n, 0], aim.plan):
         notes.append(f"the arm turns back {1e3 * (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max() * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of its way: further in the contact force would pass "

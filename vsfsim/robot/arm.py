@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 ARMS = ("gen3", "menagerie")
 TOOLS = ("flange", "punyo")
+_EYE = np.eye(4)
 
 
 class ArmError(VsfsimError):
@@ -74,6 +75,8 @@ class Arm:
         self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
         self.body_ids = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
         self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
+        # views into MuJoCo's memory; to look them up takes as long as the kinematics
+        self._qpos, self._tool = self._data.qpos, (self._data.site_xpos[self._site], self._data.site_xmat[self._site].reshape(3, 3))
         if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
             raise ArmError(f"the model has {self.model.nq} joint coordinates; a Gen3 arm has {gen3.JOINTS}.")
         limited = self.model.jnt_limited.astype(bool)
@@ -118,12 +121,12 @@ class Arm:
 
     def tool_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and MuJoCo's Jacobian (6, 7) of its position [m/rad] and turn [rad/rad]."""
-        data, out, pose = self._data, np.empty((6, gen3.JOINTS)), np.eye(4)
-        data.qpos[:] = q
+        data, out, pose = self._data, np.empty((6, gen3.JOINTS)), _EYE.copy()
+        self._qpos[:] = q
         self._mujoco.mj_kinematics(self.model, data)
         self._mujoco.mj_comPos(self.model, data)
         self._mujoco.mj_jacSite(self.model, data, out[:3], out[3:], self._site)
-        pose[:3, 3], pose[:3, :3] = data.site_xpos[self._site], data.site_xmat[self._site].reshape(3, 3)
+        pose[:3, 3], pose[:3, :3] = self._tool
         return pose, out
 
     def body_poses(self, q: np.ndarray) -> np.ndarray:

@@ -6,12 +6,14 @@ most. A particle held by link l turns only the joints before l.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 
 from vsfsim.core.chain import Chain
 from vsfsim.core.shape import Capsule
-from vsfsim.vsf.dynamics import Displacements, simulate
+from vsfsim.vsf.dynamics import Displacements, simulate_each
 from vsfsim.vsf.observe import joint_torque_rows
 
 
@@ -21,26 +23,35 @@ def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, fri
     Args:
         particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp device. max_step: see `dynamics.simulate` [m].
     """
-    links = chain.links(q)
-    poses = chain.capsule_poses(links)
+    return arm_displacements_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
+
+
+def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[list[tuple[int, Displacements]]]:
+    """`arm_displacements` of several touches, each through particles at rest; on a GPU together, see `dynamics.simulate_each`."""
     low, high = (particles.min(axis=0), particles.max(axis=0)) if len(particles) else (np.zeros(3), np.zeros(3))
-    found: list[tuple[int, Displacements]] = []
-    for k, capsule in enumerate(chain.capsules):
-        if chain.joints[capsule.link] < 0 and not chain.moves(capsule.link).any():
-            continue  # the base turns no joint
-        length = float(np.linalg.norm(np.subtract(capsule.stop, capsule.start)))
-        reach = capsule.radius + 0.5 * length
-        centre = poses[:, k, :3, 3]
-        near = np.flatnonzero(((centre + reach >= low) & (centre - reach <= high)).all(axis=1))
-        if not len(near):
-            continue
-        # frames before the first and after the last that can meet a particle are left out; it starts and ends free
-        begin, end = max(0, near[0] - 1), min(len(q), near[-1] + 2)
-        moved = simulate(particles, Capsule(capsule.radius, length), poses[begin:end, k], friction=friction, device=device, max_step=max_step)
+    moves: list[tuple[Capsule, np.ndarray]] = []
+    which: list[tuple[int, int, int, int]] = []
+    for number, q in enumerate(touches):
+        poses = chain.capsule_poses(chain.links(q))
+        for k, capsule in enumerate(chain.capsules):
+            if chain.joints[capsule.link] < 0 and not chain.moves(capsule.link).any():
+                continue  # the base turns no joint
+            length = float(np.linalg.norm(np.subtract(capsule.stop, capsule.start)))
+            reach = capsule.radius + 0.5 * length
+            centre = poses[:, k, :3, 3]
+            near = np.flatnonzero(((centre + reach >= low) & (centre - reach <= high)).all(axis=1))
+            if not len(near):
+                continue
+            # frames before the first and after the last that can meet a particle are left out; it starts and ends free
+            begin, end = max(0, near[0] - 1), min(len(q), near[-1] + 2)
+            moves.append((Capsule(capsule.radius, length), poses[begin:end, k]))
+            which.append((number, capsule.link, begin, end))
+    found: list[list[tuple[int, Displacements]]] = [[] for _ in touches]
+    for (number, link, begin, end), moved in zip(which, simulate_each(particles, moves, friction=friction, device=device, max_step=max_step), strict=True):
         if len(moved.particle):
-            pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer, np.full(len(q) - end, moved.pointer[-1])])
-            found.append((capsule.link, Displacements(pointer, moved.particle, moved.displacement)))
-    return _shared_out(found, len(q))
+            pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer, np.full(len(touches[number]) - end, moved.pointer[-1])])
+            found[number].append((link, Displacements(pointer, moved.particle, moved.displacement)))
+    return [_shared_out(some, len(q)) for some, q in zip(found, touches, strict=True)]
 
 
 def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tuple[int, Displacements]]:
@@ -66,8 +77,16 @@ def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tup
 
 def arm_torque_rows(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> sparse.csr_matrix:
     """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques of the contact on the joints [N m] (SBML eq. 7)."""
-    axes, origins = chain.joint_axes(chain.links(q))
-    total = sparse.csr_matrix((len(q) * chain.dof, len(particles)))
-    for link, moved in arm_displacements(particles, chain, q, friction=friction, device=device, max_step=max_step):
-        total = total + joint_torque_rows(moved, particles, np.where(chain.moves(link)[None, :, None], axes, 0.0), origins)
-    return sparse.csr_matrix(total)
+    return arm_torque_rows_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
+
+
+def arm_torque_rows_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[sparse.csr_matrix]:
+    """`arm_torque_rows` of several touches, each through particles at rest."""
+    out = []
+    for q, found in zip(touches, arm_displacements_each(particles, chain, touches, friction=friction, device=device, max_step=max_step), strict=True):
+        axes, origins = chain.joint_axes(chain.links(q))
+        total = sparse.csr_matrix((len(q) * chain.dof, len(particles)))
+        for link, moved in found:
+            total = total + joint_torque_rows(moved, particles, np.where(chain.moves(link)[None, :, None], axes, 0.0), origins)
+        out.append(sparse.csr_matrix(total))
+    return out

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,6 +36,8 @@ PRECISIONS = ("float64", "float32")
 
 # Entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
 _CHUNK = 16_000_000
+# Launches in flight on a GPU, and streams that they are spread over.
+_TOGETHER, _STREAMS = 64, 16
 # A cone this wide is pure sticking in either precision, and mu * |u| stays finite.
 _STICKING = 1e6
 
@@ -88,14 +91,41 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
     Raises:
         VsfError: shapes that do not fit, values that are not finite, a negative friction, poses that are not rigid.
     """
+    return _begun(particles, probe, poses, friction, device, precision, max_step)()
+
+
+def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.ndarray]], *, friction: float,
+                  device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> list[Displacements]:
+    """`simulate` of several probes and their poses, each through particles at rest.
+
+    On a GPU many at once: a particle's way is long and a probe's particles are few, so a launch alone leaves it idle.
+
+    Args, Raises: as `simulate`.
+    """
+    if not wp.get_device(device).is_cuda:
+        return [simulate(particles, probe, poses, friction=friction, device=device, precision=precision, max_step=max_step) for probe, poses in moves]
+    streams = [wp.Stream(device) for _ in range(min(_STREAMS, len(moves)))]
+    out: list[Displacements] = []
+    for first in range(0, len(moves), _TOGETHER):
+        begun = []
+        for k, (probe, poses) in enumerate(moves[first:first + _TOGETHER]):
+            with wp.ScopedStream(streams[k % len(streams)]):
+                begun.append(_begun(particles, probe, poses, friction, device, precision, max_step))
+        wp.synchronize_device(device)
+        out += [collect() for collect in begun]
+    return out
+
+
+def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str, max_step: float) -> Callable[[], Displacements]:
+    """Launches what `simulate` asks for; what comes back fetches the result."""
     particles, poses = _checked(particles, probe, poses, friction, precision, max_step)
     frames = len(poses)
     near = np.flatnonzero(_swept(particles, probe, poses))
     if frames == 0 or len(near) == 0:
-        return Displacements(np.zeros(frames + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+        return lambda: Displacements(np.zeros(frames + 1, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     rotation, origin, frame_of = _substeps(probe, poses, particles[near], max_step)
     if isinstance(probe, Dome):
-        return _stuck(particles, near, probe, rotation, origin, frame_of)
+        return lambda: _stuck(particles, near, probe, rotation, origin, frame_of)
     # Float32 keeps its digits when positions are counted from the touch and not from the world's origin.
     shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
     real = wp.float64 if precision == "float64" else wp.float32
@@ -106,7 +136,7 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
         turn_array = wp.array(rotation.astype(dtype), dtype=mat33)
         origin_array = wp.array((origin - shift).astype(dtype), dtype=vec3)
         frame_array = wp.array(frame_of, dtype=wp.int32)
-        parts = []
+        launched = []
         chunk = max(1, _CHUNK // frames)
         for start in range(0, len(near), chunk):
             index = near[start:start + chunk]
@@ -115,8 +145,9 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
             wp.launch(kernel, dim=len(index), inputs=[
                 kind, vec3(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
             ], outputs=[moved])
-            parts.append(_sparse(moved.numpy().astype(np.float64), index))
-    return _joined(parts, frames)
+            # what a launch reads stays until it is done
+            launched.append((moved, index, (turn_array, origin_array, frame_array, rest)))
+    return lambda: _joined([_sparse(moved.numpy().astype(np.float64), index) for moved, index, _ in launched], frames)
 
 
 def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray, frame_of: np.ndarray) -> Displacements:

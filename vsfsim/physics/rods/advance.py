@@ -9,13 +9,14 @@ import warp as wp
 import vsfsim.physics.device  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.arrays import Here, Results, Touches, Trees, Work
 from vsfsim.physics.rods.guard import HOPELESS, capsules_at, copy_all, watch, where_to
-from vsfsim.physics.rods.lanes import count_all, late, meet, most, total
+from vsfsim.physics.rods.lanes import LANES, count_all, late, meet, most, total
 from vsfsim.physics.rods.newton import balance
 from vsfsim.physics.rods.search import ride, surface_point
 from vsfsim.physics.rods.segment import ONE, ZERO, energy, gradient, real, six, strain, vec3
 from vsfsim.physics.rods.touching import friction_force, gap_of, normal_force, point_at, slip
 
-wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+# the block that a GPU's launches have, so that compiling ahead compiles what is launched
+wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": LANES})
 
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
@@ -278,13 +279,13 @@ def advance(
                 astray = 0
             if astray == 1 and reason == 0:
                 reason = ASTRAY
-            kept, restored = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
+            kept, restored, stopped = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
             if restored == 1:
                 astray = 0
-            if pressed > touch.force_limit and touch.guarded == 0:
+            if stopped == 1 or (pressed > touch.force_limit and touch.guarded == 0):
                 ended = t + 1  # this frame is not kept
             total_used = w.total[b] + used
-            if total_used > touch.patience and kept == 1:
+            if total_used > touch.patience and kept == 1 and ended == 0:
                 ended = t + 2  # this one is
             meet()
             if at.lane == 0:

@@ -288,23 +288,22 @@ def foresee(tree: Trees, w: Work, at: Here, tall: int, count: int, side: int):
     b = at.b
     changed = int(0)
     for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        p = tree.parent[at.o + i]
-        sp = w.step[b, p]
+        w.stale[b, w.order[b, a]] = 0
+    meet()
+    for c in range(at.lane, w.count[side, b], at.lanes):
+        i = w.node[side, b, c]
+        sp = w.step[b, tree.parent[at.o + i]]
         sc = w.step[b, i]
-        stale = int(0)
-        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
-            al = tree.along[w.sample[side, b, c]]
-            way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
-            way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
-            on = int(0)
-            if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
-                on = 1
-            if on != w.on[side, b, c]:
-                w.on[side, b, c] = on
-                stale = 2
-                changed = changed + 1
-        w.stale[b, i] = stale
+        al = tree.along[w.sample[side, b, c]]
+        way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
+        way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
+        on = int(0)
+        if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
+            on = 1
+        if on != w.on[side, b, c]:
+            w.on[side, b, c] = on
+            w.stale[b, i] = 2
+            changed = changed + 1
     meet()
     changed = count_all(changed)
     if changed > 0:

@@ -5,6 +5,7 @@ Poses stand along the way in; a frame is at a number of them, `at`, which may be
 while the force is under half the limit. Then it stands still and goes back the way it came to where it first met the plant, in as many frames as are left: how far frames are apart follows from their number, which stays.
 The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one. On the way back such frames go on, marked, each stride tried once. After a frame that
 left a link inside the plant, or took too long, the next one begins at the last equilibrium, too, five times on end at most.
+On the way back there is nowhere to turn to: an arm that hooks a branch there comes to its protective stop, and the touch ends before the frame past it.
 """
 
 import warp as wp
@@ -20,6 +21,7 @@ AS_PLANNED, CREEPING, BACK = (wp.constant(k) for k in range(3))  # phases
 SLOWER = wp.constant(wp.float64(0.25))  # pace after the limit was passed
 SLOWEST = wp.constant(wp.float64(1.0 / 64.0))  # pace: 0.04 mm a frame where poses are 2.3 mm apart
 HOPELESS = wp.constant(5)  # frames on end without an equilibrium, after which the arm turns back
+PROTECTIVE = wp.constant(wp.float64(1.25))  # of the force limit: the arm's protective stop on the way back; friction that turns round there takes an honest touch up to 1.1 of it
 
 
 @wp.func
@@ -148,14 +150,15 @@ def restore(w: Work, at: Here, side: int):
 
 @wp.func
 def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pressed: real, touching: int, reason: int, astray: int):
-    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if the state went back to one that was good, as it does where a link got into the plant (``astray``).
+    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if the state went back to one that was good, as it does where a link got into the plant (``astray``); 1 if the arm stops for good.
 
-    The first frame is taken as good: the arm starts clear of the plant.
+    The first frame is taken as good: the arm starts clear of the plant. A frame that found no equilibrium has no force that a stop could be told from; it is marked, and only where several on end are past the stop's force the arm does stop.
     """
     b = at.b
     phase = w.phase[b]
     kept = int(1)
     restored = int(0)
+    stopped = int(0)
     lost = astray
     here = goal
     good = w.good[b]
@@ -178,6 +181,8 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
                 phase = BACK
                 turned = t
                 top = good
+        elif inward == 0 and t > 0 and pressed > PROTECTIVE * touch.force_limit and (reason == 0 or fails >= HOPELESS):
+            stopped = 1
         elif reason == 0 or t == 0:
             good = goal
             if phase == CREEPING and pressed < HALF * touch.force_limit:
@@ -195,7 +200,7 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
             lost = 1
         elif fails > HOPELESS:
             lost = 0  # ever further from the last equilibrium: it goes on from where it is
-        if kept == 0 or lost == 1:
+        if stopped == 0 and (kept == 0 or lost == 1):
             restored = 1
             here = good
             restore(w, at, side)
@@ -211,4 +216,4 @@ def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pres
         w.met[b] = met
         w.fails[b] = fails
     meet()
-    return kept, restored
+    return kept, restored, stopped

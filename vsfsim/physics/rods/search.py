@@ -58,22 +58,17 @@ def found_in(w: Work, old: int, b: int, key: int):
 
 
 @wp.func
-def near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin: real, old: int, new: int, begin: int, write: int):
-    """Samples of segment ``i`` nearer to a capsule than ``margin``: how many, and with ``write`` they are put into the list from ``begin`` on. Sets ``w.clear``."""
+def capsules_near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin: real):
+    """The capsules that a sample of segment ``i`` may be nearer to than ``margin``, a bit each. Sets ``w.clear``."""
     b = at.b
-    o = at.o
-    m = begin
-    room = w.key.shape[2]
-    bodies = touch.half.shape[0]
-    p = tree.parent[o + i]
+    p = tree.parent[at.o + i]
     xp = w.x[b, p]
     xc = w.x[b, i]
-    qp = w.q[b, p]
-    qc = w.q[b, i]
     mid = HALF * (xp + xc)
-    around = HALF * wp.length(xc - xp) + tree.bound[o + i]
+    around = HALF * wp.length(xc - xp) + tree.bound[at.o + i]
     clear = real(1.0)
-    for k in range(bodies):
+    which = int(0)
+    for k in range(touch.half.shape[0]):
         cx = w.cap_x[b, k]
         far = around + touch.radius[k]
         if wp.length(mid - cx) - far - touch.half[k] < clear:
@@ -81,32 +76,54 @@ def near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin: real, o
             apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k]))) - far
             clear = wp.min(clear, apart)
             if apart < margin:
-                start = tree.sample[o + i]
-                for j in range(start, tree.sample[o + i + 1]):
-                    y = point_at(tree.along[j], tree.offset[j], xp, qp, xc, qc)
-                    gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
-                    if gap.value < margin:
-                        if write == 1 and m < room:
-                            key = (i * bodies + k) * SAMPLES + (j - start)
-                            w.key[new, b, m] = key
-                            w.sample[new, b, m] = j
-                            w.node[new, b, m] = i
-                            w.body[new, b, m] = k
-                            stuck = int(0)
-                            there = found_in(w, old, b, key)
-                            if there >= 0:
-                                stuck = wp.min(w.stuck[old, b, there], 1)
-                                w.anchor[new, b, m] = w.anchor[old, b, there]
-                            w.stuck[new, b, m] = stuck
-                            y0 = point_at(tree.along[j], tree.offset[j], w.x_start[b, p], w.q_start[b, p], w.x_start[b, i], w.q_start[b, i])
-                            gap0 = gap_of(y0, tree.radius[j], w.cap_x_start[b, k], w.cap_q_start[b, k], touch.half[k], touch.radius[k])
-                            lever = -tree.radius[j] * gap0.normal
-                            w.lever[new, b, m] = lever
-                            w.gap0[new, b, m] = wp.max(gap0.value, ZERO)
-                            w.local0[new, b, m] = wp.quat_rotate_inv(w.cap_q_start[b, k], y0 + lever - w.cap_x_start[b, k])
-                            w.tau[new, b, m] = ZERO
-                        m = m + 1
+                which = which | (1 << k)
     w.clear[b, i] = clear
+    return which
+
+
+@wp.func
+def enlist(tree: Trees, touch: Touches, w: Work, at: Here, i: int, k: int, margin: real, old: int, new: int, begin: int):
+    """Puts the samples of segment ``i`` nearer to capsule ``k`` than ``margin`` into the list from ``begin`` on, as far as there is room; how many they are. The lanes share the samples: a leaf has hundreds."""
+    b = at.b
+    m = begin
+    p = tree.parent[at.o + i]
+    xp = w.x[b, p]
+    xc = w.x[b, i]
+    qp = w.q[b, p]
+    qc = w.q[b, i]
+    cx = w.cap_x[b, k]
+    cq = w.cap_q[b, k]
+    start = tree.sample[at.o + i]
+    stop = tree.sample[at.o + i + 1]
+    for base in range(start, stop, at.lanes):
+        j = base + at.lane
+        hit = int(0)
+        if j < stop:
+            y = point_at(tree.along[j], tree.offset[j], xp, qp, xc, qc)
+            gap = gap_of(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
+            if gap.value < margin:
+                hit = 1
+        place = m + ahead(hit)
+        if hit == 1 and place < w.key.shape[2]:
+            key = (i * touch.half.shape[0] + k) * SAMPLES + (j - start)
+            w.key[new, b, place] = key
+            w.sample[new, b, place] = j
+            w.node[new, b, place] = i
+            w.body[new, b, place] = k
+            stuck = int(0)
+            there = found_in(w, old, b, key)
+            if there >= 0:
+                stuck = wp.min(w.stuck[old, b, there], 1)
+                w.anchor[new, b, place] = w.anchor[old, b, there]
+            w.stuck[new, b, place] = stuck
+            y0 = point_at(tree.along[j], tree.offset[j], w.x_start[b, p], w.q_start[b, p], w.x_start[b, i], w.q_start[b, i])
+            gap0 = gap_of(y0, tree.radius[j], w.cap_x_start[b, k], w.cap_q_start[b, k], touch.half[k], touch.radius[k])
+            lever = -tree.radius[j] * gap0.normal
+            w.lever[new, b, place] = lever
+            w.gap0[new, b, place] = wp.max(gap0.value, ZERO)
+            w.local0[new, b, place] = wp.quat_rotate_inv(w.cap_q_start[b, k], y0 + lever - w.cap_x_start[b, k])
+            w.tau[new, b, place] = ZERO
+        m = m + count_all(hit)
     return m - begin
 
 
@@ -115,27 +132,26 @@ def gather(tree: Trees, touch: Touches, w: Work, at: Here, margin: real, old: in
     """Lists all pairs of sample and capsule nearer than ``margin``, in the order of their keys; those of the list ``old`` keep their anchors. ``w.clear``: how far each segment is from all
     capsules, a lower bound. The number of pairs, or -1 if there is no room."""
     b = at.b
+    for i in range(1 + at.lane, at.n, at.lanes):
+        w.many[b, i] = capsules_near(tree, touch, w, at, i, margin)
+    meet()
     m = int(0)
-    full = int(0)
-    for base in range(1, at.n, at.lanes):
-        i = base + at.lane
-        found = int(0)
+    for i in range(1, at.n):
+        which = w.many[b, i]
+        if which == 0:
+            continue
         begin = m
-        # several lanes count first, so that each knows where its own go
-        for turn in range(wp.where(at.lanes > 1, 0, 1), 2):
-            if turn == 1:
-                begin = m + ahead(found)
-            if i < at.n and (turn == 0 or at.lanes == 1 or found > 0):
-                found = near(tree, touch, w, at, i, margin, old, new, begin, turn)
-        if i < at.n:
+        for k in range(touch.half.shape[0]):
+            if (which >> k) & 1 == 1:
+                m = m + enlist(tree, touch, w, at, i, k, margin, old, new, m)
+        meet()
+        if at.lane == 0:
             w.first[b, i] = begin
-            w.many[b, i] = found
-        m = m + count_all(found)
+            w.many[b, i] = m - begin
         if m > w.key.shape[2]:
-            full = 1
             break
     meet()
-    if full == 1:
+    if m > w.key.shape[2]:
         return -1
     if at.lane == 0:
         w.count[new, b] = m

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 import warp as wp
@@ -22,14 +23,23 @@ from vsfsim.physics.rods.model import RodError, RodModel
 SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
 ROOM = 512  # places for contacts (sample, capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
-GPU_SPAN = 20.0  # s: a launch on a GPU, which ends up to 2 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
+GPU_SPAN = 10.0  # s: a launch on a GPU, which ends up to 1 s later, as a try at a stride is not cut short; touches that found no room on it go first in the next one
 ENDLESS = 2**31 - 1  # Newton iterations
+MOST = 31  # capsules: `search` keeps a bit for each
+
+
+class Ended(IntEnum):
+    """Why a touch has fewer frames than it was to have: it has them all, the force limit or the protective stop (a guarded one's), or its `RodOptions.patience`."""
+
+    WHOLE = 0
+    FORCE = 1
+    PATIENCE = 2
 
 
 @dataclass(frozen=True)
 class RodOptions:
     """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces under this count as this there [N]; with the defaults a joint is off by under
-    0.1 mN m, a thousandth of the noise of its sensor. force_limit: on the way in no frame is kept that is past it [N]. guarded: False, a touch ends there, on the way out too; True, the arm slows down, turns back and keeps its number of frames, as `guard` says;
+    0.1 mN m, a thousandth of the noise of its sensor. force_limit: on the way in no frame is kept that is past it [N]. guarded: False, a touch ends there, on the way out too; True, the arm slows down, turns back and keeps its number of frames, as `guard` says, unless it comes to a protective stop on the way back;
     hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count. work: of a frame, after which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
     room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit the device; it changes no bit.
     lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU always has 32."""
@@ -53,7 +63,7 @@ class RodOptions:
 class RodFrames:
     """T frames of B touches by K capsules. Frames after a touch's last one are NaN (False, 0).
 
-    frames: of each touch that were solved (B,). force: on each capsule (T, B, K, 3) [N]; moment: about its origin, world (T, B, K, 3) [N m].
+    frames: of each touch that were solved (B,); ended: why no more, `Ended` (B,). force: on each capsule (T, B, K, 3) [N]; moment: about its origin, world (T, B, K, 3) [N m].
     reaction: force of the pot on the plant (T, B, 3) [N]; reaction_moment: about the clamped node (T, B, 3) [N m]. converged: (T, B). reason: `frames.Reason`
     (T, B). residual: (T, B) [-]. iterations: Newton's (T, B). energy: elastic (T, B) [J]. penetration: deepest sample inside a capsule (T, B) [m].
     contacts: samples in contact (T, B). slipping: their share that slips (T, B) [-]. force_balance: |force on capsules - reaction - weight| over the larger, or over 0.1 N
@@ -63,6 +73,7 @@ class RodFrames:
     """
 
     frames: np.ndarray
+    ended: np.ndarray
     force: np.ndarray
     moment: np.ndarray
     reaction: np.ndarray
@@ -83,7 +94,17 @@ class RodFrames:
     def columns(self, some: slice) -> RodFrames:
         """Those of some touches."""
         parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return RodFrames(**{name: None if a is None else a[some] if name == "frames" else a[:, some] for name, a in parts.items()})
+        return RodFrames(**{name: None if a is None else a[some] if a.ndim == 1 else a[:, some] for name, a in parts.items()})
+
+    @staticmethod
+    def joined(parts: Sequence[RodFrames]) -> RodFrames:
+        """Those of some batches of as many frames, one after the other."""
+
+        def one(name: str) -> np.ndarray | None:
+            arrays = [getattr(p, name) for p in parts]
+            return None if arrays[0] is None else np.concatenate(arrays, axis=min(arrays[0].ndim - 1, 1))
+
+        return RodFrames(**{f.name: one(f.name) for f in dataclasses.fields(RodFrames)})  # type: ignore[arg-type]
 
 
 class RodSolver:
@@ -93,7 +114,7 @@ class RodSolver:
         models: the plants. shapes: of the capsules; one of length 0 is a ball. device: Warp device. options: limits.
 
     Raises:
-        RodError: no plant, or a shape that is no capsule.
+        RodError: no plant, a shape that is no capsule, or too many of them.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu", options: RodOptions | None = None):
@@ -103,6 +124,8 @@ class RodSolver:
         for shape in self.shapes:
             if not isinstance(shape, Capsule):
                 raise RodError(f"plants are touched by capsules only, not by {shape!r}; give vsfsim.core.shape.Capsule, of length 0 for a ball.")
+        if len(self.shapes) > MOST:
+            raise RodError(f"{len(self.shapes)} capsules, at most {MOST} can touch plants together.")
         self.trees = make_trees(self.models, device)
         self.weighs = int(any(m.weight.any() for m in self.models))
 
@@ -254,6 +277,9 @@ class RodBatch:
         out, models = self._out, self.solver.models
         count, ended, plant = np.minimum(self._frames[some], self._next[some]), self._ended[some], self._plant[some]
         done = np.where(ended > 0, np.minimum(ended - 1, count), count)
+        # a frame past the force limit was the one before `next`, and is not kept; a frame after which the patience was over is
+        why = np.where(done == self._frames[some], Ended.WHOLE, np.where(ended <= self._next[some], Ended.FORCE, Ended.PATIENCE))
+        why = np.where(ended > 0, why, Ended.WHOLE)
         t = out.residual.shape[1]
         solved = np.arange(t)[:, None] < done[None, :]
 
@@ -274,5 +300,5 @@ class RodBatch:
         for array in (force, moment, root, root_moment):
             array[~solved] = np.nan
         self._taken[some] = False
-        return RodFrames(done, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0], np.where(solved, of(out.iterations), 0), floats[1], floats[2],
+        return RodFrames(done, why, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0], np.where(solved, of(out.iterations), 0), floats[1], floats[2],
                          np.where(solved, of(out.contacts), 0), floats[3], np.where(solved, gap / size, np.nan), floats[4], of(out.x) if self.keep_nodes else None, of(out.q) if self.keep_nodes else None)
