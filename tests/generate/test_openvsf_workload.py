@@ -14,7 +14,7 @@ from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.side_by_side import MEAN, NOISE, STD, batch_dense
 from vsfsim.vsf.sticking import stick
 
-TOUCHES, FRAMES = 3, 6
+TOUCHES, FRAMES = 3, 9
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_every_key_has_the_shape_and_type_that_openvsf_asserts(made):
     for path in sequences(folder):
         found = keys(path)
         assert {key: value.shape for key, value in found.items()} == {
-            "kinova_state": (TARE + FRAMES, 7), "punyo_state": (TARE + FRAMES, 390, 3), "punyo_force": (TARE + FRAMES, 390, 3), "punyo_pressure": (TARE + FRAMES, 1)}
+            "kinova_state": (FRAMES, 7), "punyo_state": (FRAMES, 390, 3), "punyo_force": (FRAMES, 390, 3), "punyo_pressure": (FRAMES, 1)}
         assert all(value.dtype == np.float64 and np.isfinite(value).all() for value in found.values())
     with np.load(folder / "object" / "vsf_empty.npz", allow_pickle=True) as vsf:
         assert vsf["points"].dtype == np.float64 and vsf["points"].shape == (len(vsf["K"]), 3) and vsf["K"].dtype == np.float64 and not vsf["K"].any()
@@ -130,7 +130,7 @@ def test_the_readings_follow_from_the_files_alone(made):
 
 def test_our_estimator_sees_the_same_readings(made):
     folder, load, _ = made
-    assert load.touches == TOUCHES and load.frame == 1170 and load.dense.shape[0] == TOUCHES * (TARE + FRAMES) * 1170
+    assert load.touches == TOUCHES and load.frame == 1170 and load.dense.shape[0] == TOUCHES * FRAMES * 1170
     at = 0
     for path in sequences(folder):
         read, turn = keys(path), world(folder, path)[:, :3, :3]
@@ -162,27 +162,29 @@ def test_the_configurations_name_what_is_there(made):
 def test_a_urdf_of_the_user_s_is_named(tmp_path):
     links = ("Base_Link", "Shoulder_Link", "HalfArm1_Link", "HalfArm2_Link", "ForeArm_Link", "SphericalWrist1_Link", "SphericalWrist2_Link", "Bracelet_Link", "EndEffector_Link")
     (tmp_path / "arm.urdf").write_text("".join(f'<link name="{link}"/>' for link in links))
-    _, to_do = export(tmp_path / "out", 200, 1, 2, urdf=tmp_path / "arm.urdf")
+    _, to_do = export(tmp_path / "out", 200, 1, 5, urdf=tmp_path / "arm.urdf")
     assert not any("URDF" in sentence or "urdf" in sentence for sentence in to_do)
     assert f'file_name: "{tmp_path / "arm.urdf"}"' in (tmp_path / "out" / "openvsf.yaml").read_text()
 
 
 def test_refusals(made, tmp_path):
     with pytest.raises(DatasetError, match="is not empty"):
-        export(made[0], 200, 1, 2)
+        export(made[0], 200, 1, 5)
+    with pytest.raises(VsfError, match="at least 5, of which the first 3"):
+        export(tmp_path / "a", 200, 1, 4)
     with pytest.raises(VsfError, match="at least 1, 1 and 2"):
-        export(tmp_path / "a", 200, 1, 1)
+        export(tmp_path / "a", 200, 0, 9)
     (tmp_path / "other.urdf").write_text('<link name="base_link"/>')
     with pytest.raises(DatasetError, match="has no Shoulder_Link"):
-        export(tmp_path / "b", 200, 1, 2, urdf=tmp_path / "other.urdf")
+        export(tmp_path / "b", 200, 1, 5, urdf=tmp_path / "other.urdf")
     with pytest.raises(DatasetError, match="cannot be read"):
-        export(tmp_path / "b", 200, 1, 2, urdf=tmp_path / "none.urdf")
+        export(tmp_path / "b", 200, 1, 5, urdf=tmp_path / "none.urdf")
     (tmp_path / "file").write_text("")
     with pytest.raises(DatasetError, match="cannot be written"):
-        export(tmp_path / "file" / "c", 200, 1, 2)
-    palpation = Palpation.of(200, 1, 2)
+        export(tmp_path / "file" / "c", 200, 1, 5)
+    palpation = Palpation.of(200, 1, 5)
     touches, _ = palpation.recorded()
-    model = Model(palpation.points, palpation.stiffness, 1.0, 1.0, 1.0, 1.0, TARE + 2)
+    model = Model(palpation.points, palpation.stiffness, 1.0, 1.0, 1.0, 1.0, 5)
     with pytest.raises(DatasetError, match="no more than the 5 of the tare"):
         write_openvsf(tmp_path / "d", touches, punyo(np.eye(4)), model)
     with pytest.raises(DatasetError, match="no touch to write"):

@@ -49,11 +49,13 @@ class Palpation:
 
     @classmethod
     def of(cls, particles: int, touches: int, frames: int, *, seed: int = 0, progress: Callable[[str], None] | None = None) -> Palpation:
-        """About ``particles`` springs in the bench's volume under ``touches`` presses of ``frames`` frames, `TARE` more before each.
+        """About ``particles`` springs in the bench's volume under ``touches`` presses of ``frames`` frames, the first `TARE` free of contact.
 
         Raises:
-            VsfError: a size below 1, fewer than two frames, or a touch that no draw makes reachable.
+            VsfError: a size below 1, fewer than two frames after the tare's, or a touch that no draw makes reachable.
         """
+        if frames < TARE + 2:
+            raise VsfError(f"openvsf: {frames} frames a touch; give at least {TARE + 2}, of which the first {TARE} are the tare's.")
         points, spacing = volume_points(particles, touches, frames)
         arm = load_arm(punyo=True)
         body = arm.links.index("punyo")
@@ -138,7 +140,7 @@ def _dome_faces() -> int:
 
 
 def _press(arm: Arm, rng: np.random.Generator, frames: int) -> np.ndarray:
-    """Joint angles (TARE + frames, 7) [rad] of one press at a random place, its long axis along the arm's y."""
+    """Joint angles (frames, 7) [rad] of one press at a random place, its long axis along the arm's y."""
     place = _PLACE + np.append(rng.uniform(-0.5, 0.5, 2) * _EXTENT, 0.0)
     lean = rng.uniform(-_TILT, _TILT, 2)
     c, s = np.cos(lean), np.sin(lean)
@@ -146,7 +148,7 @@ def _press(arm: Arm, rng: np.random.Generator, frames: int) -> np.ndarray:
     down = turn @ np.array([0.0, 0.0, -1.0])
     # the tool's z goes down; its x is the rim's long axis
     x = turn @ np.array([0.0, 1.0, 0.0])
-    way = np.concatenate([-np.linspace(_APART + 0.005 * (TARE - 1), _APART, TARE), np.linspace(-0.002, _DEPTH, frames)])
+    way = np.concatenate([-np.linspace(_APART + 0.005 * (TARE - 1), _APART, TARE), np.linspace(-0.002, _DEPTH, frames - TARE)])
     poses = np.tile(np.eye(4), (len(way), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = np.stack([x, np.cross(down, x), down], axis=1), place + way[:, None] * down
     return follow(arm, poses, table=None)
