@@ -73,11 +73,11 @@ def test_the_training_bench_counts_what_it_says():
 
 
 def test_the_fields_are_compared_on_one_case():
-    rows = bench_fields.compare(iterations=2, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
+    rows = bench_fields.compare(iterations=2, rate=1e-3, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
     assert [row.name for row in rows] == ["point VSF, batch", "point VSF, filter", "neural VSF", "grid VSF (ours)"]
     assert all(0.0 < row.f1 <= 1.0 and row.seconds > 0.0 and row.kilobytes > 0.0 for row in rows)
     told = bench_fields.table(rows, "a title")
-    assert "times as fast, F1" in told and "N = 32, B = 300" in told and told.startswith("a title")
+    assert "times as fast, F1" in told and "N = 32, B = 300, rate 0.001" in told and told.startswith("a title")
 
 
 def test_refusals():
