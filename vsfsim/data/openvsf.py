@@ -93,12 +93,8 @@ def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, mod
         odd = [f"{name} {getattr(touch, name).shape}, not {shape}" for name, shape in shapes.items() if getattr(touch, name).shape != shape]
         if odd or frames <= model.tare:
             raise DatasetError(f"openvsf: touch {number} has {'; '.join(odd) or f'{frames} frames, no more than the {model.tare} of the tare'}.")
-    robot, to_do = _robot(urdf)
+    robot, to_do = check_target(folder, urdf)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            # every seq* that lies there would be loaded, those of an earlier run, too
-            raise DatasetError(f"openvsf: '{folder}' is not empty. Give a new folder, or empty it.")
         for part in ("object", "assets", "ground_truth"):
             (folder / part).mkdir()
         _write_vsf(folder / "object" / "vsf_empty.npz", model.points, np.zeros(len(model.points)))
@@ -118,7 +114,19 @@ def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, mod
     return to_do
 
 
-def _robot(urdf: Path | None) -> tuple[str, list[str]]:
+def check_target(folder: Path, urdf: Path | None) -> tuple[str, list[str]]:
+    """Make the folder; how the configuration names the robot, and what the user still has to do for it.
+
+    Raises:
+        DatasetError: the folder has something in it or cannot be made, or the URDF is none of a Gen3.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            # every seq* that lies there would be loaded, those of an earlier run, too
+            raise DatasetError(f"openvsf: '{folder}' is not empty. Give a new folder, or empty it.")
+    except OSError as error:
+        raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that can be made.") from error
     if urdf is None:
         return f"!relative_path {URDF}", [f"{URDF} is not ours to ship. Copy it there from {_ORIGIN}, or write the export again with the path of yours (--urdf)."]
     try:

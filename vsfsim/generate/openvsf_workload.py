@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from vsfsim.data.openvsf import Bubble, Model, Recorded, write_openvsf
+from vsfsim.data.openvsf import Bubble, Model, Recorded, check_target, write_openvsf
 from vsfsim.physics.bubble_shape import HEIGHT, POWER
 from vsfsim.physics.membrane_mesh import READ_OUT, closed, ellipse
 from vsfsim.robot import gen3
@@ -110,6 +110,7 @@ def export(folder: Path, particles: int, touches: int, frames: int, *, urdf: Pat
     Raises:
         VsfError: sizes that are too small. DatasetError: the folder is not empty or cannot be written, or the URDF is none of the arm.
     """
+    check_target(folder, urdf)  # before minutes of joint angles
     palpation = Palpation.of(particles, touches, frames, seed=seed, progress=progress)
     recorded, load = palpation.recorded(seed)
     area = palpation.bubble.area
