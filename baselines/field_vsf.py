@@ -30,6 +30,8 @@ class NeuralVsf:
     Args:
         iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.neural.Fitting`; iterations, batch 1,000, samples 100 and rate 2e-4 are
             the paper's, which take minutes an object on a CPU.
+        octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not say how many; 6 of ours. Where a frame has
+            one force alone, 2 find buried ropes far better (docs/studies.md).
         margin: by which the box of the field is wider than the visible cloud [m]. table_height: z of the table [m].
         depth: of the points that are asked where a hidden object lies [m]. seed: of weights and batches.
         skin: fit the forces on a sensor's vertices where they were read; False: the total only, the pressure-only baseline.
@@ -39,14 +41,14 @@ class NeuralVsf:
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
-                 margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
+                 octaves: int = 6, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
         from vsfsim.vsf.neural import Fitting
 
-        if min(iterations, batch, samples) < 1 or not rate > 0.0:
-            raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} must be at least 1 and rate {rate} greater than 0.")
+        if min(iterations, batch, samples, octaves) < 1 or not rate > 0.0:
+            raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} and octaves {octaves} must be at least 1 and rate {rate} greater than 0.")
         self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, seed=seed)
         self.margin, self.table_height, self.depth, self.seed, self.skin, self.device = margin, table_height, depth, seed, skin, device
-        self._field: dict[str, float] = {}
+        self._field: dict[str, float] = {"octaves": octaves}
         self._model = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
@@ -104,7 +106,7 @@ class NeuralVsf:
 
 
 class GridVsf(NeuralVsf):
-    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`; cell: edge of the finest grid's cells [m]."""
+    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`, but for the octaves; cell: edge of the finest grid's cells [m]."""
 
     _kind = "grid"
 

@@ -33,7 +33,7 @@ class Imaml:
         inner_rate, inner_steps: gradient descent on the support touches.
         regularisation: lambda. cg_damping, cg_steps: of the implicit gradient.
         features: of the view's vector, for `imaml-vision`. weights: file of pretrained weights for the DINOv2 features.
-        device: of the DINOv2 features; the small network itself runs on the CPU.
+        device: torch device of the network and of the DINOv2 features; the draws are made on the host, the same for every device.
     """
 
     _vision = False
@@ -73,8 +73,7 @@ class Imaml:
         self._scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
                        "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
         self._network = self._build(x.shape[1], y.shape[1])
-        generator = torch.Generator().manual_seed(self.seed)
-        theta = self._network.start(generator)
+        theta = [p.to(self.device) for p in self._network.start(torch.Generator().manual_seed(self.seed))]
         for p in theta:
             p.requires_grad_(True)
         optimiser = Adam(theta, rate=self.outer_rate)
@@ -122,7 +121,7 @@ class Imaml:
         for action in touches:
             batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))], [self._seen])
             with torch.no_grad():
-                out.append(self._network(self._phi, batch.x, batch.token)[0].numpy() * self._scale["y_std"])
+                out.append(self._network(self._phi, batch.x, batch.token)[0].cpu().numpy() * self._scale["y_std"])
         return out
 
     def save(self, folder: Path) -> None:
@@ -130,7 +129,7 @@ class Imaml:
         if self._scale is None:
             raise MethodError("imaml has nothing to save yet; call meta_fit first.")
         (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
-        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.numpy() for i, p in enumerate(self._theta)})
+        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.cpu().numpy() for i, p in enumerate(self._theta)})
 
     def load(self, folder: Path) -> None:
         """Take up what `save` kept.
@@ -149,7 +148,7 @@ class Imaml:
         mine = {"vision": self._vision, "features": self.features}
         if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
             raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
-        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}")) for i in range(sum(name.startswith("theta") for name in list(arrays)))]
+        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), device=self.device) for i in range(sum(name.startswith("theta") for name in list(arrays)))]
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
 
@@ -183,7 +182,7 @@ class Imaml:
         for i, (own_x, own_y) in enumerate(parts):
             x[i, :len(own_x)], y[i, :len(own_y)], weight[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"], own_y / s["y_std"], 1.0
         token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
-        return Batch(*(torch.as_tensor(a, dtype=torch.float64) for a in (x, token, y, weight)))
+        return Batch(*(torch.as_tensor(a, dtype=torch.float64, device=self.device) for a in (x, token, y, weight)))
 
 
 class ImamlVision(Imaml):

@@ -60,31 +60,46 @@ def methods(paper: Annotated[bool, typer.Option("--paper", help="The paper's siz
             literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True,
             fields: Annotated[bool | None, typer.Option(help="Also fit the point VSF, the neural VSF and its fast variant to a buried rope; default: on a GPU.")] = None,
             iterations: Annotated[int | None, typer.Option(min=1, help="Of the neural VSF; default: 2,000 on a GPU (1,000 to 3,000 in the paper), 400 on a CPU.")] = None,
+            rate: Annotated[float | None, typer.Option(min=1e-6, max=1.0, help="Of the neural VSF's training; default: 2e-4, the paper's.")] = None,
             export: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Also write the workload here: observation matrices, readings, noise and prior, for estimators from elsewhere.")] = None,
+            openvsf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Run on presses of an arm's Punyo instead, and write them here as the openvsf package loads them; a new folder.")] = None,
+            urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="With --openvsf: openvsf's kinova_gen3.urdf, which is not ours to ship.")] = None,
             blind: Annotated[bool, typer.Option("--blind", help="Only this: where a known object lies in a soft block, by every method.")] = False,
             sbml: Annotated[bool, typer.Option("--sbml", help="Only this: SBML's training on objects of 10,000 readings and 20,000 particles (or the sizes given).")] = False,
             device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu") -> None:
     """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1 and size on disk."""
     from vsfsim.vsf import bench_blind, bench_fields, bench_sbml
-    from vsfsim.vsf.side_by_side import MINI, PAPER, compare, table
+    from vsfsim.vsf.side_by_side import MINI, PAPER, Workload, compare, table
 
     bench_fields.check_device(device)
+    if urdf is not None and openvsf is None:
+        raise VsfsimError(f"--urdf is {urdf}, but nothing is exported for openvsf; add --openvsf FOLDER.")
+    if openvsf is not None and (blind or sbml):
+        raise VsfsimError("--openvsf exports the workload of the estimators; leave out --blind and --sbml.")
+
     def told(what: str) -> None:
         print(f"  {what} ...", file=sys.stderr, flush=True)
 
-    given = (particles, touches, frames)
+    given, learning = (particles, touches, frames), {} if rate is None else {"rate": rate}
     if sbml:
         size = [one or default for one, default in zip(given, bench_sbml.PAPER)]
         print(bench_sbml.table(bench_sbml.measure(*size, device=device, progress=told)))
         return
     if blind:
-        print(bench_blind.table(bench_blind.compare(device=device, iterations=iterations, progress=told)))
+        print(bench_blind.table(bench_blind.compare(device=device, iterations=iterations, **learning, progress=told)))
         return
     size = [one or default for one, default in zip(given, PAPER if paper else MINI)]
-    print(table(compare(*size, literal=literal, device=device, export=export, progress=lambda done, total, what: told(what)), size[1]))
+    if openvsf is None:
+        load = Workload.of(*size)
+    else:
+        from vsfsim.generate.openvsf_workload import export as export_openvsf
+
+        load, notes = export_openvsf(openvsf, *size, urdf=urdf, progress=told)
+        print("\n".join([f"written to {openvsf}: {load.touches} sequences for openvsf", *(f"note: {sentence}" for sentence in notes), ""]))
+    print(table(compare(load, literal=literal, device=device, export=export, progress=lambda done, total, what: told(what)), size[1]))
     if fields if fields is not None else device != "cpu":
         for fresh, title in ((False, "a rope under a soft layer"), (True, "another rope, that no setting was chosen on")):
-            print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, fresh=fresh, progress=told), title))
+            print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, **learning, fresh=fresh, progress=told), title))
 
 
 @app.command()

@@ -53,6 +53,18 @@ def test_the_grid_tells_stiff_from_soft_by_totals(seen):
     assert not method.stiffness(points).mean.any() and not method.predict([recording.readings[0].action])[0].any()
 
 
+def test_fewer_octaves_make_a_smoother_field(seen):
+    view, recording = seen
+    rough = []
+    line = np.stack([np.linspace(-0.03, 0.03, 61), np.full(61, 0.001), np.full(61, 0.027)], axis=1)
+    for octaves in (1, 6):
+        method = NeuralVsf(**{**QUICK, "iterations": 40, "rate": 2e-3, "octaves": octaves})
+        method.adapt(view.view, recording.readings[:9])
+        k = method.stiffness(line).mean
+        rough.append(float(np.abs(np.diff(k, 2)).sum() / np.abs(np.diff(k)).sum()))
+    assert rough[0] < 0.5 * rough[1], "the finest wave is a whole edge of the box, or a 32nd"
+
+
 def test_forces_on_a_surface_are_used_where_there_are_any():
     view = mock_view(0).view
     top = 0.03
@@ -156,6 +168,8 @@ def test_failures_are_clear_or_have_a_defined_answer(seen):
     with pytest.raises(MethodError, match="needs 'normal-force'"):
         action = dataclasses.replace(recording.readings[0].action, observation="force-magnitude")
         GridVsf(**QUICK).adapt(view.view, [dataclasses.replace(recording.readings[0], action=action)])
+    with pytest.raises(MethodError, match="octaves 0 must be at least 1"):
+        NeuralVsf(octaves=0)
     with pytest.raises(MethodError, match="share is 2"):
         ContactPoints(share=2)
 

@@ -25,14 +25,14 @@ def test_what_does_not_fit_is_measured_on_fewer_touches_and_said(monkeypatch):
     monkeypatch.setattr(side_by_side, "MOST_BYTES", side_by_side.ESTIMATORS[2].cost(load.first(3))[0])
     asked = []
     monkeypatch.setattr(side_by_side, "_apart", lambda work, part, device: (asked.append((work.__name__, part.touches)), (side_by_side.Times(0.5, 2.0 if 'literal' in work.__name__ else 0.1), 10.0, np.ones(3)))[1])
-    rows = side_by_side.compare(60, 8, 3)
+    rows = side_by_side.compare(load)
     small = rows[2]
     assert small.part == 2
     assert small.literal_whole > small.literal.clock and small.difference == 0.0 and small.times == pytest.approx(20.0)
     assert ("batch_dense", 8) in asked and ("batch_dense_literal", 8) not in asked
     told = side_by_side.table(rows, 8)
     assert f"the first {small.part} touches" in told and "needs 0.0 GB and about" in told
-    alone = side_by_side.compare(60, 8, 3, literal=False)
+    alone = side_by_side.compare(load, literal=False)
     assert all(row.part == 0 for row in alone) and "literal form not run" in side_by_side.table(alone, 8)
 
 
@@ -73,11 +73,11 @@ def test_the_training_bench_counts_what_it_says():
 
 
 def test_the_fields_are_compared_on_one_case():
-    rows = bench_fields.compare(iterations=2, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
+    rows = bench_fields.compare(iterations=2, rate=1e-3, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
     assert [row.name for row in rows] == ["point VSF, batch", "point VSF, filter", "neural VSF", "grid VSF (ours)"]
     assert all(0.0 < row.f1 <= 1.0 and row.seconds > 0.0 and row.kilobytes > 0.0 for row in rows)
     told = bench_fields.table(rows, "a title")
-    assert "times as fast, F1" in told and "N = 32, B = 300" in told and told.startswith("a title")
+    assert "times as fast, F1" in told and "N = 32, B = 300, rate 0.001" in told and told.startswith("a title")
 
 
 def test_refusals():

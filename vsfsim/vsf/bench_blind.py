@@ -101,19 +101,19 @@ def prism(outline: Sequence[tuple[float, float]], caps: Sequence[tuple[int, int,
     return vertices - vertices.mean(axis=0), np.array([(a, c, b) for a, b, c in caps] + [(n + a, n + b, n + c) for a, b, c in caps] + sides)
 
 
-def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: float = 1.0, iterations: int | None = None,
+def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: float = 1.0, iterations: int | None = None, rate: float = Fitting.rate,
             progress: Callable[[str], None] | None = None) -> list[BlindRow]:
     """Find every object by every method.
 
     Args:
         device: torch's, of the fields. objects: how many. scale: of the touches, 1 for 60. iterations: of the neural VSF; None: 2,000, or 400 on a CPU, with smaller
-        batches. progress: called with what is going on.
+        batches. rate: of its training, the paper's. progress: called with what is going on.
     """
     tell = progress or (lambda _: None)
     if torch.device(device).type != "cpu":
-        neural = Fitting(iterations=iterations or 2000)
+        neural = Fitting(iterations=iterations or 2000, rate=rate)
     else:
-        neural = Fitting(**{**_ON_CPU, "iterations": iterations or _ON_CPU["iterations"]})
+        neural = Fitting(**{**_ON_CPU, "iterations": iterations or _ON_CPU["iterations"], "rate": rate})
     found: dict[str, list[tuple[float, ...]]] = {}
     for index in range(objects):
         buried = Buried.of(_FIRST + index, scale=scale)

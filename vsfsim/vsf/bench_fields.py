@@ -76,18 +76,18 @@ def case(*, scale: float = 1.0, fresh: bool = False) -> tuple[list[DenseTouch], 
     return out, field
 
 
-def compare(*, device: str = "cpu", iterations: int | None = None, points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
+def compare(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate, points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
             grid_iterations: int = 250, progress: Callable[[str], None] | None = None) -> list[FieldRow]:
     """Fit every method to the case.
 
     Args:
         device: torch's, of the fields. iterations: of the neural VSF; None: 2,000, or 400 on a CPU. On a CPU its batches are smaller, too, see `_ON_CPU`.
-        points: of the point VSFs. scale: of the case, 1 for the paper's. fresh: a rope that no setting was chosen on. grid_iterations: of ours.
+        rate: of its training, the paper's. points: of the point VSFs. scale: of the case, 1 for the paper's. fresh: a rope that no setting was chosen on. grid_iterations: of ours.
         progress: called with what is going on.
     """
     tell = progress or (lambda _: None)
     touches, field = case(scale=scale, fresh=fresh)
-    neural = Fitting(iterations=iterations or 2000) if torch.device(device).type != "cpu" else Fitting(iterations=iterations or 400, **_ON_CPU)
+    neural = Fitting(iterations=iterations or 2000, rate=rate) if torch.device(device).type != "cpu" else Fitting(iterations=iterations or 400, rate=rate, **_ON_CPU)
     pixels = _Pixels.of(touches, field)
     rows: list[FieldRow] = []
     for count in points:
@@ -105,7 +105,7 @@ def compare(*, device: str = "cpu", iterations: int | None = None, points: Seque
             save_field(model, Path(folder) / "field.npz")
             size = (Path(folder) / "field.npz").stat().st_size / 1e3
         rows.append(FieldRow(name, pixels.f1(density(model, pixels.points)), seconds, seconds, size, _memory(device) - before,
-                             f"{settings.iterations} iterations, N = {settings.samples}, B = {settings.batch}"))
+                             f"{settings.iterations} iterations, N = {settings.samples}, B = {settings.batch}, rate {settings.rate:g}"))
     return rows
 
 

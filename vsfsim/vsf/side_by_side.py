@@ -69,11 +69,7 @@ class Workload:
         Raises:
             VsfError: a size below 1, or fewer than two frames.
         """
-        if min(particles, touches) < 1 or frames < 2:
-            raise VsfError(f"bench methods: {particles} particles, {touches} touches, {frames} frames; give at least 1, 1 and 2.")
-        spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
-        axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08, 0.06)] + [np.arange(-0.015 + 0.5 * spacing, 0.0, spacing)]
-        points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        points, spacing = volume_points(particles, touches, frames)
         field = layer_with_inclusion()
         truth = field(points) * spacing**3
         sums, forces, vertices = [], [], 0
@@ -117,6 +113,19 @@ class Workload:
     def touches(self) -> int:
         """How many there are."""
         return len(self.pressure_z) // self.frames
+
+
+def volume_points(particles: int, touches: int, frames: int) -> tuple[np.ndarray, float]:
+    """About ``particles`` points (n, 3) [m] on a lattice under z = 0, 16 x 12 x 1.5 cm, and its spacing [m].
+
+    Raises:
+        VsfError: a size of the workload is below 1, or there are fewer than two frames.
+    """
+    if min(particles, touches) < 1 or frames < 2:
+        raise VsfError(f"bench methods: {particles} particles, {touches} touches, {frames} frames; give at least 1, 1 and 2.")
+    spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
+    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08, 0.06)] + [np.arange(-0.015 + 0.5 * spacing, 0.0, spacing)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), spacing
 
 
 @dataclass(frozen=True)
@@ -272,15 +281,14 @@ class Comparison:
     literal_whole: float
 
 
-def compare(particles: int, touches: int, frames: int, *, literal: bool = True, device: str = "cpu", export: Path | None = None,
+def compare(load: Workload, *, literal: bool = True, device: str = "cpu", export: Path | None = None,
             progress: Callable[[int, int, str], None] | None = None) -> list[Comparison]:
     """Run all estimators on one workload.
 
     Args:
-        particles, touches, frames: of the workload. literal: run the literal forms, too. device: of torch, where an estimator uses it (eq. 15).
+        load: the workload. literal: run the literal forms, too. device: of torch, where an estimator uses it (eq. 15).
         export: folder to write the workload to, see `Workload.export`. progress: called with (done, of how many, what).
     """
-    load = Workload.of(particles, touches, frames)
     if export is not None:
         load.export(export)
     out = []
