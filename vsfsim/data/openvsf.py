@@ -37,7 +37,7 @@ _ORIGIN = "knowledge/robot_model/kinova_gen3.urdf of github uiuc-iml/openvsf, wh
 @dataclass(frozen=True)
 class Recorded:
     """One touch. q: joint angles (T, 7) [rad]. state: of the bubble's vertices in its body frame (T, N, 3) [m]. force: on them, same frame, as read (T, N, 3) [N].
-    pressure: as read (T,) [Pa]. true_force, true_pressure: the same without noise."""
+    pressure: as read (T,) [Pa]. true_force: without noise (T, N, 3) [N]. true_pressure: without noise (T,) [Pa]."""
 
     q: np.ndarray
     state: np.ndarray
