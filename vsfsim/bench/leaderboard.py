@@ -16,8 +16,8 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
 
 _SAME = 1e-3
-"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds otherwise: no score tells them apart, since
-methods are ranked by differences of several per cent. Different seeds, scenes or physics differ by tens of per cent."""
+"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds otherwise: an error moves by about that share of the
+readings at the most. Rounding alone gives 1e-8 where a touch has one equilibrium to find; other seeds, scenes or physics differ by tens of per cent."""
 _AGAIN = 1e-4  # of a score: a method that is made again on such a dataset
 
 

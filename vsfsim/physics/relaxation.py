@@ -44,6 +44,7 @@ class Relaxation:
         self.change, self.miss = (torch.zeros(size, dtype=torch.float64, device=device) for _ in range(2))
         self.damping = torch.ones(size, dtype=torch.float64, device=device)
         self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
+        self._arrays = [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.miss)]  # once: the tensors are only ever written in place
 
     def begin(self) -> None:
         """A step begins."""
@@ -53,7 +54,7 @@ class Relaxation:
 
     def arrays(self) -> list[wp.array]:
         """anchorings, damping, change, miss, as Warp's arrays."""
-        return [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.miss)]
+        return self._arrays
 
     def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
         """By how much the limits of the touches ``columns`` (k,) miss Coulomb's (k,) [N]."""
