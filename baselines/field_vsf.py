@@ -28,7 +28,7 @@ class NeuralVsf:
     """The papers' 8-layer network.
 
     Args:
-        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.neural.Fitting`; iterations, batch 1,000, samples 100 and rate 2e-4 are
+        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`; iterations, batch 1,000, samples 100 and rate 2e-4 are
             the paper's, which take minutes an object on a CPU.
         octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not say how many; 6 of ours. Where a frame has
             one force alone, 2 find buried ropes far better (docs/studies.md).
@@ -42,7 +42,7 @@ class NeuralVsf:
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
                  octaves: int = 6, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
-        from vsfsim.vsf.neural import Fitting
+        from vsfsim.vsf.fields.neural import Fitting
 
         if min(iterations, batch, samples, octaves) < 1 or not rate > 0.0:
             raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} and octaves {octaves} must be at least 1 and rate {rate} greater than 0.")
@@ -60,7 +60,7 @@ class NeuralVsf:
         Raises:
             MethodError: a reading marked valid is not finite, the view is empty, or the probe is not a ball and no surface was read.
         """
-        from vsfsim.vsf.neural import fit
+        from vsfsim.vsf.fields.neural import fit
 
         cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - self.margin, cloud.max(axis=0) + self.margin])
@@ -85,7 +85,7 @@ class NeuralVsf:
         Raises:
             MethodError: the probe is neither a ball nor a bubble's dome, or its readings are not forces along the press (or, of a dome, its pressure).
         """
-        from vsfsim.vsf.neural import predict_totals
+        from vsfsim.vsf.fields.neural import predict_totals
 
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
@@ -94,7 +94,7 @@ class NeuralVsf:
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
-        from vsfsim.vsf.neural import density
+        from vsfsim.vsf.fields.neural import density
 
         none = np.zeros(len(points))
         return Estimate(none if self._model is None else density(self._model, points), none)
@@ -138,8 +138,8 @@ def _total(reading: Reading):
 
 def _surface_of(action: Action, force: np.ndarray):
     """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their unit."""
-    from vsfsim.vsf.palpation import dome
-    from vsfsim.vsf.swept import TotalTouch
+    from vsfsim.vsf.fields.palpation import dome
+    from vsfsim.vsf.fields.swept import TotalTouch
 
     if isinstance(action.probe, Dome):
         if action.observation not in ("normal-force", "pressure"):

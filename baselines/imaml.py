@@ -18,7 +18,7 @@ from vsfsim.baselines.vsf_object import digest
 from vsfsim.bench.method import Action, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.features import NAMES, view_token
+from vsfsim.vsf.features.interface import NAMES, view_token
 
 HIDDEN = (32, 128, 64, 32, 16)
 ENCODER = (64, 7)
@@ -57,7 +57,7 @@ class Imaml:
         import torch
 
         from vsfsim.baselines import implicit_maml as im
-        from vsfsim.vsf.adam import Adam
+        from vsfsim.vsf.fields.adam import Adam
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:

@@ -1,7 +1,7 @@
 """Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings that all share.
 
-The papers register the object's surface to the stiff points (`vsfsim.vsf.localise`); on the training objects of localization-mini-v1 that tips over in
-most cases, while the outline of the stiff columns (`vsfsim.vsf.lying`) finds the angle to some degrees: docs/methods.md has both figures.
+The papers register the object's surface to the stiff points (`vsfsim.vsf.pose.localise`); on the training objects of localization-mini-v1 that tips over in
+most cases, while the outline of the stiff columns (`vsfsim.vsf.pose.resting`) finds the angle to some degrees: docs/methods.md has both figures.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from vsfsim.bench.method import Reading
 from vsfsim.bench.reached import reached
 from vsfsim.data.records import View
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.localise import KnownObject
-from vsfsim.vsf.lying import lying_pose
+from vsfsim.vsf.pose.localise import KnownObject
+from vsfsim.vsf.pose.resting import lying_pose
 
 STEP = 0.003
 """Edge of a column, and distance of the points at which a continuous field is asked [m]."""

@@ -17,8 +17,8 @@ from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSe
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.composition import STRUCTURES, Composition, GaussianPrior
-from vsfsim.vsf.features import NAMES, Normaliser, particle_features
+from vsfsim.vsf.features.interface import NAMES, Normaliser, particle_features
+from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 
 
 class Sbml:
@@ -26,11 +26,11 @@ class Sbml:
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features`.
+        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.interface`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
-        rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta_prior`.
+        rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta.prior`.
         validation: fraction of the training objects that only stop the training (at least one of them if there are two).
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
@@ -75,7 +75,7 @@ class Sbml:
         if self.prior:
             self.load(Path(self.prior))
             return
-        from vsfsim.vsf.meta_prior import MetaPrior, train
+        from vsfsim.vsf.meta.prior import MetaPrior, train
 
         if not specimens:
             raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the folder of a saved prior (--set prior=FOLDER).")
@@ -138,7 +138,7 @@ class Sbml:
         """
         import torch
 
-        from vsfsim.vsf.meta_prior import MetaPrior, Spread
+        from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
         try:
             table = json.loads((folder / "prior.json").read_text())
@@ -170,8 +170,8 @@ class Sbml:
     def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
         import torch
 
-        from vsfsim.vsf.evidence import Evidence
-        from vsfsim.vsf.meta_prior import MetaTask
+        from vsfsim.vsf.estimate.evidence import Evidence
+        from vsfsim.vsf.meta.prior import MetaTask
 
         rows, z = model.stack(specimen.touches)
         touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) * t.action.size for t in specimen.touches])
@@ -181,7 +181,7 @@ class Sbml:
 
     def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):
         """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3, "initialisation")."""
-        from vsfsim.vsf.meta_prior import Spread
+        from vsfsim.vsf.meta.prior import Spread
 
         pooled, means = [np.zeros(0)], []
         for model, specimen, part in zip(models, specimens, parts):

@@ -7,7 +7,7 @@ from scipy.spatial import Delaunay
 
 from vsfsim.bench.method import Action, Reading
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf.palpation import DenseTouch
+from vsfsim.vsf.fields.palpation import DenseTouch
 
 BASE_AREA = 7.18e-3
 """Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML eq. 8)."""

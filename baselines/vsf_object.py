@@ -22,13 +22,13 @@ from vsfsim.core.chain import Chain
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 from vsfsim.vsf.arm_rows import arm_torque_rows
-from vsfsim.vsf.composition import GaussianPrior
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.kalman import DiagonalFilter
+from vsfsim.vsf.estimate.kalman import DiagonalFilter
+from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.meta.composition import GaussianPrior
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, normal_force_rows
 from vsfsim.vsf.particles import particles_from_view
 from vsfsim.vsf.sticking import stick
-from vsfsim.vsf.structured import reading_std, structured_map, structured_std
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def vsfsim(capfd, monkeypatch):
 
     That the command works as one, too, is what `test_cli.py` and each of the longer runs hold.
     """
-    from vsfsim.cli import main
+    from vsfsim.cli.main import main
 
     def run(*words, cwd):
         with monkeypatch.context() as patch:
@@ -70,8 +70,8 @@ def block():
     Further keywords go to `build_model`.
     """
     from vsfsim.core.hexes import split_hexes
-    from vsfsim.physics.blocks import box, grid_hexes
-    from vsfsim.physics.mesh import gauss_points
+    from vsfsim.physics.mesh.quadratic import gauss_points
+    from vsfsim.physics.mesh.structured import box, grid_hexes
     from vsfsim.physics.model import build_model
 
     def make(size, resolution, *, young_modulus=1e5, poisson_ratio=0.45, fixed="bottom", ticks=None, **more):
@@ -94,7 +94,7 @@ def block():
 @pytest.fixture(scope="session")
 def line():
     """Makes poses (T, 1, 4, 4) of a probe at given positions (T, 3) [m], turned towards ``axis``: line(positions, probe, axis)."""
-    from vsfsim.robot.press import turn_to
+    from vsfsim.robot.path import turn_to
 
     def make(positions, probe, axis=(0.0, 0.0, -1.0)):
         positions = np.asarray(positions, float)

@@ -59,7 +59,7 @@ EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.to
 def run(*words, cwd, **options):
     """`vsfsim WORDS` in folder ``cwd``, as a process of its own; most tests take the fixture ``vsfsim``, which gives the same sooner."""
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench")}
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *words],
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
 
 
@@ -207,7 +207,7 @@ def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp
         pytest.skip("a small disk cannot be mounted here (no unshare, or no right to)")
     (tmp_path / "box.toml").write_text(BOX)
     # the mount is gone when its shell ends, so what was left on the small disk is copied out before
-    command = f'{sys.executable} -P -c "from vsfsim.cli import main; main()" generate box.toml --out disk/d --workers 1'
+    command = f'{sys.executable} -P -c "from vsfsim.cli.main import main; main()" generate box.toml --out disk/d --workers 1'
     script = f"mount -t tmpfs -o size=100k none {disk} && {command}; code=$?; cp -r disk/d kept; exit $code"
     out = subprocess.run([*mount, script], capture_output=True, text=True, cwd=tmp_path, stdin=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert_refused(out, "box-0001-v0.h5 cannot be written: No space left on device")

@@ -11,7 +11,7 @@ HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplo
 
 
 def run(*words, cwd=None):
-    return subprocess.run([sys.executable, "-c", "from vsfsim.cli import main; main()", *words],
+    return subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd)
 
 
@@ -19,7 +19,7 @@ def test_help_imports_nothing_heavy_and_is_fast():
     code = f"""
 import sys
 sys.argv = ["vsfsim", "--help"]
-from vsfsim.cli import main
+from vsfsim.cli.main import main
 try:
     main()
 finally:
@@ -61,7 +61,7 @@ def test_debug_shows_the_traceback_before_and_after_the_command(words, tmp_path)
 
 
 def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
-    code = "import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; from vsfsim.cli import main; main()"
+    code = "import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; from vsfsim.cli.main import main; main()"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert out.returncode == 1 and "ZeroDivisionError" in out.stderr and "this is a bug in vsfsim" in out.stderr
 
@@ -77,7 +77,7 @@ def test_a_method_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text("from toy_methods import Constant as Mine\n")
     (tmp_path / "toy_methods.py").write_text((Path(__file__).parent / "bench" / "toy_methods.py").read_text())
     # -P: like the console script, Python itself does not look into the current folder.
-    out = subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "check", "mine:Mine"], capture_output=True, text=True, cwd=tmp_path)
+    out = subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "check", "mine:Mine"], capture_output=True, text=True, cwd=tmp_path)
     assert out.returncode == 0 and "mine:Mine conforms" in out.stdout, out.stderr
     (tmp_path / "broken.py").write_text("1 / 0")
     out = run("check", "broken:X", cwd=tmp_path)
@@ -90,7 +90,7 @@ def test_verify_and_evaluate_through_the_command_line(tmp_path):
 import sys
 sys.path.insert(0, {str(Path(__file__).parent / "bench")!r})
 sys.argv = ["vsfsim", "evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.toml", "--dataset", "toy", "--seeds", "2", "--set", "value=2.5"]
-from vsfsim.cli import main
+from vsfsim.cli.main import main
 main()
 """
     build = f"""

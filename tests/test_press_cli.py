@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-from vsfsim.cli import app
+from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import find_scene
 from vsfsim.robot.arm import load_arm

@@ -25,7 +25,7 @@ def named(name, language):
 
 
 def vsfsim(*words, cwd):
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *words], capture_output=True, text=True, cwd=cwd)
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words], capture_output=True, text=True, cwd=cwd)
 
 
 def commands():
@@ -55,7 +55,7 @@ def test_every_command_and_option_exists(words):
     """Names in capitals are the reader's; options are looked up in the command's own help."""
     from typer.main import get_command
 
-    from vsfsim.cli import app
+    from vsfsim.cli.main import app
     from vsfsim.core import shelf
 
     parameters = {option for p in get_command(app).commands[words[0]].params for option in p.opts}

@@ -13,8 +13,8 @@ from vsfsim.bench.method import Action, Reading, Specimen, Surface, build_method
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf.palpation import dome as cap
-from vsfsim.vsf.palpation import palpate
+from vsfsim.vsf.fields.palpation import dome as cap
+from vsfsim.vsf.fields.palpation import palpate
 
 AREA = np.pi * 0.03**2
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}

@@ -21,9 +21,9 @@ from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.material import Inclusion
 from vsfsim.core.shape import Box, Sphere
-from vsfsim.vsf.estimate import map_estimate
+from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.fields.palpation import dome, palpate
 from vsfsim.vsf.observe import dense_force_rows
-from vsfsim.vsf.palpation import dome, palpate
 from vsfsim.vsf.sticking import stick
 
 QUICK = {"iterations": 10, "batch": 200, "samples": 6}

@@ -16,9 +16,9 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
-from vsfsim.generate import press as presses
-from vsfsim.generate import press_text
 from vsfsim.generate.run import generate, splits_for
+from vsfsim.press import probe as presses
+from vsfsim.press import text as press_text
 
 SCENE = """
 name = "tiny"
@@ -54,7 +54,7 @@ splits = { train = 1, test = 1 }
 
 
 def command(*words):
-    return [sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *map(str, words)]
+    return [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)]
 
 
 @pytest.fixture(scope="module")

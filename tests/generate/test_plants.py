@@ -11,6 +11,8 @@ import pytest
 from stems import crossing
 from stems import touch as push
 
+from benchmarks import arm as bench_arm
+from benchmarks.plants import bench, table
 from vsfsim.bench.protocol import record
 from vsfsim.bench.reached import reached
 from vsfsim.bench.task import load_task
@@ -22,11 +24,10 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate import bench_arm, plant_batches
-from vsfsim.generate.bench_plants import bench, table
-from vsfsim.generate.plant_batches import make_all
-from vsfsim.generate.plant_truth import nearest_material_points
-from vsfsim.generate.plants import make_views, prepare_job
+from vsfsim.generate.effectors.arm import batches as plant_batches
+from vsfsim.generate.effectors.arm import make_views, prepare_job
+from vsfsim.generate.plants.batches import make_all
+from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.run import jobs_of, make_recipe
 from vsfsim.robot.arm import load_arm
 from vsfsim.robot.chain import chain_of

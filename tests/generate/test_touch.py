@@ -9,10 +9,10 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
-from vsfsim.generate import touch
+from vsfsim.generate.effectors import probe as touch
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness, voxel_sample
-from vsfsim.physics import sdf
-from vsfsim.physics.solver import Solver, SolverOptions
+from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.04)
 SCENE = parse_scene("""

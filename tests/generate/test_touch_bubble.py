@@ -16,10 +16,10 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
-from vsfsim.generate import touch_bubble
+from vsfsim.generate.effectors import bubble as touch_bubble
 from vsfsim.generate.inspect import inspect
 from vsfsim.generate.run import make_recipe
-from vsfsim.physics.bubble import build_bubble
+from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.sensing.bubble_touch import rim_of
 
 SCENE = """
@@ -54,7 +54,7 @@ splits = { test = 1 }
 
 
 def command(*words, cwd):
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", *map(str, words)], capture_output=True, text=True, cwd=cwd,
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)], capture_output=True, text=True, cwd=cwd,
                           env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
@@ -123,7 +123,7 @@ def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
     one = generate("one", 1)
     assert sum(name.endswith(".h5") for name in one) == 2
     assert generate("two", 2) == one
-    words = [sys.executable, "-P", "-c", "from vsfsim.cli import main; main()", "generate", "felt.toml", "--out", "killed", "--workers", "1"]
+    words = [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "generate", "felt.toml", "--out", "killed", "--workers", "1"]
     process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     began = time.perf_counter()
     while process.poll() is None and not list(tmp_path.glob("killed/*.h5")):
@@ -286,7 +286,7 @@ def test_an_object_in_the_way_of_every_target(tmp_path):
 
 
 def test_the_pressure_laws_read_it(made):
-    from vsfsim.generate import bench_pressure_law as law
+    from benchmarks import pressure_law as law
 
     found = law.readings(Dataset.open(made, blind=True))
     assert len(found.change) == 4 and len(np.unique(found.touch)) == 2 and (found.distance < 0.02).all()
@@ -301,7 +301,7 @@ def test_the_pressure_laws_read_it(made):
 
 
 def test_the_force_estimators_read_it(made):
-    from vsfsim.generate import bench_dense_data as dense
+    from benchmarks import dense_force_dataset as dense
 
     data = Dataset.open(made)
     (view,) = data
@@ -319,8 +319,8 @@ def test_the_force_estimators_read_it(made):
 
 
 def test_a_dataset_without_a_skin_has_no_dense_forces(tmp_path):
+    from benchmarks import dense_force_dataset as dense
     from vsfsim.bench.mock import mock_view
-    from vsfsim.generate import bench_dense_data as dense
 
     view = mock_view(0)
     assert dense.records([view]) == []

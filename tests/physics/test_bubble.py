@@ -9,12 +9,13 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.shape import Plane, Sphere
-from vsfsim.physics import bubble, membrane_mesh
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.bubble_shape import punyo_rms, stretches
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.bubble.sensor import sensor as bubble
+from vsfsim.physics.bubble.shape import punyo_rms, stretches
 from vsfsim.physics.elements import gas
-from vsfsim.physics.frames import SolverOptions
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.touches import Solver
 
 REAL = Bubble()
 COARSE = dataclasses.replace(REAL, nodes=390)

@@ -10,8 +10,8 @@ import pytest
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
-from vsfsim.physics import blocks
-from vsfsim.physics.conform import WORST_SINE, snap_to_inclusions, straddling
+from vsfsim.physics.mesh.inclusions import WORST_SINE, snap_to_inclusions, straddling
+from vsfsim.physics.mesh.quadratic import structured as blocks
 
 
 def block(size: tuple[float, float, float], h: float) -> Solid:

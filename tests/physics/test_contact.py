@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.physics import contact
-from vsfsim.physics.rigid import RigidBodies
-from vsfsim.physics.touching import Touching
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.contact.rigid_points import rigid_points as contact
 
 SIZE = (0.04, 0.04, 0.03)
 E = 1e5

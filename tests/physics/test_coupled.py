@@ -9,10 +9,11 @@ import torch
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
-from vsfsim.physics import complementarity, tiers
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.coupled import CoupledSolver, free_way
-from vsfsim.physics.frames import Reason
+from vsfsim.physics import tiers
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.contact.rigid_points import complementarity
+from vsfsim.physics.solve.coupled import CoupledSolver, free_way
+from vsfsim.physics.solve.frames import Reason
 
 BLOCK = """
 name = "block"
@@ -86,7 +87,7 @@ def test_a_frame_that_needs_more_iterations_than_it_may_take_is_marked(bubble, b
 
 def test_a_stiff_block_is_a_rigid_plane(bubble, block, device):
     from vsfsim.core.shape import Plane
-    from vsfsim.physics.solver import Solver
+    from vsfsim.physics.solve.touches import Solver
 
     depths = [0.002, 0.004]
     _, soft = press(block(1e9), bubble, depths, 0.0, device)
@@ -109,7 +110,7 @@ def test_the_way_to_first_contact(bubble, block):
 
 
 def test_too_fine_a_sensor_is_refused(bubble, block, monkeypatch):
-    monkeypatch.setattr("vsfsim.physics.coupled.SENSOR_NODES", 100)
+    monkeypatch.setattr("vsfsim.physics.solve.coupled.SENSOR_NODES", 100)
     with pytest.raises(SceneError, match="200 nodes"):
         CoupledSolver(block(1e5), bubble)
 

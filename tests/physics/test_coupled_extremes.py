@@ -9,9 +9,9 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import parse_scene
 from vsfsim.physics import tiers
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.coupled import CoupledSolver
-from vsfsim.physics.frames import Frames, Reason
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.solve.coupled import CoupledSolver
+from vsfsim.physics.solve.frames import Frames, Reason
 
 MATCHED = Bubble().modulus / 0.02
 """Young's modulus [Pa] whose block of 20 mm elements is as stiff as the skin: E h = E x 0.02 m."""

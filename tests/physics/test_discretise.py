@@ -14,8 +14,8 @@ from vsfsim.core.quality import dihedral_angles, worst_angle
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Cylinder, Family, Rod, Sphere
 from vsfsim.core.solid import Solid, tet_volumes
-from vsfsim.physics.blocks import GROWTH, grid_line
-from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.structured import GROWTH, grid_line
 
 SPEC = parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5\n', "test.toml").sample(0).object
 

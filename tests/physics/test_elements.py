@@ -12,13 +12,13 @@ from scipy.sparse.linalg import spsolve
 
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import confined_modulus, lame
-from vsfsim.physics.elasticity import Elasticity
 from vsfsim.physics.elements import anchor, gas, hinge, spring, tet10, triangle
 from vsfsim.physics.foundation import foundation
-from vsfsim.physics.membrane_mesh import TriangleMesh, closed, ellipse
-from vsfsim.physics.mesh import assemble
+from vsfsim.physics.mesh.membrane import TriangleMesh, closed, ellipse
+from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model, tetrahedra
 from vsfsim.physics.network import spring_network
+from vsfsim.physics.solve.elasticity import Elasticity
 
 SIZE = (0.02, 0.03, 0.025)
 E = 2e4

@@ -9,11 +9,11 @@ import pytest
 from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.blocks import box
-from vsfsim.physics.frames import Frames, Reason
-from vsfsim.physics.mesh import gauss_points
+from vsfsim.physics.mesh.quadratic import gauss_points
+from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
-from vsfsim.physics.solver import Solver, SolverOptions
+from vsfsim.physics.solve.frames import Frames, Reason
+from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)

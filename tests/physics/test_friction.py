@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vsfsim.core.shape import Plane, Sphere
-from vsfsim.physics.frames import SolverOptions
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.04, 0.04, 0.02)
 E, NU = 1e5, 0.3

@@ -9,7 +9,7 @@ import pytest
 
 from vsfsim.core.hexes import split_hexes, split_prisms
 from vsfsim.core.solid import boundary_faces, tet_volumes
-from vsfsim.physics.blocks import grid_hexes
+from vsfsim.physics.mesh.structured import grid_hexes
 
 CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
 

@@ -8,11 +8,13 @@ from vsfsim.core import shelf
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import Box, Plane, Sphere
-from vsfsim.generate import press_bubble, refine_bubble
-from vsfsim.physics import contact, membrane_refine
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.face_sums import FaceSums
-from vsfsim.physics.rigid import RigidBodies
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.face_sums import FaceSums
+from vsfsim.physics.contact.rigid_points import rigid_points as contact
+from vsfsim.physics.mesh.quadratic import membrane_refine
+from vsfsim.press import bubble as press_bubble
+from vsfsim.press import refine_bubble
 
 TIP = """
 name = "tip"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from vsfsim.core.solid import Solid
-from vsfsim.physics.blocks import ball, box
 from vsfsim.physics.elements.tet10_shape import EDGES
-from vsfsim.physics.mesh import gauss_points, quadratic_mesh
+from vsfsim.physics.mesh.quadratic import gauss_points, quadratic_mesh
+from vsfsim.physics.mesh.structured import ball, box
 from vsfsim.physics.model import gravity_load, held_nodes
 
 SIZE = (0.04, 0.05, 0.03)

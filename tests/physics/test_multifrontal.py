@@ -7,8 +7,8 @@ import pytest
 import scipy.sparse as sp
 
 from vsfsim.core.errors import MeshError
-from vsfsim.physics import dissection, multifrontal
-from vsfsim.physics.multifrontal import Multifrontal, trusted
+from vsfsim.physics.linear import dissection, multifrontal
+from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
 
 
 @pytest.fixture(scope="module")

@@ -7,10 +7,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Box, Plane, Sphere
-from vsfsim.physics import path
-from vsfsim.physics.frames import SolverOptions
-from vsfsim.physics.rigid import RigidBodies
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.solve import path
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.touches import Solver
 
 USUAL = SolverOptions(tolerance=5e-4)
 

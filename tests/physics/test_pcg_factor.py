@@ -5,12 +5,13 @@ import pytest
 import torch
 
 from vsfsim.core.shape import Sphere
-from vsfsim.physics import factor, pcg
-from vsfsim.physics.equilibrium import Equilibrium
-from vsfsim.physics.factor import RestFactor, response, spread
-from vsfsim.physics.rigid import RigidBodies
-from vsfsim.physics.solver import Solver, SolverOptions
-from vsfsim.physics.touching import Touching
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.linear import rest_factor as factor
+from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
+from vsfsim.physics.solve import pcg
+from vsfsim.physics.solve.newton import Equilibrium
+from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 
 def by_numpy(matrix, device):

@@ -9,9 +9,9 @@ import warp as wp
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
-from vsfsim.physics import sdf
-from vsfsim.physics.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline, winding_number
-from vsfsim.physics.rigid import RigidBodies
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline, winding_number
+from vsfsim.physics.contact.rigid_points import sdf
 
 RADIUS = 0.02
 
@@ -242,7 +242,7 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
 
 
 def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path, monkeypatch):
-    from vsfsim.physics import distance_grid
+    from vsfsim.physics.contact.rigid_points import distance_grid
     monkeypatch.setattr(distance_grid, "_SLOW", 0.0)  # keep what a fast machine would sooner make again
     mesh, _ = broken("inside out")  # with a note; the filler of holes would take its time, and close them a little otherwise each time
     mesh.apply_scale([2.5, 0.3, 0.3])  # long bodies have the smaller grids

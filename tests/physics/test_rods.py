@@ -11,9 +11,9 @@ from stems import crossing, plant, stem, touch
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Capsule, Sphere
-from vsfsim.physics.frames import Reason
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodOptions, RodSolver
+from vsfsim.physics.solve.frames import Reason
 from vsfsim.scenes.plant import grow
 
 
@@ -249,7 +249,7 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
     second_out[b, 2] = h.child
 
 
-from vsfsim.physics.rods.segment import energy, gradient, second, strain  # noqa: E402  the kernel above is compiled when it is launched
+from vsfsim.physics.rods.kernels.segment import energy, gradient, second, strain  # noqa: E402  the kernel above is compiled when it is launched
 
 
 def _rotation(spin):

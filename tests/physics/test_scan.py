@@ -13,9 +13,9 @@ import trimesh
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
-from vsfsim.physics import scan
-from vsfsim.physics.manifold import body_of_each_tet, drop_pinches, pinched_vertices
-from vsfsim.physics.scan import fill_mesh_file
+from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches, pinched_vertices
+from vsfsim.physics.mesh.quadratic import scan
+from vsfsim.physics.mesh.scan import fill_mesh_file
 
 SIZE = 0.03
 VOLUME = float(trimesh.creation.icosphere(subdivisions=2, radius=SIZE).volume)
@@ -212,7 +212,7 @@ def test_a_scan_is_not_cut_much_finer_than_asked(tmp_path: Path) -> None:
 def test_workers_that_meet_fill_once(tmp_path: Path) -> None:
     """Three processes ask for one mesh at the same moment: one fills, and all read its bits."""
     ball().export(tmp_path / "scan.ply")
-    code = ("import sys; from pathlib import Path; from vsfsim.physics import scan; from vsfsim.core.shape import MeshFile; fill = scan._run_filler\n"
+    code = ("import sys; from pathlib import Path; from vsfsim.physics.mesh.quadratic import scan; from vsfsim.core.shape import MeshFile; fill = scan._run_filler\n"
             "def counted(*a):\n    Path(sys.argv[1], f'filled-{__import__(\"os\").getpid()}').touch(); return fill(*a)\n"
             "scan._run_filler = counted\n"
             "s = scan.fill_mesh_file(MeshFile(sys.argv[1] + '/scan.ply', None), resolution=0.02, cache=Path(sys.argv[1], 'cache'))\n"

@@ -7,8 +7,8 @@ import pytest
 import warp as wp
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.physics import sdf
-from vsfsim.physics.rigid import RigidBodies
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.rigid_points import sdf
 
 PROBES = [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Cylinder(0.03, 0.005), Box((0.02, 0.03, 0.05)), Plane()]
 IDS = ["sphere", "capsule", "cylinder", "disc", "box", "plane"]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
-from vsfsim.physics import sdf
-from vsfsim.physics.solver import FLOAT32_ACCEPT, Frames, Solver, SolverOptions
+from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Frames, Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)

@@ -7,10 +7,10 @@ import pytest
 
 from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.solid import Solid, tet_volumes
-from vsfsim.physics.blocks import box
-from vsfsim.physics.mesh import gauss_points
+from vsfsim.physics.mesh.quadratic import gauss_points
+from vsfsim.physics.mesh.structured import box
+from vsfsim.physics.mesh.validity import sound
 from vsfsim.physics.model import build_model
-from vsfsim.physics.soundness import sound
 
 
 def solid(vertices, tets):

@@ -13,7 +13,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.touches import Solver
 
 SCENE = """
 name = "t"

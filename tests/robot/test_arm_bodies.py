@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix
-from vsfsim.physics.rigid import RigidBodies
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.arm import load_arm
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.joint_torque import contact_rows

@@ -7,7 +7,7 @@ from vsfsim.core.rigid import PressSpec
 from vsfsim.core.rotation import between, rotation_matrix, rotation_vector
 from vsfsim.core.scene import TouchSpec, parse_scene
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
-from vsfsim.robot.press import FRAME_SECONDS, body_poses, press_path, straight, times, touch_path, turn_to
+from vsfsim.robot.path import FRAME_SECONDS, body_poses, press_path, straight, times, touch_path, turn_to
 
 AXES = [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0.3, -0.9, 0.2], [1e-9, 1.0, 0.0], [-0.5, 0.1, -0.8]]
 

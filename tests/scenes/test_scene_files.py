@@ -8,8 +8,8 @@ import pytest
 from vsfsim.core import shelf
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Sphere
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.rods.family import grow
 
 

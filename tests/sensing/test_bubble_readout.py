@@ -109,7 +109,7 @@ def test_what_it_refuses(fine, coarse):
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     from vsfsim.core.bubble import Bubble
-    from vsfsim.physics.bubble import build_bubble
+    from vsfsim.physics.bubble.sensor import build_bubble
     return build_bubble(Bubble(nodes=200), cache=tmp_path_factory.mktemp("bubble"))
 
 
@@ -133,7 +133,7 @@ def test_the_real_sensor_is_read_on_its_390_nodes(model):
 def test_the_pressure_is_that_of_the_solvers_gas(model):
     import warp as wp
 
-    from vsfsim.physics.elasticity import Elasticity
+    from vsfsim.physics.solve.elasticity import Elasticity
     from vsfsim.sensing.bubble import gauge_pressure
 
     u = np.zeros_like(model.mesh.points)

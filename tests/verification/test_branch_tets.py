@@ -15,9 +15,10 @@ from stems import loaded, plant, touch
 
 from vsfsim.core.shape import Capsule
 from vsfsim.core.solid import Solid
-from vsfsim.physics import blocks, tiers
+from vsfsim.physics import tiers
+from vsfsim.physics.mesh.quadratic import structured as blocks
 from vsfsim.physics.model import build_model
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.touches import Solver
 
 RADIUS, E, NU = 0.006, 5e8, 0.35
 TRUNK, BRANCH, SPREAD = 0.15, 0.15, np.radians(35.0)

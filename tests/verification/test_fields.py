@@ -8,12 +8,12 @@ import pytest
 from vsfsim.core.hexes import split_hexes
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
-from vsfsim.physics.blocks import box, grid_hexes
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements.tet10_shape import EDGES
-from vsfsim.physics.mesh import gauss_points
+from vsfsim.physics.mesh.quadratic import gauss_points
+from vsfsim.physics.mesh.structured import box, grid_hexes
 from vsfsim.physics.model import build_model
-from vsfsim.physics.solver import Solver, SolverOptions
+from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = np.array([0.03, 0.02, 0.025])
 TIGHT = SolverOptions(tolerance=1e-9, cg_tolerance=1e-4)

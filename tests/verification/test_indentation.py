@@ -12,9 +12,9 @@ import pytest
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.press import press
 from vsfsim.physics import tiers
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.touches import Solver
+from vsfsim.press.probe import press
 
 S1, S2 = 9.70, 14.48
 S1_CURVE = np.array([0.281, 0.803, 1.489, 2.332, 3.314, 4.383, 5.574, 6.865, 8.229, 9.704])  # every 0.5 mm

@@ -10,16 +10,16 @@ import warp as wp
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Plane
-from vsfsim.physics import inflation, membrane_mesh
-from vsfsim.physics.bubble import build_bubble
-from vsfsim.physics.contact import WEIGHTS
-from vsfsim.physics.elasticity import Elasticity
+from vsfsim.physics.bubble.sensor import build_bubble, inflation
+from vsfsim.physics.bubble.sheet import Sheet
+from vsfsim.physics.contact.rigid_points import WEIGHTS
 from vsfsim.physics.elements import gas, hinge, triangle
-from vsfsim.physics.frames import SolverOptions
-from vsfsim.physics.mesh import assemble
+from vsfsim.physics.mesh.quadratic import assemble
+from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
 from vsfsim.physics.model import Model
-from vsfsim.physics.sheet import Sheet
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.touches import Solver
 
 NEO, LINEAR = "neo-hookean", "saint-venant-kirchhoff"
 A, EH = 0.05, 600.0

@@ -11,7 +11,7 @@ from scipy.integrate import solve_bvp
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.physics import tiers
-from vsfsim.physics.solver import Solver
+from vsfsim.physics.solve.touches import Solver
 
 E, DENSITY = 1e6, 1000.0
 

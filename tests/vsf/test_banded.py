@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.vsf.banded import Band
+from vsfsim.vsf.estimate.banded import Band
 
 
 @pytest.mark.parametrize("side, kept", [(9, 1.0), (9, 0.6), (2, 1.0)])

@@ -7,11 +7,11 @@ from scipy import sparse
 from test_localise import pose, wedge
 
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.estimate import map_estimate
-from vsfsim.vsf.localise import KnownObject, contact_pose, stiffness_pose
-from vsfsim.vsf.neural import Fitting, density, fit
+from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.fields.neural import Fitting, density, fit
+from vsfsim.vsf.fields.palpation import palpate
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
-from vsfsim.vsf.palpation import palpate
+from vsfsim.vsf.pose.localise import KnownObject, contact_pose, stiffness_pose
 from vsfsim.vsf.sticking import stick
 
 torch.set_num_threads(1)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from vsfsim.vsf.composition import Composition, GaussianPrior, segment
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.meta.composition import Composition, GaussianPrior, segment
 
 
 def blobs(seed=0):

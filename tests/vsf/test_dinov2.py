@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from vsfsim.bench.mock import camera_view, particles
-from vsfsim.vsf import dinov2
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.features import particle_features, see, view_token
-from vsfsim.vsf.vit import BASE, SMALL, Architecture, VisionTransformer
+from vsfsim.vsf.features.interface import dinov2, particle_features, see, view_token
+from vsfsim.vsf.features.vit import BASE, SMALL, Architecture, VisionTransformer
 
 torch.set_num_threads(1)
 TINY = Architecture(24, 2, 3)

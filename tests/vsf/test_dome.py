@@ -6,8 +6,8 @@ import pytest
 from vsfsim.bench.reached import reached
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.fields.palpation import dome as cap
 from vsfsim.vsf.observe import pressure_rows
-from vsfsim.vsf.palpation import dome as cap
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.optimize import lsq_linear, nnls
 
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.estimate import map_estimate, posterior_std
+from vsfsim.vsf.estimate.map import map_estimate, posterior_std
 
 
 def brute(w, z, noise, mean, var):

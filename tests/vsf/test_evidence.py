@@ -6,7 +6,7 @@ import torch
 from scipy import integrate, sparse, stats
 
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.evidence import Evidence
+from vsfsim.vsf.estimate.evidence import Evidence
 
 torch.set_num_threads(1)
 

@@ -7,7 +7,15 @@ import pytest
 
 from vsfsim.bench.mock import camera_view, particles
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.features import NEIGHBOURS, FeatureImage, Normaliser, particle_features, project, see, view_token
+from vsfsim.vsf.features.interface import (
+    NEIGHBOURS,
+    FeatureImage,
+    Normaliser,
+    particle_features,
+    project,
+    see,
+    view_token,
+)
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.kalman import DiagonalFilter
+from vsfsim.vsf.estimate.kalman import DiagonalFilter
 
 
 def literal(mean, var, w, z, noise):

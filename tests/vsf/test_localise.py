@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.localise import KnownObject, contact_pose, register, stiffness_pose
+from vsfsim.vsf.pose.localise import KnownObject, contact_pose, register, stiffness_pose
 
 
 def box(low, high):

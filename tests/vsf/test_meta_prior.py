@@ -5,10 +5,10 @@ import pytest
 import torch
 from scipy import sparse
 
-from vsfsim.vsf.composition import Composition
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.evidence import Evidence
-from vsfsim.vsf.meta_prior import MetaPrior, MetaTask, Spread, score, train
+from vsfsim.vsf.estimate.evidence import Evidence
+from vsfsim.vsf.meta.composition import Composition
+from vsfsim.vsf.meta.prior import MetaPrior, MetaTask, Spread, score, train
 
 torch.set_num_threads(1)
 

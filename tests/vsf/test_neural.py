@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import torch
 
-from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.dynamics import VsfError
-from vsfsim.vsf.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
-from vsfsim.vsf.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
-from vsfsim.vsf.swept import TotalForces, TotalTouch, VertexForces
+from vsfsim.vsf.fields.adam import Adam
+from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
+from vsfsim.vsf.fields.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
+from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])

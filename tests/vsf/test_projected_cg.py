@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from vsfsim.vsf.estimate import map_estimate
+from benchmarks.estimators import MEAN, NOISE, STD, Workload
+from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.estimate.projected_cg import projected_cg
+from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate
 from vsfsim.vsf.observe import dense_force_rows
-from vsfsim.vsf.palpation import layer_with_inclusion, palpate
-from vsfsim.vsf.projected_cg import projected_cg
-from vsfsim.vsf.side_by_side import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.sticking import stick
 
 
@@ -31,7 +31,7 @@ def test_the_held_ones_are_guessed_together(monkeypatch):
     touched = np.unique(load.dense.indices)
     a, b, x0 = sparse.csr_matrix(load.dense[:, touched]) * (STD / NOISE), load.dense_z / NOISE, np.full(len(touched), MEAN / STD)
     x, quick = projected_cg(a, b, x0, start=x0)
-    monkeypatch.setattr("vsfsim.vsf.projected_cg._guess", lambda gathered, ridge, right, y, goal: (y, 0))
+    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y, goal: (y, 0))
     plain, slow = projected_cg(a, b, x0, start=x0)
     np.testing.assert_allclose(x, plain, atol=1e-4 * plain.max())
     assert np.count_nonzero(plain == 0.0) > 100 and quick < 0.7 * slow, (quick, slow)
@@ -41,7 +41,7 @@ def test_a_guess_that_goes_astray_costs_time_only(monkeypatch):
     rng = np.random.default_rng(3)
     a, b, x0 = sparse.csr_matrix(30.0 * rng.normal(size=(60, 40))), 30.0 * rng.normal(size=60), rng.normal(size=40)
     expected, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
-    monkeypatch.setattr("vsfsim.vsf.projected_cg._guess", lambda gathered, ridge, right, y, goal: (1e3 * rng.uniform(size=len(y)), 7))
+    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y, goal: (1e3 * rng.uniform(size=len(y)), 7))
     x, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
     np.testing.assert_allclose(x, expected, atol=1e-8 * expected.max())
 

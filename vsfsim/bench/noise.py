@@ -58,7 +58,7 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
         "relaxation": 0.02, "relaxation_time": 0.15,
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        "node_force_share": 0.2,  # of a good estimator at this depth noise, `vsfsim bench dense-force`; not of the sensor
+        "node_force_share": 0.2,  # of a good estimator at this depth noise, `vsfsim measure dense-force`; not of the sensor
     },
     "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},  # those of `vsfsim.robot.torque_sensor`, with their sources
 }

@@ -19,6 +19,19 @@ def folder(name: str) -> Path:
     return Path(str(importlib.resources.files(f"vsfsim.{name}").joinpath("")))
 
 
+def checkout() -> Path:
+    """The root of the repository that this package runs from.
+
+    Raises:
+        VsfsimError: the package was installed without its repository (from a wheel), which has no `benchmarks/`.
+    """
+    root = Path(__file__).resolve().parents[2]
+    if not (root / "benchmarks" / "__init__.py").is_file():
+        raise VsfsimError(f"`vsfsim measure` needs a checkout of the repository: its scripts are in the folder benchmarks/, which is not part of the installed "
+                          f"package (looked for {root / 'benchmarks'}). Clone the repository and install it with `pip install -e .`.")
+    return root
+
+
 def _files(name: str) -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder(name).glob("*.toml"))}
 

@@ -67,8 +67,8 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
 
 def _sensor(scene: Scene, name: str, path: Path, *, device: str) -> list[str]:
     """The free dome of a scene's sensor: a turntable, and its figures."""
-    from vsfsim.physics import bubble
-    from vsfsim.physics.bubble_shape import punyo_rms, stretches
+    from vsfsim.physics.bubble.sensor import sensor as bubble
+    from vsfsim.physics.bubble.shape import punyo_rms, stretches
     from vsfsim.physics.elements import gas
     from vsfsim.sensing.camera import Surface
     from vsfsim.sensing.turntable import turntable
@@ -93,8 +93,8 @@ def _sensor(scene: Scene, name: str, path: Path, *, device: str) -> list[str]:
 
 
 def _plant(scene: Scene, path: Path, seed: np.random.SeedSequence, title: str, device: str) -> list[str]:
-    from vsfsim.generate.plant_surface import plant_surface, triangles_of
-    from vsfsim.generate.plants import grow
+    from vsfsim.generate.effectors.arm import grow
+    from vsfsim.generate.plants.surface import plant_surface, triangles_of
     from vsfsim.sensing.turntable import turntable
 
     plant = grow(scene, seed)

@@ -22,7 +22,8 @@ from vsfsim.data.hdf5 import write_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.physics.device import compile_kernels, pair_kernels, solver_kernels
+from vsfsim.physics.runtime import compile_kernels
+from vsfsim.physics.solve.kernels import pair_kernels, solver_kernels
 
 BATCH = 9  # touches that advance together; part of what fixes the bits
 _SCENE, _BODY, _AIM = range(3)  # random streams: SeedSequence(seed, spawn_key=(stream, object, view, touch))
@@ -83,7 +84,7 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
     if scene.arm is not None and precision != "float64":
         raise SceneError(f"{scene_file.path}: --precision is '{precision}', but beams are solved in float64 only.")
     if scene.sensor is not None:
-        from vsfsim.generate.touch_bubble import check, tier_for
+        from vsfsim.generate.effectors.bubble import check, tier_for
 
         chosen = tier_for(scene, tier)
         check(scene, precision)
@@ -119,7 +120,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     Args:
         job: what. device: Warp device. progress: called with the number of frames newly done.
     """
-    from vsfsim.generate.touch import aim, touch_all
+    from vsfsim.generate.effectors.probe import aim, touch_all
     from vsfsim.generate.truth import truth_of
     from vsfsim.physics import tiers
     from vsfsim.sensing.camera import look_at, render
@@ -127,7 +128,7 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     r = job.recipe
     scene = parse_scene(r.scene_text, job.path).sample(stream(r.seed, _SCENE, job.object_index))
     if scene.arm is not None:
-        from vsfsim.generate.plants import make_views
+        from vsfsim.generate.effectors.arm import make_views
 
         return make_views([job], device=device, progress=progress)[0]
     assert scene.touches is not None
@@ -142,8 +143,8 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
         return np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k))
 
     if scene.sensor is not None:
-        from vsfsim.generate import touch_bubble
-        from vsfsim.physics.bubble import build_bubble
+        from vsfsim.generate.effectors import bubble as touch_bubble
+        from vsfsim.physics.bubble.sensor import build_bubble
 
         sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
         touches = touch_bubble.touch_all(scene, spec, model, sensor, touch_bubble.aim(scene, spec, model, sensor, view, draws),
@@ -200,7 +201,7 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         if jobs:
             compile_kernels(_kernels(recipe.precision, scene_file.sample(0)), device, progress=progress)
             if recipe.tier == "rod" and device != "cpu":
-                from vsfsim.generate.plant_batches import make_all
+                from vsfsim.generate.plants.batches import make_all
 
                 work = make_all(jobs, device=device, workers=workers)
             else:
@@ -220,12 +221,12 @@ def _kernels(precision: str, scene: Scene) -> list[Any]:
     from vsfsim.vsf.stick_slip import stick_slip_kernel
 
     if scene.arm is not None:
-        from vsfsim.physics.rods.advance import advance
+        from vsfsim.physics.rods.kernels.advance import advance
         from vsfsim.physics.rods.memory import enter
 
         return [advance, enter, render_warp._cast, particles._behind, stick_slip_kernel(wp.float64)[0]]
     if scene.sensor is not None:
-        from vsfsim.generate.touch_bubble import KINDS
+        from vsfsim.generate.effectors.bubble import KINDS
 
         # its oracle VSF sticks to the dome, which needs no kernel
         inside = []

@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.touch import cloud_normals
-from vsfsim.physics.contact import shape_values
+from vsfsim.generate.effectors.probe import cloud_normals
+from vsfsim.physics.contact.rigid_points import shape_values
 from vsfsim.physics.model import Model
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.estimate import map_estimate
+from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 

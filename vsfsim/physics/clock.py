@@ -1,4 +1,4 @@
-"""Where the solver's time goes: off by default, switched on by `vsfsim bench solver`."""
+"""Where the solver's time goes: off by default, switched on by `vsfsim measure solver`."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from vsfsim.physics.coefficients import confined_modulus
 from vsfsim.physics.elements import anchor
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.mesh import QuadraticMesh
+from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 MOST_POISSON_RATIO = 0.47  # above it a layer squeezes out sideways long before it is compressed
 # of a triangle's area to its corners and to its edge nodes, by the diagonal of the consistent mass matrix (Hinton, Rock and

@@ -13,9 +13,9 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.factor import RestFactor
-from vsfsim.physics.mesh import QuadraticMesh, assemble, quadratic_mesh
-from vsfsim.physics.soundness import refuse_loose, sound
+from vsfsim.physics.linear.rest_factor import RestFactor
+from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
+from vsfsim.physics.mesh.validity import refuse_loose, sound
 
 Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
 

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from vsfsim.physics.coefficients import SPRING_ALONG
 from vsfsim.physics.elements import spring
 from vsfsim.physics.elements.block import Block
-from vsfsim.physics.mesh import QuadraticMesh
+from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 _CORNERS = np.array([[0, 4, 6, 7], [1, 4, 5, 8], [2, 5, 6, 9], [3, 7, 8, 9]])
 _DIAGONALS = ((4, 9), (5, 7), (6, 8))  # of the octahedron that is left

@@ -13,15 +13,15 @@ from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.solid import Solid
-from vsfsim.physics import sdf
-from vsfsim.physics.conform import snap_to_inclusions
-from vsfsim.physics.discretise import build_solid
+from vsfsim.physics.contact.rigid_points import sdf
 from vsfsim.physics.elements.spring import POISSON_RATIO
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
-from vsfsim.physics.frames import SolverOptions
-from vsfsim.physics.mesh import gauss_points
+from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.inclusions import snap_to_inclusions
+from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, tetrahedra
 from vsfsim.physics.network import spring_network
+from vsfsim.physics.solve.frames import SolverOptions
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
         return min(10.0 * rung.body * spec.shape.radius, tip)
     if isinstance(spec.shape, MeshFile):
         # scan pulls in trimesh; a box does not need it
-        from vsfsim.physics.scan import extents
+        from vsfsim.physics.mesh.scan import extents
 
         # a flat sheet is refused with its reason when it is filled; here it only must not give an edge of 0
         size = np.maximum(extents(spec.shape), 1e-3 * extents(spec.shape).max())

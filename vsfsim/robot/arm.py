@@ -1,6 +1,6 @@
 """The arm: joint angles in, poses of links, capsules and tool out, and its gravity torques. MuJoCo computes, numpy carries.
 
-The capsules are rigid bodies for `vsfsim.physics.solver.Solver(model, arm.shapes).run(arm.body_poses(q))`.
+The capsules are rigid bodies for `vsfsim.physics.solve.touches.Solver(model, arm.shapes).run(arm.body_poses(q))`.
 """
 
 from __future__ import annotations

@@ -13,11 +13,11 @@ import numpy as np
 from scipy import sparse
 
 from vsfsim.physics.elements import gas
-from vsfsim.physics.membrane_mesh import closed
+from vsfsim.physics.mesh.membrane import closed
 from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
 
 if TYPE_CHECKING:
-    from vsfsim.physics.bubble import BubbleModel
+    from vsfsim.physics.bubble.sensor import BubbleModel
 
 _CHUNK = 2_000_000  # pairs of point and triangle looked at together
 _SLACK = 1e-9  # of a barycentric weight: on an edge
@@ -168,7 +168,7 @@ class BubbleReadout:
 
 
 def readout_of(model: BubbleModel) -> BubbleReadout:
-    """The read-out of a bubble that `vsfsim.physics.bubble.build_bubble` made: the solver's mesh and the 390 nodes."""
+    """The read-out of a bubble that `vsfsim.physics.bubble.sensor.build_bubble` made: the solver's mesh and the 390 nodes."""
     def flat(points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> FlatMesh:
         held = np.zeros(len(points), bool)
         held[rim] = True

@@ -13,7 +13,7 @@ from vsfsim.sensing.dense_force import BubbleCalibration, DenseForce, DenseForce
 from vsfsim.sensing.membrane_fe import SensorError
 
 if TYPE_CHECKING:
-    from vsfsim.physics.bubble import BubbleModel
+    from vsfsim.physics.bubble.sensor import BubbleModel
 
 
 def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray, mount_pose: np.ndarray, *,

@@ -17,7 +17,7 @@ with d the tracked displacements: no inward push, no cone of friction. Methods h
                pressure) and the turning of the full pressure with the skin; sum of norms, neighbours alike, forces in a cone of friction about the inward normal
     membrane   ours, where the stress-free shape is known: neo-Hookean skin at the measured shape, then as `taut`; linearised anew about its own answer
 
-`vsfsim bench dense-force` compares all five with the simulator's true contact forces.
+`vsfsim measure dense-force` compares all five with the simulator's true contact forces.
 """
 
 from __future__ import annotations

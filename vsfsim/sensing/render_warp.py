@@ -8,7 +8,7 @@ Colour is albedo x texture x (ambient + wrapped Lambert) + a soft highlight, fro
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.solid import TEXTURES
 from vsfsim.data.records import View
 from vsfsim.sensing.camera import Surface, corner_normals

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere

@@ -9,7 +9,7 @@ import math
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.data.records import View
 from vsfsim.vsf.dynamics import VsfError
 

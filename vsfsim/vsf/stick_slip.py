@@ -9,7 +9,7 @@ import functools
 
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
 # Compiling is told by whoever shows progress, not by Warp's own chatter.
 if wp.config.log_level == wp.LOG_INFO:

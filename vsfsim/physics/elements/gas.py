@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 3

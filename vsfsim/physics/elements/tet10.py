@@ -34,7 +34,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements import tet10_shape
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import shape_gradients

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # of nodes 4-9; nodes 0-3 are the corners
 GAUSS_NEAR = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0  # barycentric coordinate of the corner that a Gauss point is nearest to

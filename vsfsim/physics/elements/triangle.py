@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block, matrices_at_rest
 
 NODES = 3

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.arrays import Results, Touches, Trees, Work
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.model import RodModel
+from vsfsim.physics.rods.state import Results, Touches, Trees, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 

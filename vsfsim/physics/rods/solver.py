@@ -13,10 +13,10 @@ from enum import IntEnum
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.device  # noqa: F401  starts Warp quietly
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import Capsule
-from vsfsim.physics.rods.advance import advance
-from vsfsim.physics.rods.lanes import LANES
+from vsfsim.physics.rods.kernels.advance import advance
+from vsfsim.physics.rods.kernels.lanes import LANES
 from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touches, make_trees, make_work, quaternions
 from vsfsim.physics.rods.model import RodError, RodModel
 

@@ -1,0 +1,156 @@
+"""A bubble pressed on rigid bodies, from the scene to the file."""
+
+import dataclasses
+import json
+
+import matplotlib.image
+import numpy as np
+import pytest
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.press import bubble as press_bubble
+from vsfsim.press import file_bubble as press_bubble_file
+from vsfsim.press import picture_bubble as press_bubble_picture
+from vsfsim.press.command import press as command
+
+
+def text(path):
+    return f'''name = "small"
+{path}
+[sensor]
+kind = "bubble"
+nodes = 390
+[[obstacles]]
+shape = {{ sphere = 0.01 }}
+pose = [0.1, 0.2, 0.3]
+'''
+
+
+DOWN = '[press]\nfrom = [0.1, 0.2, 0.345]\nto = [0.1, 0.2, 0.336]\nframes = 3\n'
+# the same press along x: the obstacle is met from its +x side
+SIDEWAYS = '[press]\nfrom = [0.145, 0.2, 0.3]\nto = [0.136, 0.2, 0.3]\nframes = 3\n'
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    cache = tmp_path_factory.mktemp("bubbles")
+
+    def make(path):
+        return press_bubble.press(parse_scene(text(path), "small.toml").sample(0), cache=cache, keep=True)
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def down(run):
+    return run(DOWN)
+
+
+def test_force_depth_and_pressure(down):
+    assert down.converged.all()
+    apex = 0.3 + 0.010 + down.apex  # of the mount's origin when it first touches
+    # first contact on triangles: their chord under the dome is 0.1 mm off at most
+    assert down.depth == pytest.approx([max(apex - z, 0.0) for z in (0.342, 0.339, 0.336)], abs=1e-4)
+    assert (np.diff(down.force[:, 2]) > 0.0).all(), "pushed back up"
+    assert np.abs(down.force[:, :2]).max() < 1e-3 * down.force[-1, 2]
+    assert down.reaction == pytest.approx(-down.force, rel=1e-3, abs=1e-3), "the mount holds it"
+    assert down.body_force[:, 0] == pytest.approx(-down.force, rel=1e-9, abs=1e-9)
+    # the mount frame is turned over: +z leads downwards
+    assert down.wrench[:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
+    ambient, gamma, gas = 101325.0, 1.4, 150e-6
+    assert (down.pressure + ambient) * down.volume**gamma == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
+    assert down.pressure_change == pytest.approx(down.pressure - 7820.0, abs=1e-9)
+
+
+def test_the_same_press_from_another_side(run, down):
+    other = run(SIDEWAYS)
+    assert other.force[:, 0] == pytest.approx(down.force[:, 2], rel=0.02)  # the dome may be turned about its axis
+    assert np.abs(other.force[:, 1:]).max() < 1e-2 * other.force[-1, 0]
+
+
+def test_what_is_saved(down, tmp_path):
+    press_bubble_file.save(down, tmp_path / "out.npz")
+    with np.load(tmp_path / "out.npz") as data:
+        assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
+        assert data["node_position"].shape == data["node_force"].shape == (3, 390, 3)
+        assert data["fine_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-12, abs=1e-15)
+        assert data["node_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-9, abs=1e-12)
+        assert np.abs(data["node_position"][:, data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
+
+
+def shades(image):
+    """Pixels that are red, blue and grey (3,)."""
+    red, green, blue = image.reshape(-1, 3).astype(int).T
+    grey = (abs(red - green) < 12) & (abs(green - blue) < 20) & (red < 200)
+    return np.array([(red > blue + 60).sum(), (blue > red + 60).sum(), grey.sum()])
+
+
+def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
+    scene = parse_scene(text(DOWN), "small.toml").sample(0)
+    depth = press_bubble_picture.inwards(down.state, 2)
+    # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has to go somewhere
+    assert depth.max() == pytest.approx(down.depth[2], rel=0.05) and -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
+    assert np.abs(depth[down.state.model.mesh.rim]).max() < 1e-12
+    faces = down.state.model.mesh.faces
+    colour = np.where((depth[faces].mean(axis=1) > 0.0)[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    alone = dataclasses.replace(scene, obstacles=())
+    with_ball, without = (shades(press_bubble_picture.outside(down.state, s, 2, colour, "cpu")) for s in (scene, alone))
+    assert (with_ball > 2000).all() and (without[:2] > 2000).all() and without[2] == 0
+    press_bubble_picture.picture(down, scene, "small", tmp_path / "p.png")
+    drawn = matplotlib.image.imread(tmp_path / "p.png")
+    assert drawn.shape[1] > 3 * drawn.shape[0] and np.ptp(drawn[:, -200:, 0]) > 0.3, "the camera inside sees dots"
+
+
+def test_what_a_sensor_has_not_is_said():
+    scene = load_scene(find_scene("punyo"))
+    with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
+        command(load_scene(find_scene("punyo-block")), seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier=None, refine=3, picture=None, plot=None, save=None)
+    with pytest.raises(SceneError, match="--tier fem"):
+        command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier="fem", refine=None, picture=None, plot=None, save=None)
+    with pytest.raises(SceneError, match=r"needs a \[press\]"):
+        press_bubble.press(dataclasses.replace(scene.sample(0), press=None))
+
+
+@pytest.mark.slow
+def test_the_punyo_pressed_10_mm_onto_a_tip():
+    result = press_bubble.press(load_scene(find_scene("punyo")).sample(0), keep=True)
+    print(press_bubble.text(result))
+    assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
+    # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors of 0.14 and 0.22 %
+    assert result.pressure_change[-1] == pytest.approx(938.8, rel=0.01) and result.force[-1, 2] == pytest.approx(4.890, rel=0.01)
+    assert (result.audit["penetration"] < 0.01 * result.edge).all()
+
+
+SOFT = '''name = "soft"
+[object]
+shape = { box = [0.10, 0.10, 0.04] }
+tier = "fem-coarse"
+resolution = 0.02
+poisson_ratio = 0.3
+young_modulus = 5e4
+[sensor]
+kind = "bubble"
+nodes = 200
+[press]
+from = [0.004, 0.003, 0.0700]
+to = [0.004, 0.003, 0.0665]
+frames = 2
+'''
+
+
+def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
+    scene = parse_scene(SOFT, "soft.toml").sample(0)
+    result = press_bubble.press(scene, keep=True)
+    assert result.converged.all() and result.force[-1, 2] > 0.5
+    assert result.reaction == pytest.approx(-result.force, rel=1e-2, abs=1e-3), "the mount holds it"
+    assert result.body_force[:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
+    own = np.einsum("tji,tj->ti", result.state.mount[:, :3, :3], result.force)
+    assert result.state.read_out_force().sum(axis=1) == pytest.approx(own, rel=1e-9, abs=1e-9)
+    moment = np.cross(result.state.read_out_position(), result.state.read_out_force()).sum(axis=1)
+    assert moment == pytest.approx(result.wrench[:, 3:], abs=1e-9)
+    # the picture's block lies where the skin is pushed in
+    faces = result.state.model.mesh.faces
+    red, _, grey = shades(press_bubble_picture.outside(result.state, scene, 1, np.tile([1.0, 0.0, 0.0], (len(faces), 1)), "cpu"))
+    assert red > 2000 and grey > 20_000

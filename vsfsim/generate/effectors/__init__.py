@@ -1,0 +1,1 @@
+"""What touches: a rigid probe, a bubble, an arm, behind one protocol."""

@@ -1,0 +1,1 @@
+"""Plants under an arm: where they are touched, how they look, and the truth about them."""

@@ -1,0 +1,143 @@
+"""Where the arm touches a plant: straight lines of the tool past points that the camera sees, as far as the arm can go."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.arm_spec import ArmSpec
+from vsfsim.core.errors import SceneError
+from vsfsim.core.plant import Plant
+from vsfsim.core.scene import TouchSpec
+from vsfsim.robot import clearance
+from vsfsim.robot.arm import Arm, load_arm
+from vsfsim.robot.reach import Unreachable, straight_touch
+
+DRAWS = 100  # targets that are tried for one touch
+TURN, LIFT = 0.6, 0.35  # rad: how far the tool's axis may turn sideways from the way arm to target, and how far up or down
+SWEEP = 1.0  # rad: how far the line of motion may turn from the tool's axis, in half of the touches; the tool goes along its own axis in the others
+SHORTEST = 0.4  # of the scene's depth: a touch goes between this share and all of it past its target
+PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
+
+
+@dataclass(frozen=True)
+class ArmAim:
+    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the tool (3,) [m]. line: joint angles along the way in (P, 7) [rad]. plan: where on it each frame is
+    meant to be (T,), in numbers of its rows. inward: frames before the way out. draws: targets drawn. refused: why those before were not taken."""
+
+    target: np.ndarray
+    axis: np.ndarray
+    start: np.ndarray
+    stop: np.ndarray
+    line: np.ndarray
+    plan: np.ndarray
+    inward: int
+    draws: int
+    refused: Counter
+
+    def angles(self, where: np.ndarray) -> np.ndarray:
+        """Joint angles (T, 7) [rad] at numbers ``where`` (T,) of the line: its rows, and between them the cubic through the four around, as `physics.rods.kernels.guard` takes the poses of the capsules."""
+        last = len(self.line) - 1
+        row = np.clip(np.floor(where).astype(int), 0, last)
+        out = self.line[row].copy()
+        between = np.flatnonzero(where > row)
+        if last < 3:
+            part = (where - row)[between, None]
+            out[between] += part * (self.line[np.minimum(row[between] + 1, last)] - out[between])
+            return out
+        first = np.clip(row[between] - 1, 0, last - 3)
+        u = where[between] - first
+        weights = [np.prod([(u - m) / (j - m) for m in range(4) if m != j], axis=0) for j in range(4)]
+        out[between] = sum(w[:, None] * self.line[first + j] for j, w in enumerate(weights))
+        return out
+
+
+def load(spec: ArmSpec) -> Arm:
+    """The arm of a scene, standing where it says."""
+    base = np.eye(4)
+    c, s = np.cos(spec.yaw), np.sin(spec.yaw)
+    base[:3, :3] = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
+    base[:3, 3] = spec.base
+    return load_arm(spec.model, punyo=spec.punyo, base=base)
+
+
+def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
+    """Draw touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot is drawn again.
+
+    Args:
+        cloud: of the view (n, 3) [m]. stream: random stream of touch k. numbers: of the touches to draw; each has its own stream, so they may be drawn apart. where: of the scene, for messages.
+
+    Raises:
+        SceneError: nothing is visible, or none of 100 targets of a touch can be reached; with what was in the way.
+    """
+    if not len(cloud):
+        raise SceneError(f"{where}: the camera sees no plant; check [camera] distance, azimuth, elevation and fov.")
+    return [_one(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
+
+
+def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator, where: str) -> ArmAim:
+    shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
+    refused: Counter = Counter()
+    free, inward, hold, out = touches.frames
+    for draw in range(1, DRAWS + 1):
+        target = cloud[rng.integers(len(cloud))]
+        seed = int(rng.integers(2**31))
+        axis = _turned(target - shoulder, rng.uniform(-TURN, TURN), rng.uniform(-LIFT, LIFT))
+        sideways = rng.uniform() < 0.5
+        way = _turned(axis, *(rng.uniform(-SWEEP, SWEEP, 2) * [1.0, 0.4] if sideways else (0.0, 0.0)))
+        roll, depth = rng.uniform(-np.pi, np.pi), touches.depth * rng.uniform(SHORTEST, 1.0)
+        start, stop = target - touches.approach * way, target + depth * way
+        try:
+            line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1, restarts=1, seed=seed, table=0.0)
+        except Unreachable as error:
+            refused[error.reason.value] += 1
+            continue
+        first, last, radii = clearance.ends(arm, arm.postures(line[:1]))
+        if plant_gap(plant, first[0], last[0], radii) < spec.clearance:
+            refused[PLANT] += 1
+            continue
+        some = line[:: max(1, len(line) // 40)]
+        if plant.pot is not None and pot_gap(plant, arm, some) < min(spec.clearance, 0.005):
+            refused[POT] += 1
+            continue
+        back = np.rint(np.linspace(inward, 0, out + 1)).astype(int)[1:] if out else np.zeros(0, int)
+        plan = np.concatenate([np.zeros(free), np.arange(1.0, inward + 1), np.full(hold, float(inward)), back])
+        return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
+    reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
+    raise SceneError(f"{where} [touches]: none of {DRAWS} targets can be reached: {reasons}. Move [arm] base or the object, or use a smaller approach or depth.")
+
+
+def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarray) -> float:
+    """Least gap [m] between capsules of ends (K, 3), radii (K,) and a plant at rest; a blade counts as a round segment of half its width."""
+    a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
+    thick = np.maximum(plant.radius, plant.half_width)[1:]
+    gaps = clearance.segment_distance(first[:, None], last[:, None], a[None], b[None]) - radii[:, None] - thick[None]
+    return float(gaps.min())
+
+
+def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
+    """Least gap [m] between the moving capsules and the pot, taken as a capsule of its top radius, at postures (T, 7)."""
+    assert plant.pot is not None
+    first, last, radii = clearance.ends(arm, arm.postures(q))
+    moving = arm.capsule_links >= arm.links.index("half_arm_1_link")
+    r = plant.pot.radius_top
+    low, high = np.array([0.0, 0.0, 0.0]), np.array([0.0, 0.0, max(plant.pot.height - r, 1e-3)])
+    return float((clearance.segment_distance(first[:, moving], last[:, moving], low, high) - radii[moving] - r).min())
+
+
+def _turned(way: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
+    """A unit vector turned about +z, and up."""
+    way = way / np.linalg.norm(way)
+    azimuth, lift = np.arctan2(way[1], way[0]) + yaw, np.clip(np.arcsin(np.clip(way[2], -1.0, 1.0)) + pitch, -1.2, 1.2)
+    return np.array([np.cos(lift) * np.cos(azimuth), np.cos(lift) * np.sin(azimuth), np.sin(lift)])
+
+
+def _frame(axis: np.ndarray, roll: float) -> np.ndarray:
+    """A rotation (3, 3) whose z is ``axis``."""
+    x = np.cross([0.0, 0.0, 1.0], axis)
+    x /= np.linalg.norm(x)
+    y = np.cross(axis, x)
+    return np.stack([np.cos(roll) * x + np.sin(roll) * y, np.cos(roll) * y - np.sin(roll) * x, axis], axis=1)

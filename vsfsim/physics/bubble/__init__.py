@@ -1,0 +1,1 @@
+"""The air-filled bubble sensor: membrane, gas, inflation."""

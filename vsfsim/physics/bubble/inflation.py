@@ -1,0 +1,132 @@
+"""From the flat sheet to the inflated dome: continuation in the volume, which goes through the limit points that the pressure does not.
+
+A rubber membrane bears a highest pressure: beyond its *limit point* more volume needs less pressure, and at a prescribed pressure the membrane
+would blow up without bound. The working state of a sensor is on the branch that comes from the flat state, before that point.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.physics.bubble.sheet import Balanced, Sheet
+
+_FIRST = 0.1  # height of the first dome over the short semi-axis
+_GROWTH, _MOST = 1.4, 1e4  # of the volume from step to step, and in all over the first
+_LEAST = 1e-3  # smallest growth
+_SECANT = 60
+
+
+def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
+    """The equilibrium at a gauge pressure on the branch that comes from the flat state.
+
+    Args:
+        sheet: with u = 0 flat and clamped. guess: a shallow dome (3 n,) [m]. pressure: [Pa]. where: scene and section, for messages.
+
+    Raises:
+        SceneError: the pressure is beyond the limit point, or the branch could not be followed.
+    """
+    low, high = _bracket(sheet, guess, pressure, where)
+    return _between(sheet, low, high, pressure, where)
+
+
+def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tuple[Balanced, Balanced]:
+    """Two states on the rising branch with the pressure between them."""
+    volume = sheet.volume(guess)
+    first = sheet.at_volume(guess, pressure, volume)
+    shrink = 0
+    while first is None or first.pressure > pressure:
+        # flatter: so near the plane the pressure grows with the volume or faster
+        above, share = first, 0.5 if first is None else max(0.05, min(0.7, pressure / first.pressure))
+        volume, guess = share * volume, share * (guess if first is None else first.displacement)
+        first = sheet.at_volume(guess, pressure, volume)
+        shrink += 1
+        if first is not None and first.pressure <= pressure and above is not None:
+            return first, above
+        if shrink > 60:
+            raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of {pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
+    states = [first]
+    growth = _GROWTH
+    while states[-1].pressure < pressure:
+        now = states[-1]
+        volume = growth * now.volume
+        if volume > _MOST * first.volume:
+            break
+        found = sheet.at_volume(*_ahead(states, volume), volume)
+        if found is None:
+            growth = 1.0 + 0.5 * (growth - 1.0)
+            if growth < 1.0 + _LEAST:
+                break
+            continue
+        states.append(found)
+        growth = min(_GROWTH, 1.0 + 1.5 * (growth - 1.0))
+        if found.pressure < now.pressure:
+            top = _top(sheet, states[-3:] if len(states) > 2 else states)
+            if top.pressure < pressure:
+                raise SceneError(
+                    f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane's limit point is at {top.pressure:.5g} Pa (volume {1e6 * top.volume:.4g} mL, height "
+                    f"{1e3 * float(np.abs(top.displacement).max()):.3g} mm): beyond it a rubber membrane blows up without bound. Give less pressure, or a larger young_modulus or thickness.")
+            return now if now.pressure <= pressure else states[-3], top
+    if states[-1].pressure < pressure:
+        raise SceneError(f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane could be followed to {states[-1].pressure:.5g} Pa only (volume "
+                         f"{1e6 * states[-1].volume:.4g} mL). Give less pressure, or a larger young_modulus or thickness.")
+    return states[-2], states[-1]
+
+
+def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
+    """Displacement and pressure drawn on from the last two states."""
+    now = states[-1]
+    if len(states) == 1:
+        return now.displacement * volume / now.volume, now.pressure * volume / now.volume
+    before = states[-2]
+    share = (volume - now.volume) / (now.volume - before.volume)
+    return now.displacement + share * (now.displacement - before.displacement), now.pressure + share * (now.pressure - before.pressure)
+
+
+def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
+    """The state of highest pressure between the first and the last of these (golden section in the volume)."""
+    low, high = around[0].volume, around[-1].volume
+    known = sorted(around, key=lambda s: s.volume)
+    golden = 0.5 * (math.sqrt(5.0) - 1.0)
+    best = max(known, key=lambda s: s.pressure)
+    for _ in range(24):
+        if high - low < 1e-4 * high:
+            break
+        middle = best.volume
+        # the larger part is cut
+        volume = middle + (1.0 - golden) * (high - middle) if high - middle > middle - low else middle - (1.0 - golden) * (middle - low)
+        near = min(known, key=lambda s: abs(s.volume - volume))
+        found = sheet.at_volume(near.displacement, near.pressure, volume)
+        if found is None:
+            break
+        known.append(found)
+        if found.pressure > best.pressure:
+            low, high = (middle, high) if volume > middle else (low, middle)
+            best = found
+        else:
+            low, high = (low, volume) if volume > middle else (volume, high)
+    return best
+
+
+def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
+    """Regula falsi in the volume, then Newton's method at the pressure itself; the volume's alone where that does not converge, as near the limit."""
+    for _ in range(_SECANT):
+        span = high.pressure - low.pressure
+        share = min(0.95, max(0.05, (pressure - low.pressure) / span)) if span > 0.0 else 0.5
+        volume = low.volume + share * (high.volume - low.volume)
+        guess = low.displacement + share * (high.displacement - low.displacement)
+        found = sheet.at_volume(guess, low.pressure + share * span, volume)
+        if found is None:
+            break
+        if abs(found.pressure - pressure) < 1e-12 * pressure:
+            return found
+        if abs(found.pressure - pressure) < 0.02 * pressure:
+            polished = sheet.at_pressure(found.displacement, pressure, iterations=12)
+            if polished is not None and low.volume <= polished.volume <= high.volume:
+                return polished
+        low, high = (found, high) if found.pressure < pressure else (low, found)
+    else:
+        return found
+    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check young_modulus, thickness and pre_stretch.")

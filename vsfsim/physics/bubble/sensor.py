@@ -1,0 +1,227 @@
+"""The air-filled bubble sensor as a body that the solver can press: inflated once, kept, and free of load at u = 0.
+
+Mount frame: origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+from dataclasses import astuple, dataclass
+from pathlib import Path
+
+import numpy as np
+import scipy.sparse as sp
+
+from vsfsim.core.bubble import NODES, Bubble
+from vsfsim.core.errors import SceneError
+from vsfsim.core.solid import Solid
+from vsfsim.physics import disk_cache
+from vsfsim.physics.bubble.sensor import inflation
+from vsfsim.physics.bubble.sheet import Sheet
+from vsfsim.physics.elements import gas, hinge, triangle
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.linear.membrane_factor import MembraneFactor
+from vsfsim.physics.mesh.membrane import TriangleMesh, closed
+from vsfsim.physics.mesh.membrane_refine import Wishes
+from vsfsim.physics.mesh.quadratic import assemble, membrane_refine
+from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
+from vsfsim.physics.model import Model
+
+# Part of the cache key: raise it when a mesh, a law or the inflation changes.
+_RECIPE = 1
+_KEPT = 8  # models kept in this process
+_COARSE = 390  # nodes that the way from flat to inflated is followed with
+_SHALLOW = 0.1  # height of the first dome over the short semi-axis
+
+_models: OrderedDict[str, BubbleModel] = OrderedDict()
+
+
+@dataclass(frozen=True)
+class ReadOut:
+    """The mesh that a user of the sensor sees: the Punyo's 390 nodes, tied to the material.
+
+    faces: triangles (714, 3), wound outwards. rim: nodes of the edge in order (64,). flat: places before inflation (390, 2) [m].
+    weights: positions of its nodes are ``weights @`` those of the fine mesh (390, n) [-], sparse.
+    """
+
+    faces: np.ndarray
+    rim: np.ndarray
+    flat: np.ndarray
+    weights: sp.csr_matrix
+
+    def positions(self, points: np.ndarray) -> np.ndarray:
+        """Nodes (..., 390, 3) [m] when those of the fine mesh are at ``points`` (..., n, 3) [m]."""
+        lead = points.shape[:-2]
+        rows = points.reshape(-1, *points.shape[-2:])
+        return np.stack([self.weights @ row for row in rows]).reshape(*lead, -1, 3)
+
+
+@dataclass(frozen=True)
+class BubbleModel(Model):
+    """A bubble in its mount frame: a `Model` whose rest, u = 0, is the free inflated dome.
+
+    mesh: linear triangles, a `TriangleMesh`. young_modulus: E h over the mean edge (1,) [Pa], what the contact counts as its modulus.
+    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of the inflated mesh [m], where it was
+    made finer of the nodes that are touched.
+    spec: what it was built from. flat: places of the nodes in the clamped, uninflated sheet (n, 2) [m].
+    pressure: gauge, of the free dome [Pa]. dead_volume: of the chamber behind the rim plane [m^3]. read_out: the 390 nodes.
+    """
+
+    spec: Bubble
+    flat: np.ndarray
+    pressure: float
+    dead_volume: float
+    read_out: ReadOut
+
+    def least_force(self) -> float:
+        """Forces under this are zero [N]: 1e-7 of the gas's push on the rim plane (6 uN for the Punyo), which 20,000 nodes balance at u = 0 to 1e-12 only."""
+        return 1e-7 * self.pressure * np.pi * self.spec.semi_axes[0] * self.spec.semi_axes[1]
+
+
+def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]", cache: Path | None = None) -> BubbleModel:
+    """The model of a bubble; the same spec again costs nothing, and in a new process only the factor.
+
+    Args:
+        spec: the bubble. finer: where its mesh is to be finer than even. where: scene and section, for messages. cache: folder for inflated shapes; None is the user's own.
+
+    Raises:
+        SceneError: the gauge pressure is beyond the membrane's limit point, or there is less gas than the dome holds.
+    """
+    finer = tuple((edge, nodes) for edge, nodes in finer if nodes)
+    key = hashlib.sha256(repr((astuple(spec), finer, _RECIPE)).encode()).hexdigest()
+    if key not in _models:
+        _models[key] = _build(spec, finer, where, cache)
+        while len(_models) > _KEPT:
+            _models.popitem(last=False)
+    _models.move_to_end(key)
+    return _models[key]
+
+
+def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Flat places (n, 2) [m], triangles (f, 3) and rim (r,); with the default number of nodes the read-out mesh is part of it."""
+    a, b = spec.semi_axes
+    nodes = spec.nodes if nodes is None else nodes
+    total, rim = membrane_mesh.READ_OUT
+    if nodes in (total, NODES):
+        mesh = membrane_mesh.ellipse(a, b, total, rim=rim)
+        return mesh if nodes == total else membrane_mesh.refine(*mesh, a, b)
+    return membrane_mesh.ellipse(a, b, nodes)
+
+
+def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[Block, Block]:
+    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in ``points`` (n, 3) [m].
+
+    The rim may turn: a clamp bends the sheet over sqrt(D / tension), 0.3 mm, less than any element; half resolved, it would make the dome depend on the mesh.
+    """
+    rest = flat / spec.pre_stretch
+    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending, clamped=False)
+
+
+def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:
+    """The flat, clamped sheet with u = 0 in the rim plane."""
+    points = np.column_stack([flat, np.zeros(len(flat))])
+    return Sheet(points, elastic_blocks(spec, points, flat, faces), closed(faces, rim), _free(len(flat), rim))
+
+
+def _free(nodes: int, rim: np.ndarray) -> np.ndarray:
+    free = np.ones((nodes, 3))
+    free[rim] = 0.0
+    return free.ravel()
+
+
+def _dome(spec: Bubble, flat: np.ndarray) -> np.ndarray:
+    """A shallow dome (3 n,) [m] to begin with."""
+    a, b = spec.semi_axes
+    u = np.zeros((len(flat), 3))
+    u[:, 2] = _SHALLOW * b * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
+    return u.ravel()
+
+
+def inflate(spec: Bubble, where: str) -> np.ndarray:
+    """Displacements (n, 3) [m] from the flat sheet to the free dome.
+
+    The way there is followed on a coarse mesh; the fine one begins from its dome, or goes the whole way itself where that does not lead to it.
+    """
+    fine = flat_mesh(spec)
+    own = sheet(spec, *fine)
+    if spec.nodes > _COARSE:
+        coarse = flat_mesh(spec, _COARSE)
+        there = sheet(spec, *coarse)
+        dome = inflation.inflate(there, _dome(spec, coarse[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
+        found = own.at_pressure((locate(coarse[0], coarse[1], fine[0]) @ dome).ravel() * own.free, spec.gauge_pressure, iterations=20)
+        if found is not None:
+            return found.displacement.reshape(-1, 3)
+    return inflation.inflate(own, _dome(spec, fine[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
+
+
+def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix:
+    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to places ``at`` (k, 2) [m]; outside, the nearest triangle is drawn on."""
+    from scipy.spatial import cKDTree
+
+    corners = flat[faces]
+    inverse = np.linalg.inv(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2))
+    _, near = cKDTree(corners.mean(axis=1)).query(at, k=min(24, len(faces)))
+    share = np.einsum("kcij,kcj->kci", inverse[near], at[:, None] - corners[near][:, :, 0])
+    weights = np.concatenate([1.0 - share.sum(axis=2, keepdims=True), share], axis=2)
+    best = weights.min(axis=2).argmax(axis=1)
+    rows = np.arange(len(at))
+    weights = weights[rows, best]
+    weights[np.abs(weights) < 1e-12] = 0.0
+    return sp.csr_matrix((weights.ravel(), (np.repeat(rows, 3), faces[near[rows, best]].ravel())), shape=(len(at), len(flat)))
+
+
+def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> BubbleModel:
+    # the gas plays no part in the inflation: only what does is in the file's name
+    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes, *finer, _RECIPE)
+    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
+    if finer:
+        even = build_bubble(spec, where=where, cache=cache)
+        flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes, even.mesh.points, finer)
+    else:
+        flat, faces, rim = flat_mesh(spec)
+
+    def inflated() -> np.ndarray:
+        return _between(even, flat, faces, rim, where) if finer else inflate(spec, where)
+
+    with disk_cache.locked(stored):
+        kept = disk_cache.read(stored)
+        if kept is None or kept.get("u", np.zeros(0)).shape != (len(flat), 3):
+            disk_cache.write(stored, u=inflated())
+            kept = disk_cache.read(stored) or {"u": inflated()}
+    points = np.column_stack([flat, np.zeros(len(flat))]) + kept["u"]
+    touched = sorted({node for _, nodes in finer for node in nodes})
+    return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where, touched=np.array(touched, int))
+
+
+def _between(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, where: str) -> np.ndarray:
+    """Displacements (n, 3) [m] from flat to free dome of a mesh that begins from the dome of the even one."""
+    own = sheet(even.spec, flat, faces, rim)
+    dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
+    found = own.at_pressure((locate(even.flat, even.mesh.faces, flat) @ dome).ravel() * own.free, even.spec.gauge_pressure, iterations=20)
+    if found is None:
+        found = inflation.inflate(own, _dome(even.spec, flat), even.spec.gauge_pressure, where=where)
+    return found.displacement.reshape(-1, 3)
+
+
+def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str, *,
+                    touched: np.ndarray | None = None) -> BubbleModel:
+    """The model whose free dome is at ``points`` (n, 3) [m]; ``touched``: the nodes whose elements count as its size, or None for all; other arguments as `sheet` and `build_bubble`."""
+    mesh = TriangleMesh.of(points, faces, rim)
+    inside = float(mesh.volume[0])
+    dead = spec.gas_volume - inside
+    if dead < 0.0:
+        raise SceneError(f"{where}: gas_volume is {1e6 * spec.gas_volume:.4g} mL, but the inflated dome alone holds {1e6 * inside:.4g} mL; gas_volume is all of "
+                         "the enclosed air, dome and chamber behind it, so give more than that (in m^3).")
+    air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma, ambient=spec.ambient_pressure,
+                    dead_volume=dead, sealed=spec.sealed)
+    blocks = (*elastic_blocks(spec, points, flat, faces), air)
+    free = _free(len(points), rim)
+    factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(), *gas.rest_coupling(air, len(points)))
+    edge = mesh.edge(touched)
+    total, edges = membrane_mesh.READ_OUT
+    seen, seen_faces, seen_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
+    read_out = ReadOut(seen_faces.astype(np.int32), seen_rim, seen, locate(flat, faces, seen))
+    nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
+    return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size), spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,
+                       edge, factor, spec, flat, spec.gauge_pressure, dead, read_out)

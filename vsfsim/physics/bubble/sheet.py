@@ -1,0 +1,154 @@
+"""A clamped sheet or closed skin under the pressure of a gas, by Newton's method with a sparse factor of every state's own tangent.
+
+    f(x) - p grad V(x) = 0       with the pressure p given, or the volume V (then p is an unknown too, and a limit point of the pressure is no obstacle)
+
+It serves the inflation of a sensor from its flat state and the closed forms; touches go through `Solver`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import scipy.sparse as sp
+import warp as wp
+from scipy.sparse.linalg import splu
+
+from vsfsim.physics.elements import gas
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.solve.elasticity import Elasticity
+
+_ITERATIONS = 60
+_TIGHT = 1e-11  # unbalanced over acting force: two digits above the rounding of sums of thousands of nodes
+_GOOD = 1e-6  # what counts as balanced where rounding lets no step lower the residual: flat sheets under next to no pressure
+
+
+@dataclasses.dataclass(frozen=True)
+class Balanced:
+    """An equilibrium. displacement: (3 n,) [m]. pressure: gauge [Pa]. volume: inside the surface [m^3]. residual: unbalanced over acting force [-]."""
+
+    displacement: np.ndarray
+    pressure: float
+    volume: float
+    residual: float
+
+
+class Sheet:
+    """Elements of a surface and the volume that it closes.
+
+    Args:
+        points: positions at u = 0 (n, 3) [m]. blocks: elastic elements. closed: faces of the closed surface (m, 3), a cap over the rim among them.
+        free: 1 where a degree of freedom may move (3 n,).
+    """
+
+    def __init__(self, points: np.ndarray, blocks: tuple[Block, ...], closed: np.ndarray, free: np.ndarray):
+        self.points, self.blocks, self.closed, self.free = points, blocks, closed, free
+        self._moves = np.flatnonzero(free)
+        model = SimpleNamespace(blocks=blocks, mesh=SimpleNamespace(points=points), free=free)
+        self._elastic = Elasticity(model, device="cpu", real=wp.float64)  # type: ignore[arg-type]
+        self._elastic.begin(1)
+        self._index = wp.zeros(1, dtype=wp.int32, device="cpu")
+        self._constant = [None if hasattr(block.element, "matrices") else block.element.rest_stiffness(block) for block in blocks]
+        dofs = [(3 * nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(nodes), -1) for nodes in (*(b.nodes for b in blocks), closed)]
+        self._rows = np.concatenate([np.repeat(d, d.shape[1], axis=1).ravel() for d in dofs])
+        self._columns = np.concatenate([np.tile(d, (1, d.shape[1])).ravel() for d in dofs])
+
+    def _at(self, u: np.ndarray) -> wp.array:
+        return wp.array(u[:, None], dtype=wp.float64, device="cpu")
+
+    def forces(self, u: np.ndarray) -> np.ndarray:
+        """Elastic forces +dE/du (3 n,) [N] at u (3 n,) [m]."""
+        self._elastic.forces(self._index, self._at(u))
+        return self._elastic.internal.numpy()[:, 0].copy()
+
+    def energy(self, u: np.ndarray) -> float:
+        """Elastic energy [J]."""
+        self._elastic.forces(self._index, self._at(u))
+        return float(self._elastic.energy.numpy()[0])
+
+    def volume(self, u: np.ndarray) -> float:
+        """Inside the surface [m^3]."""
+        return gas.volume(self.points + u.reshape(-1, 3), self.closed)
+
+    def tangent(self, u: np.ndarray, pressure: float, *, projected: bool = False) -> sp.csr_matrix:
+        """Derivative of f - p grad V by the displacements, supports not held (3 n, 3 n) [N/m]."""
+        self._elastic.tangent(self._index, self._at(u), projected=projected)
+        parts = [block.element.matrices(block, self._elastic.remembered(i)[:, :, 0]) if constant is None else constant
+                 for i, (block, constant) in enumerate(zip(self.blocks, self._constant, strict=True))]
+        parts.append(-(0.0 if projected else pressure) * gas.second(self.points + u.reshape(-1, 3), self.closed))
+        values = np.concatenate([part.ravel() for part in parts])
+        return sp.coo_matrix((values, (self._rows, self._columns)), shape=(len(u), len(u))).tocsr()
+
+    def _state(self, u: np.ndarray, pressure: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Residual on what may move, grad V there, and unbalanced over acting force."""
+        gradient = gas.gradient(self.points + u.reshape(-1, 3), self.closed)
+        forces = self.forces(u)
+        residual = (pressure * gradient - forces)[self._moves]
+        acting = np.abs(pressure * gradient[self._moves]).sum() + 1e-9 * np.abs(forces[self._moves]).sum() + 1e-300
+        return residual, gradient[self._moves], float(np.abs(residual).sum() / acting)
+
+    def at_volume(self, u: np.ndarray, pressure: float, volume: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
+        """The equilibrium with this volume [m^3], from the guess u (3 n,) [m] and pressure [Pa]; None if Newton's method finds none."""
+        u = u.copy()
+        inside = self.volume(u)
+        residual, gradient, error = self._state(u, pressure)
+        for _ in range(iterations):
+            short = volume - inside
+            if error < _TIGHT and abs(short) < 1e-12 * volume:
+                break
+            tangent = self.tangent(u, pressure)[self._moves][:, self._moves]
+            whole = sp.bmat([[tangent, -gradient[:, None]], [-gradient[None], None]], format="csc")
+            try:
+                step = splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": False}).solve(np.append(residual, -short))
+            except RuntimeError:  # singular to the last digit
+                return None
+            if not np.isfinite(step).all():
+                return None
+            # one measure for the whole step: the acting force changes with the pressure
+            acting = max(abs(pressure), abs(pressure + step[-1])) * np.abs(gradient).sum()
+            missing = np.abs(residual).sum() / acting + abs(short) / volume
+            for share in 0.5 ** np.arange(8):
+                trial = u.copy()
+                trial[self._moves] += share * step[:-1]
+                new = self._state(trial, pressure + share * step[-1])
+                now = self.volume(trial)
+                if np.abs(new[0]).sum() / acting + abs(volume - now) / volume < (1.0 - 0.1 * share) * missing:
+                    break
+            else:
+                if missing < _GOOD:
+                    break  # rounding's floor
+            u, pressure, inside = trial, pressure + share * step[-1], now
+            residual, gradient, error = new
+        if not (error < _GOOD and abs(volume - inside) < 1e-9 * volume):
+            return None
+        return Balanced(u, float(pressure), inside, error)
+
+    def at_pressure(self, u: np.ndarray, pressure: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
+        """The equilibrium at this gauge pressure [Pa] nearest to the guess u (3 n,) [m]; None if Newton's method finds none."""
+        u = u.copy()
+        residual, _, error = self._state(u, pressure)
+        for _ in range(iterations):
+            if error < _TIGHT:
+                break
+            tangent = self.tangent(u, pressure)[self._moves][:, self._moves].tocsc()
+            try:
+                step = splu(tangent, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(residual)
+            except RuntimeError:
+                return None
+            if not np.isfinite(step).all():
+                return None
+            scale = np.abs(residual).sum()
+            for share in 0.5 ** np.arange(10):
+                trial = u.copy()
+                trial[self._moves] += share * step
+                new = self._state(trial, pressure)
+                if np.isfinite(new[2]) and np.abs(new[0]).sum() < (1.0 - 0.1 * share) * scale:
+                    break
+            else:
+                if error < _GOOD:
+                    break
+                return None
+            u = trial
+            residual, _, error = new
+        return Balanced(u, pressure, self.volume(u), error) if error < _GOOD else None

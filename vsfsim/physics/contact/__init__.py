@@ -1,0 +1,1 @@
+"""Contact: signed distances, rigid bodies, friction, two deformable surfaces."""

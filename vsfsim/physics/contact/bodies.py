@@ -1,0 +1,72 @@
+"""A set of rigid shapes as one thing: on the device a struct of arrays for the contact kernels, on the host distances and sizes.
+
+Poses are not part of it: who moves the shapes gives one pose each, every frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core.shape import MeshFile, ProbeShape
+from vsfsim.physics.contact.rigid_points import sdf
+
+
+class RigidBodies:
+    """K rigid shapes, each in a frame of its own.
+
+    shapes: the shapes (K).
+
+    Raises:
+        MeshError: a mesh that cannot be read or closed.
+    """
+
+    def __init__(self, shapes: ProbeShape | Sequence[ProbeShape]):
+        self.shapes: tuple[ProbeShape, ...] = tuple(shapes) if isinstance(shapes, Sequence) else (shapes,)
+        if not self.shapes:
+            raise ValueError("no rigid shape given")
+        self.notes = tuple(dict.fromkeys(note for s in self.shapes if isinstance(s, MeshFile) for note in sdf.grid(s).notes))
+
+    def __len__(self) -> int:
+        return len(self.shapes)
+
+    def distance(self, k: int, points: np.ndarray) -> np.ndarray:
+        """Signed distance (...,) [m] of ``points`` (..., 3) in the frame of body ``k``; as the kernels' `gap`."""
+        return sdf.distance(self.shapes[k], points)
+
+    def reach(self, k: int) -> float:
+        """Radius of the smallest ball about the origin of body ``k`` that holds it [m]; infinite for a plane."""
+        return sdf.reach(self.shapes[k])
+
+    def upload(self, functions: Any, device: str) -> Any:
+        """The ``functions.Bodies`` struct on ``device``; ``functions`` are those of `sdf.functions`.
+
+        Memory: 8 (float64) or 4 bytes a grid node, a few megabytes a mesh; the same mesh twice is stored once.
+        """
+        kinds, sizes = zip(*(sdf.encode(s) for s in self.shapes), strict=True)
+        grids = [sdf.grid(s) if isinstance(s, MeshFile) else None for s in self.shapes]
+        different = {id(g): g for g in grids if g is not None}
+        ends = np.cumsum([0, *(g.coefficients.size for g in different.values())])
+        starts = dict(zip(different, ends, strict=False))
+        if ends[-1] >= 2**31:
+            raise ValueError("the distance grids of all meshes hold more than 2^31 nodes")
+
+        def of(value: Any, default: Any) -> np.ndarray:
+            return np.array([default if g is None else value(g) for g in grids])
+
+        zero = np.zeros(3)
+        columns = {
+            "kind": (np.array(kinds), wp.int32), "size": (np.array(sizes), functions.vec4),
+            "start": (of(lambda g: starts[id(g)], 0), wp.int32), "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
+            "origin": (of(lambda g: g.origin, zero), functions.vec3), "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
+            "lower": (of(lambda g: g.lower, zero), functions.vec3), "upper": (of(lambda g: g.upper, zero), functions.vec3),
+            "coefficients": (np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())]), functions.real),
+        }
+        bodies = functions.Bodies()
+        for name, (values, dtype) in columns.items():
+            setattr(bodies, name, wp.array(values, dtype=dtype, device=device))
+        return bodies

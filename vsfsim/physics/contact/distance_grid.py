@@ -1,0 +1,310 @@
+"""Signed distance of a triangle mesh, baked into a grid once and then smooth: a cubic B-spline.
+
+    phi(x) = sum_ijk c_ijk B(x/h - i) B(y/h - j) B(z/h - k),     phi(x_ijk) = signed distance at node (i, j, k)
+
+B is the cardinal cubic B-spline, so phi is C2: gap, gradient and Hessian are derivatives of one function. The coefficients make phi
+interpolate the nodes (Unser 1999, "Splines: a perfect fit for signal and image processing"): where the distance is smooth the error falls
+as h^4. Near an edge or a medial surface, where it has a kink, phi rounds it over about one spacing: error O(h), 0.1 h at an edge of 90 degrees.
+
+Spacing: the finer of LONGEST cells along the longest edge of the bounding box and SHORTEST along the shortest, but never more than MAX_NODES
+nodes (16 MB of doubles). Distance: to the exact triangles, in double. Sign: generalised winding number (Jacobson et al. 2013; Barill et al. 2018).
+A surface that does not bound one simple solid is first closed by fTetWild.
+"""
+
+import functools
+import hashlib
+import os
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import warp as wp
+from scipy import ndimage
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core.errors import MeshError
+from vsfsim.core.shape import MeshFile
+
+LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
+MAX_NODES = 2_000_000
+PAD = 4  # cells of distance kept around the bounding box
+_RIM = 4  # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
+_CLOSED_EDGE = 1 / 8  # edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the size, and 1 / 40 takes minutes
+_ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
+_SLOW = 1.0  # a bake that took longer is kept on disk [s]
+_RECIPE = 1  # part of the cache key: raise it when the bake changes
+
+
+@dataclass(frozen=True)
+class DistanceGrid:
+    """A baked mesh, in the probe's frame (origin: centre of the bounding box).
+
+    coefficients: of the spline (nx, ny, nz) [m]. origin: node (0, 0, 0) (3,) [m]. spacing: [m].
+    lower, upper: bounding box of the mesh (3,) [m]. vertices: its corners (n, 3) [m]; faces: its triangles (f, 3).
+    error: |phi| at the mesh's own corners and triangle centres, where it should be 0: root mean square and largest (2,) [m].
+    notes: what was repaired or decided.
+    """
+
+    coefficients: np.ndarray
+    origin: np.ndarray
+    spacing: float
+    lower: np.ndarray
+    upper: np.ndarray
+    vertices: np.ndarray
+    faces: np.ndarray
+    error: np.ndarray
+    notes: tuple[str, ...]
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """phi (...,) [m] at ``points`` (..., 3) [m]; beyond the grid a lower bound of the distance, see `beyond`."""
+        x = np.asarray(points, float)
+        low, high = self.domain()
+        inside = np.clip(x, low, high)
+        phi = ndimage.map_coordinates(self.coefficients, np.moveaxis((inside - self.origin) / self.spacing, -1, 0), order=3, prefilter=False)
+        away = np.linalg.norm(x - inside, axis=-1)
+        box = np.linalg.norm(x - np.clip(x, self.lower, self.upper), axis=-1)
+        return np.where(away > 0.0, np.maximum(phi - away, box), phi)
+
+    def domain(self) -> tuple[np.ndarray, np.ndarray]:
+        """Corners (3,), (3,) [m] of the box in which phi is the spline.
+
+        Beyond it the larger of two lower bounds stands for the distance: phi at the nearest point of the box less the way there, and the
+        distance to the bounding box. Both are right in sign, so a step of that length never jumps over the body.
+        """
+        return self.origin + self.spacing, self.origin + self.spacing * (np.array(self.coefficients.shape) - 2.0)
+
+
+def spacing_rule(size: np.ndarray) -> float:
+    """Spacing [m] for a bounding box of edges ``size`` (3,) [m]; see the head of this file."""
+    wanted = min(float(size.max()) / LONGEST, float(size.min()) / SHORTEST)
+    while np.prod(np.ceil(size / wanted) + 2 * PAD + 3) > MAX_NODES:
+        wanted *= 1.02
+    return wanted
+
+
+def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None = None) -> DistanceGrid:
+    """The grid of a mesh file, from memory, from disk, or made now.
+
+    Args:
+        shape: file and scale. spacing: of the grid [m], or None for the rule. cache: folder; None is that of filled meshes.
+
+    Raises:
+        MeshError: as `vsfsim.physics.mesh.scan.read_surface`, or a surface that cannot be closed.
+    """
+    path = Path(shape.path)
+    stamp = path.stat().st_mtime_ns if path.is_file() else None
+    return _baked(shape, spacing, cache, stamp)
+
+
+@functools.lru_cache(maxsize=16)
+def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: int | None) -> DistanceGrid:
+    # scan pulls in trimesh; a sphere does not need it. ``stamp`` is the file's time: an edited file is read again
+    from vsfsim.physics import disk_cache
+    from vsfsim.physics.mesh.quadratic import scan
+
+    path = Path(shape.path)
+    content = scan._content(path)
+    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, spacing, LONGEST, SHORTEST, MAX_NODES, _RECIPE)).encode()).hexdigest()
+    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
+    grid = _read(stored)
+    if grid is None:
+        began = time.perf_counter()
+        surface, notes = scan.read_surface(shape)
+        vertices, faces = np.asarray(surface.vertices), np.asarray(surface.faces)
+        notes = [note for note in notes if not note.startswith("Not watertight")]
+        broken = _fault(surface, vertices, faces)
+        if broken:
+            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()), _ENVELOPE, path))
+            if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
+                raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. Close it or give it thickness.")
+            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
+        grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]), notes=tuple(notes))
+        if broken or time.perf_counter() - began > _SLOW:
+            _write(stored, grid)
+            # another worker may have been first; fTetWild never gives the same surface twice, so that one counts
+            grid = _read(stored) or grid
+    return grid
+
+
+def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = None, centre: np.ndarray | None = None,
+         notes: tuple[str, ...] = ()) -> DistanceGrid:
+    """The grid of a closed surface.
+
+    Args:
+        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. centre: becomes the origin (3,) [m], by default
+            that of the bounding box. notes: put before our own.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    centre = 0.5 * (low + high) if centre is None else centre
+    vertices, low, high = vertices - centre, low - centre, high - centre
+    h = spacing_rule(high - low) if spacing is None else spacing
+    cells = np.ceil((high - low) / h).astype(int) + 2 * (PAD + 1)
+    nodes = cells + 1 + 2 * _RIM
+    if np.prod(cells + 1) > 8 * MAX_NODES:
+        raise MeshError(f"a distance grid of spacing {h:g} m would have {np.prod(cells + 1):.1e} nodes; {8 * MAX_NODES:.1e} are allowed. Use a coarser one.")
+    first = 0.5 * (low + high) - 0.5 * h * (nodes - 1)
+    axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
+    at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    distance = exact_distance(vertices, faces, at).reshape(nodes)
+    grid = DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, np.zeros(2), notes)
+    off = grid.distance(np.concatenate([vertices, vertices[faces].mean(axis=1)]))
+    error = np.array([np.sqrt((off**2).mean()), np.abs(off).max()])
+    moved = "" if np.abs(centre).max() < 1e-6 * (high - low).max() else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
+    said = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
+            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
+    return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, said))
+
+
+def spline(distance: np.ndarray) -> np.ndarray:
+    """Coefficients of the cubic B-spline through values (nx, ny, nz), less _RIM layers on every side."""
+    return np.ascontiguousarray(ndimage.spline_filter(distance, order=3, mode="mirror")[(slice(_RIM, -_RIM),) * 3])
+
+
+def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Signed distance (k,) [m] of ``points`` (k, 3) to a closed triangle mesh; negative inside."""
+    kernel = _query()
+    corners = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
+    mesh = wp.Mesh(points=corners, indices=wp.array(faces.astype(np.int32).reshape(-1), dtype=wp.int32, device="cpu"), support_winding_number=True)
+    out = wp.array(np.full(len(points), np.nan), dtype=wp.float64, device="cpu")
+    wp.launch(kernel, dim=len(points), device="cpu", inputs=[mesh.id, wp.array(vertices, dtype=wp.vec3d, device="cpu"), wp.array(faces, dtype=wp.vec3i, device="cpu"),
+                                                             wp.array(points, dtype=wp.vec3d, device="cpu"), out])
+    return out.numpy()
+
+
+def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Generalised winding number (k,) of ``points`` (k, 3): 1 inside a simple solid, 0 outside, between for a surface with holes.
+
+    Sum of the solid angles of all triangles over 4 pi (Van Oosterom and Strackee 1983), exact and slow.
+    """
+    out = np.empty(len(points))
+    for start in range(0, len(points), max(1, 2_000_000 // len(faces))):
+        part = points[start:start + max(1, 2_000_000 // len(faces))]
+        a, b, c = (vertices[faces[:, k]][None] - part[:, None] for k in range(3))
+        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
+        top = np.einsum("pfc,pfc->pf", a, np.cross(b, c))
+        bottom = la * lb * lc + np.einsum("pfc,pfc->pf", a, b) * lc + np.einsum("pfc,pfc->pf", b, c) * la + np.einsum("pfc,pfc->pf", c, a) * lb
+        out[start:start + len(part)] = 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
+    return out
+
+
+def _fault(surface, vertices: np.ndarray, faces: np.ndarray) -> str:
+    """Why a surface bounds no simple solid, or "" if it does."""
+    if not surface.is_watertight:
+        return "The surface is not watertight"
+    if not surface.is_winding_consistent:
+        return "The surface is not consistently wound"
+    # faces inside the body (overlapping parts, self-intersections) give winding numbers beyond 0 and 1 somewhere
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    probes = low + (high - low) * np.random.default_rng(0).random((min(500, max(50, 20_000_000 // len(faces))), 3))
+    number = winding_number(vertices, faces, probes)
+    if np.abs(number - np.clip(np.rint(number), 0, 1)).max() > 0.05:
+        return "Parts of the surface overlap or are inside out"
+    return ""
+
+
+def _boundary(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boundary triangles of tetrahedra, wound outwards, and their corners only."""
+    edges = vertices[tets[:, 1:]] - vertices[tets[:, :1]]
+    turned = np.linalg.det(edges) < 0.0
+    tets = np.where(turned[:, None], tets[:, [1, 0, 2, 3]], tets)
+    faces = np.concatenate([tets[:, k] for k in ([0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2])])
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    faces = faces[first[count == 1]]
+    used, local = np.unique(faces, return_inverse=True)
+    return vertices[used], local.reshape(-1, 3)
+
+
+def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return float(np.einsum("fc,fc->f", a, np.cross(b, c)).sum() / 6.0)
+
+
+@functools.cache
+def _query():
+    @wp.func(module="vsfsim_distance_grid")
+    def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
+        # Ericson 2005, Real-Time Collision Detection, section 5.1.5
+        zero = wp.float64(0.0)
+        ab = b - a
+        ac = c - a
+        ap = p - a
+        d1 = wp.dot(ab, ap)
+        d2 = wp.dot(ac, ap)
+        if d1 <= zero and d2 <= zero:
+            return a
+        bp = p - b
+        d3 = wp.dot(ab, bp)
+        d4 = wp.dot(ac, bp)
+        if d3 >= zero and d4 <= d3:
+            return b
+        vc = d1 * d4 - d3 * d2
+        if vc <= zero and d1 >= zero and d3 <= zero:
+            return a + ab * (d1 / (d1 - d3))
+        cp = p - c
+        d5 = wp.dot(ab, cp)
+        d6 = wp.dot(ac, cp)
+        if d6 >= zero and d5 <= d6:
+            return c
+        vb = d5 * d2 - d1 * d6
+        if vb <= zero and d2 >= zero and d6 <= zero:
+            return a + ac * (d2 / (d2 - d6))
+        va = d3 * d6 - d5 * d4
+        if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
+            return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)))
+        total = va + vb + vc
+        return a + ab * (vb / total) + ac * (vc / total)
+
+    @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
+    def query(
+        # model
+        mesh: wp.uint64, vertices: wp.array(dtype=wp.vec3d), faces: wp.array(dtype=wp.vec3i),
+        # state in
+        point_in: wp.array(dtype=wp.vec3d),
+        # state out
+        distance_out: wp.array(dtype=wp.float64),
+    ):
+        i = wp.tid()
+        x = point_in[i]
+        found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
+        if found.result:
+            # the search is in single precision; the triangle that it found is met again in double
+            f = faces[found.face]
+            d = wp.length(x - nearest_on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]]))
+            if found.sign < 0.0:
+                d = -d
+            distance_out[i] = d
+
+    return query
+
+
+# ---------------------------------------------------------------------------------------------- the cache
+
+
+def _read(path: Path) -> DistanceGrid | None:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return DistanceGrid(data["coefficients"], data["origin"], float(data["spacing"]), data["lower"], data["upper"], data["vertices"],
+                                data["faces"], data["error"], tuple(str(note) for note in data["notes"]))
+    except FileNotFoundError:
+        return None
+    except Exception:  # a damaged cache file is as good as none
+        path.unlink(missing_ok=True)
+        return None
+
+
+def _write(path: Path, grid: DistanceGrid) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
+    except OSError:
+        return  # a cache that cannot be written only costs time
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, **{**vars(grid), "notes": np.array(grid.notes, dtype=np.str_)})
+        os.link(name, path)  # unlike a rename, it leaves the file of whoever came first
+    except OSError:
+        pass
+    finally:
+        os.unlink(name)

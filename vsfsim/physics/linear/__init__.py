@@ -1,0 +1,1 @@
+"""Factorisations of the rest stiffness, kept as preconditioners."""

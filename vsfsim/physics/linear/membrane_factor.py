@@ -1,0 +1,82 @@
+"""The rest stiffness of a membrane over a gas: a sparse factor, and the gas's coupling of all nodes by the formula of Sherman and Morrison.
+
+    K = S + c g g^T,    K^-1 r = S^-1 r - S^-1 g (c g . S^-1 r) / (1 + c g . S^-1 g),    g = grad V,  c = -dp/dV
+
+S is sparse: elements, and the gas at constant pressure. It is positive as long as the free state bears its pressure, i.e. before the limit point.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections import OrderedDict
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+
+from vsfsim.physics.linear.rest_factor import _CHUNK, RestFactor
+
+_KEPT = 4  # in this process, by content
+_WHOLE = 8000  # nodes up to which the rows of all of them are kept for each that is pushed
+
+_factors: OrderedDict[str, MembraneFactor] = OrderedDict()
+
+
+class MembraneFactor(RestFactor):
+    """As `RestFactor`, for S + c g g^T with the supports held; ``stiffness`` is S alone.
+
+    coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3].
+
+    Args:
+        stiffness, free, surface_nodes: as `RestFactor`. gradient: g (3 n,) [m^2]. rate: c [Pa/m^3], 0 for an open chamber.
+    """
+
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray, rate: float):
+        super().__init__(stiffness, free, surface_nodes)
+        self.coupling = (gradient, rate)
+        own = gradient * free
+        answer = super().solve(own[:, None])[:, 0]
+        self._own, self._answer = own, answer
+        self._share = rate / (1.0 + rate * float(own @ answer))
+
+    @classmethod
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray | None = None,
+           rate: float = 0.0) -> MembraneFactor:
+        """The factor of this very matrix if this process has made it already, else a new one; arguments as the class."""
+        assert gradient is not None
+        digest = hashlib.sha256()
+        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes), gradient, np.array([rate])):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        key = digest.hexdigest()
+        if key not in _factors:
+            _factors[key] = cls(stiffness, free, surface_nodes, gradient, rate)
+            while len(_factors) > _KEPT:
+                _factors.popitem(last=False)
+        _factors.move_to_end(key)
+        return _factors[key]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
+        out = super().solve(right)
+        return out - self._answer[:, None] * (self._share * (self._own @ out))
+
+    def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
+        """As `RestFactor.compliance`. All nodes of a membrane are its surface: of a fine one, only the rows asked for are kept, and not for other touches."""
+        if self.size <= 3 * _WHOLE:
+            return super().compliance(nodes, pushed)
+        rows, columns = ((3 * np.asarray(n)[:, None] + np.arange(3)).ravel() for n in (nodes, pushed))
+        out = np.empty((len(rows), len(columns)))
+        for start in range(0, len(columns), _CHUNK):
+            part = columns[start:start + _CHUNK]
+            right = np.zeros((self.size, len(part)))
+            right[part, np.arange(len(part))] = self.free[part]
+            out[:, start:start + len(part)] = self.solve(right)[rows]
+        return out
+
+    def dense(self, device: str) -> torch.Tensor:
+        """The inverse (3 n, 3 n) [m/N] on a GPU; made once and kept."""
+        if device not in self._dense:
+            inverse = super().dense(device)
+            answer = torch.as_tensor(self._answer, device=device)
+            inverse.addr_(answer, answer, alpha=-self._share)
+        return self._dense[device]

@@ -1,0 +1,303 @@
+"""The rest-state stiffness, inverted once for an object: it serves every touch of it.
+
+On the CPU a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse under the patch; on a GPU the
+dense inverse, so that one product (n x n x B) answers all touches at once where triangular solves would crawl.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections import OrderedDict
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+
+from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
+
+_CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
+_KEPT = 4  # factors kept in this process, by content
+_COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
+_FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
+_ROWS, _SPARSE = 32, 0.4  # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
+_DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
+
+_factors: OrderedDict[str, RestFactor] = OrderedDict()
+
+
+class RestFactor:
+    """Linear elasticity of the object at rest, with its supports held, factorised.
+
+    size: degrees of freedom, 3 n. seconds: what the factorisation took [s].
+    stiffness: the rest stiffness, supports not held (3 n, 3 n) [N/m].
+
+    Args:
+        stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
+        free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
+        surface_nodes: nodes (s,) that `compliance` may be asked for.
+    """
+
+    _kept: type = np.float64  # of the whole columns
+
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
+        import cholespy  # CHOLMOD; only a body that is solved needs it
+
+        began = time.perf_counter()
+        self._begin(stiffness, free, surface_nodes)
+        k = self._held
+        # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
+        self._solver = cholespy.CholeskySolverD(
+            self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)
+        self.seconds = time.perf_counter() - began
+
+    def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
+        self.stiffness, self.free = stiffness, free
+        mask = sp.diags(free)
+        self._held = (mask @ stiffness @ mask + sp.diags(1.0 - free)).tocoo()
+        self.size = len(free)
+        self._surface = np.asarray(surface_nodes)
+        self._row_of = np.full(self.size // 3, -1)
+        self._row_of[self._surface] = np.arange(len(self._surface))
+        self._columns: dict[int, np.ndarray] = {}
+        self._whole: dict[int, np.ndarray] = {}
+        self._dense: dict[str, torch.Tensor] = {}
+        self._on = ""
+        self._quick: RestFactor | None = None
+
+    @classmethod
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
+        """The factor of this very matrix if this process has made it already, else a new one; arguments as the class."""
+        digest = hashlib.sha256()
+        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
+            digest.update(np.ascontiguousarray(part).tobytes())
+        key = digest.hexdigest()
+        if key not in _factors:
+            _factors[key] = cls(stiffness, free, surface_nodes)
+            while len(_factors) > _KEPT:
+                _factors.popitem(last=False)
+        _factors.move_to_end(key)
+        return _factors[key]
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """K^-1 ``right``, both (3 n, k), rows of held degrees of freedom must be 0."""
+        right = np.ascontiguousarray(right, dtype=np.float64)
+        out = np.empty_like(right)
+        for start in range(0, right.shape[1], _CHUNK):
+            part = np.ascontiguousarray(right[:, start:start + _CHUNK])
+            result = np.empty_like(part)
+            self._solver.solve(part, result)
+            out[:, start:start + _CHUNK] = result
+        return out
+
+    def quick(self, points: np.ndarray) -> RestFactor:
+        """The same body answered to fewer digits, in a third of the time, to predict and to precondition with; this very factor if that would not do.
+
+        Made once and kept. points: of the nodes (n, 3) [m].
+        """
+        if self._quick is None:
+            self._quick = QuickFactor.of_trusted(self, points) or self
+        return self._quick
+
+    def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
+        """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all rows if ``whole``."""
+        known = self._whole if whole else self._columns
+        missing = [int(i) for i in nodes if int(i) not in known]
+        for start in range(0, len(missing), _CHUNK // 3):
+            part = missing[start:start + _CHUNK // 3]
+            right = np.zeros((self.size, 3 * len(part)))
+            for j, i in enumerate(part):
+                right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
+            answer = self.solve(right)
+            if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
+                # those asked for stay: their caller has sized them, `_COLUMNS_BYTES` at the most for all its touches
+                asked = {int(i) for i in nodes}
+                self._whole = {i: column for i, column in self._whole.items() if i in asked}
+            surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
+            rows = np.ascontiguousarray(answer.T, dtype=self._kept) if whole else None
+            for j, i in enumerate(part):
+                self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
+                if rows is not None:
+                    self._whole[i] = rows[3 * j:3 * j + 3]
+
+    def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
+        """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
+        self._make(nodes, whole=True)
+        return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
+
+    def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
+        """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N]; 0 where held."""
+        self._make(pushed, whole=False)
+        rows = self._row_of[nodes]
+        out = np.empty((len(nodes), 3, len(pushed), 3))
+        for j, i in enumerate(pushed):
+            out[:, :, j, :] = self._columns[int(i)][rows]
+        return out.reshape(3 * len(nodes), 3 * len(pushed))
+
+    def dense(self, device: str) -> torch.Tensor:
+        """The inverse (3 n, 3 n) [m/N] on a GPU, rows and columns of held degrees of freedom 0; made once and kept."""
+        if device not in self._dense:
+            k = self._held
+            matrix = torch.sparse_coo_tensor(np.stack([k.row, k.col]), k.data, k.shape, device=device).to_dense()
+            inverse = torch.cholesky_inverse(torch.linalg.cholesky(matrix))
+            free = torch.as_tensor(self.free, device=device)
+            self._dense[device] = inverse * free * free[:, None]
+        return self._dense[device]
+
+
+    def stiffness_on(self, device: str) -> torch.Tensor:
+        """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
+        if self._on != device:
+            k = self.stiffness.tocsr()
+            self._moved, self._on = torch.sparse_csr_tensor(k.indptr, k.indices, k.data, k.shape, device=device), device
+        return self._moved
+
+
+class QuickFactor(RestFactor):
+    """A rest-state factor whose answers come from `multifrontal`: to a percent or so, which is enough to predict and to precondition with."""
+
+    _kept = np.float32
+
+    def __init__(self, exact: RestFactor, solver: Multifrontal):
+        began = time.perf_counter()
+        self._begin(exact.stiffness, exact.free, exact._surface)
+        self._solver = solver
+        self.seconds = time.perf_counter() - began
+
+    @classmethod
+    def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
+        """The quick factor, or None if its few digits lose something of this body: tried with pushes along each axis on all of it and with forces at random."""
+        solver = Multifrontal(exact._held, points)
+        loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)), np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
+        return cls(exact, solver) if trusted(exact._held, solver, loads * exact.free[:, None]) else None
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """As `RestFactor.solve`, approximately."""
+        return self._solver.solve(right)
+
+
+class Response(Protocol):
+    """How the body at rest answers forces, for the touches of one run."""
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
+
+    def prepare(self, nodes: torch.Tensor) -> bool:
+        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only a lazy `response` must be told. True if `compliance` has more now."""
+
+    def compliance(self) -> torch.Tensor:
+        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that are not prepared."""
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
+
+
+def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True, lazy: bool = False) -> Response:
+    """The answer of a body to forces on given patches.
+
+    Args:
+        factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
+        exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the time
+            (good for predictions and as a preconditioner). lazy: what only some nodes need is made when `Response.prepare` names them.
+    """
+    if device != "cpu" and factor.size <= _DENSE:
+        return _Dense(factor, dof, device)
+    return _Sparse(factor, dof, device, exact, lazy)
+
+
+def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
+    """Patch values (k, 3 s) in vectors of the whole body (size, k); dof (k, 3 s), -1 pads (values there must be 0)."""
+    out = torch.zeros((size, len(dof)), dtype=values.dtype, device=values.device)
+    return out.scatter_add_(0, dof.clamp(min=0).T, values.T)
+
+
+class _Sparse:
+    """Triangular solves on the host; for few touches also the columns of the inverse under their patches.
+
+    ``lazy``: columns are there only for nodes that `prepare` was told of.
+    """
+
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
+        self._factor, self._dof = factor, dof
+        self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
+        width = dof.shape[1]
+        few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES
+        self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32, device=device) if few else None
+        self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
+        self._ready = np.zeros((len(dof), width // 3), bool)
+        if not lazy:
+            self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
+
+    def prepare(self, nodes: torch.Tensor) -> bool:
+        """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
+        more = False
+        for b, asked in enumerate(nodes.cpu().numpy() & ~self._ready):
+            if not asked.any():
+                continue
+            more = True
+            self._ready[b] |= asked
+            new, own = self._nodes[b][asked[:len(self._nodes[b])]], self._nodes[b]
+            at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
+            if self._whole is not None:
+                self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
+            self._compliance[b, :3 * len(own), at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
+        return more
+
+    def compliance(self) -> torch.Tensor:
+        return 0.5 * (self._compliance + self._compliance.mT)
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        if self._whole is not None:
+            return torch.stack([self._combine(self._whole[b], f) for b, f in zip(touches.tolist(), force, strict=True)], dim=1).to(force.dtype)
+        free = torch.as_tensor(self._factor.free, device=force.device)[:, None]
+        return self.solve(spread(self._dof[touches], force, self._factor.size) * free)
+
+    @staticmethod
+    def _combine(columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is all the work: of a small contact only its own are read."""
+        force = force.to(columns.dtype)
+        used = force.nonzero()[:, 0]
+        if len(used) > _SPARSE * len(force):
+            return force @ columns
+        out = torch.zeros(columns.shape[1], dtype=columns.dtype, device=columns.device)
+        part = torch.empty((_ROWS, columns.shape[1]), dtype=columns.dtype, device=columns.device)
+        for some in used.split(_ROWS):
+            rows = torch.index_select(columns, 0, some, out=part[:len(some)])
+            out.addmv_(rows.T, force[some])
+        return out
+
+
+class _Dense:
+    """Products with the dense inverse on the GPU; forces on patches meet only the columns of all patches together."""
+
+    def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
+        self._inverse = factor.dense(device)
+        self._dof = dof
+        together = torch.unique(dof[dof >= 0])
+        self._columns = self._inverse[:, together].contiguous()
+        place = torch.zeros(factor.size, dtype=torch.int64, device=dof.device)
+        place[together] = torch.arange(len(together), device=dof.device)
+        self._place = torch.where(dof >= 0, place[dof.clamp(min=0)], -1)
+
+    def prepare(self, nodes: torch.Tensor) -> bool:
+        """All of the inverse is there."""
+        return False
+
+    def compliance(self) -> torch.Tensor:
+        real = (self._dof >= 0).to(torch.float64)
+        index = self._dof.clamp(min=0)
+        table = self._inverse[index[:, :, None], index[:, None, :]]
+        table = table * real[:, :, None] * real[:, None, :]
+        return 0.5 * (table + table.mT)
+
+    def solve(self, right: torch.Tensor) -> torch.Tensor:
+        return self._inverse @ right
+
+    def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
+        if not self._columns.shape[1]:  # no touch reaches anything
+            return torch.zeros((len(self._inverse), len(touches)), dtype=force.dtype, device=force.device)
+        return self._columns @ spread(self._place[touches], force, self._columns.shape[1])

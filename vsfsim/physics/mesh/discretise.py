@@ -1,0 +1,79 @@
+"""From the shape a scene names to a volume of corner tetrahedra."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.scene import ObjectSpec
+from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, Rod, Sphere, extent
+from vsfsim.core.shelf import families
+from vsfsim.core.solid import Solid
+from vsfsim.physics.mesh.quadratic import structured as blocks
+
+# Beyond this the mesh would not fit in memory; a slip of units is the usual cause.
+MAX_CELLS = 2_000_000
+
+
+def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator | None = None,
+                cache: Path | None = None, focus: np.ndarray | None = None,
+                equal_volume: bool = False) -> Solid:
+    """Fill an object with straight-sided, positively oriented tetrahedra, in its own frame.
+
+    Args:
+        spec: the object; only its shape is read.
+        resolution: edge length aimed at [m].
+        rng: stream from which a family draws its materials and look; None is a stream of seed 0.
+        cache: folder for filled mesh files, None for the user's cache folder.
+        focus: points (k, 3) [m] in the object's frame near which a box keeps ``resolution`` while it
+            coarsens up to 3x elsewhere; other shapes ignore it.
+        equal_volume: for sphere, cylinder and rod, scale the inscribed polyhedron to the true volume.
+
+    Raises:
+        SceneError: an unknown family, bad family parameters, or a resolution that gives too many cells.
+        MeshError: a mesh file that cannot be read, repaired or filled.
+    """
+    shape = spec.shape
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        raise SceneError(f"resolution is {resolution!r}; it must be an edge length in metres, greater than 0.")
+    if isinstance(shape, MeshFile):
+        # scan pulls in trimesh; a box does not need it
+        from vsfsim.physics.mesh.scan import fill_mesh_file
+        return fill_mesh_file(shape, resolution=resolution, cache=cache)
+    if isinstance(shape, Family):
+        return _family(shape, resolution, np.random.default_rng(0) if rng is None else rng)
+    _check_cells(shape, resolution)
+    match shape:
+        case Box(size):
+            vertices, tets = blocks.box(size, resolution, focus=focus)
+        case Sphere(radius):
+            vertices, tets = blocks.ball(radius, resolution, equal_volume=equal_volume)
+        case Cylinder(radius, height):
+            vertices, tets = blocks.cylinder(radius, height, resolution, equal_volume=equal_volume)
+        case Rod(length, radius):
+            vertices, tets = blocks.rod(length, radius, resolution, equal_volume=equal_volume)
+        case _:
+            raise AssertionError(shape)
+    return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",))
+
+
+def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid:
+    if shape.name not in families():
+        raise SceneError(f"[object] shape: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
+    module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
+    if not hasattr(module, "build"):
+        raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an [arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")
+    return module.build(shape.parameters, rng, resolution=resolution, where=f"[object] shape family '{shape.name}'")
+
+
+def _check_cells(shape: Box | Sphere | Cylinder | Rod, resolution: float) -> None:
+    edges = extent(shape)
+    cells = math.prod(math.ceil(edge / resolution) for edge in edges)
+    if cells > MAX_CELLS:
+        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of {' x '.join(f'{e:g}' for e in edges)} m "
+                         f"into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser resolution, and check "
+                         "that both are in metres.")

@@ -1,0 +1,228 @@
+"""Triangle meshes of membranes: a flat ellipse of any number of nodes, the same every time and mirrored about both axes, and a closed sphere.
+
+The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line of nodes on the long axis.
+Every ring has a node on the long axis at both ends and a number of nodes that is even, so that the strip between two rings can be triangulated in
+one half and mirrored. Near the middle of a circle the line is one node.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.physics.elements import gas
+
+READ_OUT = (390, 64)  # nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
+_SMOOTHINGS = 30
+
+
+@dataclass(frozen=True)
+class TriangleMesh:
+    """Linear triangles in space, with the attributes that the solver asks of a mesh.
+
+    points: nodes (n, 3) [m]. faces: (f, 3), wound outwards. rim: nodes of the edge in order, counter-clockwise from outside (r,); none if closed.
+    volume: inside the surface, closed by a cap over the rim (1,) [m^3].
+    """
+
+    points: np.ndarray
+    faces: np.ndarray
+    rim: np.ndarray
+    volume: np.ndarray
+
+    @classmethod
+    def of(cls, points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> TriangleMesh:
+        """A mesh and its volume; arguments as the fields."""
+        return cls(points, faces, rim, np.array([gas.volume(points, closed(faces, rim))]))
+
+    @property
+    def tets(self) -> np.ndarray:
+        """None: (0, 10)."""
+        return np.zeros((0, 10), np.int32)
+
+    def surface_nodes(self) -> np.ndarray:
+        """All nodes (n,)."""
+        return np.arange(len(self.points))
+
+    def face_area(self) -> np.ndarray:
+        """Areas (f,) [m^2]."""
+        a, b, c = (self.points[self.faces[:, k]] for k in range(3))
+        return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+    def edge(self, at: np.ndarray | None = None) -> float:
+        """Mean length of the edges [m] of the triangles at nodes ``at`` (k,), or of all where there are none."""
+        faces = self.faces if at is None or not len(at) else self.faces[np.isin(self.faces, at).any(axis=1)]
+        corners = self.points[faces]
+        return float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean())
+
+
+def closed(faces: np.ndarray, rim: np.ndarray) -> np.ndarray:
+    """Faces and a cap over the rim (f + r - 2, 3)."""
+    return faces if not len(rim) else np.concatenate([faces, gas.cap(rim)]).astype(np.int32)
+
+
+# ---------------------------------------------------------------------------------------------- the ellipse
+
+
+def ellipse(a: float, b: float, nodes: int, *, rim: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A flat ellipse of exactly ``nodes`` nodes.
+
+    Args:
+        a, b: semi-axes along x and y [m], a >= b. nodes: in all, 30 or more. rim: on the rim, a multiple of 4, or None for equal edges.
+
+    Returns:
+        Points (n, 2) [m], the rim first; triangles (f, 3), counter-clockwise; the rim in order (r,).
+    """
+    assert a >= b > 0.0 and nodes >= 30
+    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / (nodes + 0.5 * _perimeter(a, b) / math.sqrt(math.pi * a * b / nodes)))
+    rim = max(8, 4 * round(_perimeter(a, b) / edge / 4)) if rim is None else rim
+    rows = max(1, round(b / (edge * math.sqrt(0.75))))
+    counts, middle = _counts(a, b, rim, nodes, rows)
+    rings = [_ring(a - b * k / rows, b - b * k / rows, n) for k, n in enumerate(counts)]
+    line = np.zeros((middle, 2))
+    if middle > 1:
+        line[:, 0] = np.linspace(-1.0, 1.0, middle) * max(a - b, 0.3 * (middle - 1) * b / rows)
+    points = np.concatenate([*rings, line])
+    start = np.cumsum([0, *counts])
+    loops = [np.arange(start[k], start[k + 1]) for k in range(len(counts))]
+    # around the line and back, from its right end
+    ends = start[-1] + np.arange(middle)
+    loops.append(np.concatenate([ends[::-1], ends[1:-1]]) if middle > 1 else ends)
+    triangles = np.concatenate([_strip(points, outer, inner) for outer, inner in itertools.pairwise(loops)])
+    points = _smooth(points, triangles, rim)
+    return points, triangles, np.arange(rim)
+
+
+def _perimeter(a: float, b: float) -> float:
+    """Of an ellipse [m] (Ramanujan 1914)."""
+    return math.pi * (3.0 * (a + b) - math.sqrt((3.0 * a + b) * (a + 3.0 * b)))
+
+
+def _counts(a: float, b: float, rim: int, nodes: int, rows: int) -> tuple[list[int], int]:
+    """Nodes of the rings from the rim inwards, multiples of 4 that add up to ``nodes`` with those of the line in the middle."""
+    while True:
+        length = np.array([_perimeter(a - b * k / rows, b - b * k / rows) for k in range(1, rows)])
+        rest = nodes - rim
+        row = b / rows
+        middle_wish = max(1.0, 2.0 * (a - b) / (1.1 * row) + 1.0)
+        middle = max(1, round(middle_wish))
+        # its remainder by 4 is what the rings cannot give; the nearest number that has it
+        choice = [m for m in range(1, middle + 5) if (rest - m) % 4 == 0]
+        middle = min(choice, key=lambda m: (abs(m - middle_wish), m))
+        rings = (rest - middle) // 4
+        if rows > 1 and rings < rows - 1:
+            rows -= 1
+            continue
+        if rows == 1:
+            return [rim], rest
+        share = length / length.sum() * rings
+        whole = np.maximum(1, np.floor(share)).astype(int)
+        while whole.sum() != rings:
+            off = share - whole
+            k = int(off.argmax()) if whole.sum() < rings else int(np.where(whole > 1, off, np.inf).argmin())
+            whole[k] += 1 if whole.sum() < rings else -1
+        return [rim, *(4 * int(n) for n in whole)], middle
+
+
+def _ring(a: float, b: float, count: int) -> np.ndarray:
+    """``count`` points at equal arc lengths of an ellipse, from (a, 0) on; one quarter and its mirror images."""
+    angle = np.linspace(0.0, 0.5 * math.pi, 2001)
+    fine = np.stack([a * np.cos(angle), b * np.sin(angle)], axis=1)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(fine, axis=0), axis=1))])
+    at = np.interp(np.linspace(0.0, way[-1], count // 4 + 1), way, angle)
+    quarter = np.stack([a * np.cos(at), b * np.sin(at)], axis=1)
+    quarter[0, 1] = quarter[-1, 0] = 0.0
+    half = np.concatenate([quarter, (quarter * [-1.0, 1.0])[-2::-1]])
+    return np.concatenate([half, (half * [1.0, -1.0])[-2:0:-1]])
+
+
+def _strip(points: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Triangles between two loops that both begin on the +x axis: one quarter by the shorter diagonal each time, the others its mirror images."""
+    if len(inner) == 1:
+        return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
+    out: list[tuple[int, int, int]] = []
+    n, m = len(outer), len(inner)
+    # the middle of a line with an even number of nodes is an edge: it belongs to a triangle that is its own mirror image
+    straddles = m % 4 == 2
+    stop = m // 4 + (1 if straddles else 0)
+    i = j = 0
+    pairs: list[tuple[str, int, int]] = []
+    while i < n // 4 or j < m // 4:
+        if j >= m // 4 or i == 0:  # on the long axis a triangle of the line and the ring's first node would have no area
+            outward = True
+        elif i >= n // 4:
+            outward = False
+        else:
+            new_outer = np.linalg.norm(points[outer[i + 1]] - points[inner[j]])
+            new_inner = np.linalg.norm(points[outer[i]] - points[inner[j + 1]])
+            outward = bool(new_outer <= new_inner)
+        pairs.append(("o" if outward else "i", i, j))
+        i, j = (i + 1, j) if outward else (i, j + 1)
+    for kind, i, j in pairs:
+        # first quarter, then mirrored in x, in both, in y (mirroring turns the winding round)
+        for flip_x, flip_y in ((False, False), (True, False), (True, True), (False, True)):
+            def o(k: int, fx: bool = flip_x, fy: bool = flip_y) -> int:
+                k = n // 2 - k if fx else k
+                return int(outer[-k % n if fy else k % n])
+
+            def p(k: int, fx: bool = flip_x, fy: bool = flip_y) -> int:
+                k = m // 2 - k if fx else k
+                return int(inner[-k % m if fy else k % m])
+
+            corners = (o(i), o(i + 1), p(j)) if kind == "o" else (o(i), p(j + 1), p(j))
+            out.append(corners if flip_x == flip_y else corners[::-1])
+    if straddles:
+        j = stop - 1
+        out.append((int(outer[n // 4]), int(inner[j + 1]), int(inner[j])))
+        out.append((int(outer[3 * n // 4]), int(inner[(-j) % m]), int(inner[(-j - 1) % m])))
+    return np.array([c for c in out if len(set(c)) == 3])
+
+
+def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
+    """Inner nodes moved to the middle of the triangles around them, by area, again and again: evens out areas and keeps the mirror symmetry."""
+    out = points.copy()
+    for _ in range(_SMOOTHINGS):
+        a, b, c = (out[triangles[:, k]] for k in range(3))
+        area = 0.5 * np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
+        middle = (a + b + c) / 3.0
+        total, weight = np.zeros_like(out), np.zeros(len(out))
+        for k in range(3):
+            np.add.at(total, triangles[:, k], area[:, None] * middle)
+            np.add.at(weight, triangles[:, k], area)
+        out[rim:] = (total / weight[:, None])[rim:]
+    return out
+
+
+def refine(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every triangle of a flat ellipse cut in four: the old nodes keep their numbers, new ones on the rim lie on the ellipse; see `ellipse`."""
+    mesh, triangles, middle = _cut_in_four(points, triangles)
+    between = np.array([middle[tuple(sorted((int(i), int(j))))] for i, j in zip(rim, np.roll(rim, -1), strict=True)])
+    mesh[between] /= np.sqrt((mesh[between, 0] / a) ** 2 + (mesh[between, 1] / b) ** 2)[:, None]
+    return mesh, triangles, np.stack([rim, between], axis=1).ravel()
+
+
+def _cut_in_four(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[tuple[int, int], int]]:
+    pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    m = len(points) + inverse.reshape(-1, 3)
+    t = triangles
+    cut = np.concatenate([np.stack([t[:, 0], m[:, 0], m[:, 2]], 1), np.stack([m[:, 0], t[:, 1], m[:, 1]], 1),
+                          np.stack([m[:, 2], m[:, 1], t[:, 2]], 1), m])
+    number = {(int(i), int(j)): len(points) + k for k, (i, j) in enumerate(edges)}
+    return np.concatenate([points, points[edges].mean(axis=1)]), cut, number
+
+
+# ---------------------------------------------------------------------------------------------- the sphere
+
+
+def sphere(radius: float, cuts: int) -> TriangleMesh:
+    """A closed sphere: the icosahedron, every triangle cut in four ``cuts`` times and pushed out to ``radius`` [m]."""
+    from vsfsim.physics.mesh.structured import _icosahedron
+
+    points, faces = _icosahedron()
+    for _ in range(cuts):
+        points, faces, _ = _cut_in_four(points, faces)
+        points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return TriangleMesh.of(radius * points, faces.astype(np.int32), np.zeros(0, np.int64))

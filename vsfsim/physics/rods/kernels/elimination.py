@@ -1,0 +1,200 @@
+"""Newton's step of a tree: elimination of 6 x 6 blocks from the tips to the root and back, which costs as many blocks as there are nodes.
+
+Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a lane each, which all eliminate the node's block for themselves. The loops over
+a block are plain C++, which the compilers unroll: on a GPU a block then stays in registers.
+"""
+
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.kernels.lanes import count_all, meet
+from vsfsim.physics.rods.kernels.segment import mat66
+from vsfsim.physics.rods.state import Here, Trees, Work
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+vec6 = wp.spatial_vectord
+COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
+
+
+@wp.func_native(snippet="""
+    double d[6][6], v[6], own[6];
+    {
+        auto& block = *wp::address(diagonal, b, i);
+        auto& side = *wp::address(right, b, i);
+        for (int r = 0; r < 6; ++r) {
+            v[r] = side[r];
+            for (int c = 0; c < 6; ++c)
+                d[r][c] = block.data[r][c];
+        }
+    }
+    // what the children leave: A (Y, t), with A the coupling towards the child
+    for (int kid = *wp::address(child, o + i); kid >= 0; kid = *wp::address(next, o + kid)) {
+        if (*wp::address(active, b, kid) == 0)
+            continue;
+        auto& y = *wp::address(passed, b, kid);
+        auto& t = *wp::address(held, b, kid);
+        if (symmetric) {
+            auto& down = *wp::address(coupling, b, kid);
+            for (int r = 0; r < 6; ++r)
+                for (int m = 0; m < 6; ++m) {
+                    const double f = down.data[m][r];
+                    v[r] -= f * t[m];
+                    for (int c = 0; c < 6; ++c)
+                        d[r][c] -= f * y.data[m][c];
+                }
+        } else {
+            auto& up = *wp::address(across, b, kid);
+            for (int r = 0; r < 6; ++r)
+                for (int m = 0; m < 6; ++m) {
+                    const double f = up.data[r][m];
+                    v[r] -= f * t[m];
+                    for (int c = 0; c < 6; ++c)
+                        d[r][c] -= f * y.data[m][c];
+                }
+        }
+    }
+    // the columns of this lane: all seven of one thread, or one; the right side is the seventh
+    auto& pair = *wp::address(coupling, b, i);
+#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
+    const int wide = 1;
+    double z[6][1];
+    for (int r = 0; r < 6; ++r)
+        z[r][0] = column < 6 ? pair.data[r][column] : v[r];
+#else
+    const int wide = 7;
+    double z[6][7];
+    for (int r = 0; r < 6; ++r) {
+        for (int c = 0; c < 6; ++c)
+            z[r][c] = pair.data[r][c];
+        z[r][6] = v[r];
+    }
+#endif
+    int fine = 1;
+    for (int k = 0; k < 6; ++k)
+        own[k] = ::fabs(d[k][k]);
+    for (int k = 0; k < 6; ++k) {
+        if (symmetric) {
+            // the pivots are the squares of those of Cholesky's factor
+            if (!(d[k][k] > 1e-13 * own[k])) {
+                fine = 0;
+                d[k][k] = 1.0;
+            }
+        } else {
+            int best = k;
+            double size = ::fabs(d[k][k]);
+            for (int m = k + 1; m < 6; ++m)
+                if (::fabs(d[m][k]) > size) {
+                    best = m;
+                    size = ::fabs(d[m][k]);
+                }
+            if (!(size > 0.0)) {
+                fine = 0;
+                d[k][k] = 1.0;
+            }
+            for (int m = k + 1; m < 6; ++m)  // rows by constant numbers, so that the block stays in registers
+                if (m == best) {
+                    for (int c = k; c < 6; ++c) {
+                        const double swap = d[k][c];
+                        d[k][c] = d[m][c];
+                        d[m][c] = swap;
+                    }
+                    for (int c = 0; c < wide; ++c) {
+                        const double swap = z[k][c];
+                        z[k][c] = z[m][c];
+                        z[m][c] = swap;
+                    }
+                }
+        }
+        const double inverse = 1.0 / d[k][k];
+        d[k][k] = inverse;
+        for (int m = k + 1; m < 6; ++m) {
+            const double f = d[m][k] * inverse;
+            for (int c = k + 1; c < 6; ++c)
+                d[m][c] -= f * d[k][c];
+            for (int c = 0; c < wide; ++c)
+                z[m][c] -= f * z[k][c];
+        }
+    }
+    for (int k = 5; k >= 0; --k)
+        for (int c = 0; c < wide; ++c) {
+            double e = z[k][c];
+            for (int m = k + 1; m < 6; ++m)
+                e -= d[k][m] * z[m][c];
+            z[k][c] = e * d[k][k];
+        }
+    auto& pass = *wp::address(passed, b, i);
+    auto& hold = *wp::address(held, b, i);
+#if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
+    if (column == 6)
+        for (int r = 0; r < 6; ++r)
+            hold[r] = z[r][0];
+    else
+        for (int r = 0; r < 6; ++r)
+            pass.data[r][column] = z[r][0];
+#else
+    for (int r = 0; r < 6; ++r) {
+        for (int c = 0; c < 6; ++c)
+            pass.data[r][c] = z[r][c];
+        hold[r] = z[r][6];
+    }
+#endif
+    return fine;
+""")
+def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32), diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
+              across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
+    """Node ``i`` after its children: the inverse of its block on the column. 1, or 0 where the block is not positive definite; if it is not ``symmetric``, rows are exchanged for the largest pivot, and 0 says
+    that one is lost."""
+    ...
+
+
+@wp.func_native(snippet="""
+    auto& out = *wp::address(step, b, i);
+    auto& hold = *wp::address(held, b, i);
+    auto& y = *wp::address(passed, b, i);
+    auto& up = *wp::address(step, b, p);
+    for (int r = 0; r < 6; ++r) {
+        double v = hold[r];
+        for (int c = 0; c < 6; ++c)
+            v -= y.data[r][c] * up[c];
+        out[r] = v;
+    }
+""")
+def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), step: wp.array2d(dtype=vec6), b: int, p: int, i: int):
+    """The step of node ``i`` after that of its parent ``p``."""
+    ...
+
+
+@wp.func
+def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
+    """The step of all active nodes into ``w.step``; nodes that are not stale keep what elimination left of them before. 1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
+    b = at.b
+    column = int(0)
+    begin = int(0)
+    by = int(1)
+    if at.lanes > 1:
+        column = at.lane % COLUMNS
+        begin = at.lane / COLUMNS
+        by = at.lanes / COLUMNS
+    lost = int(0)
+    for back in range(1, tall):
+        d = tall - back
+        if column < COLUMNS - 1:
+            for a in range(w.level[b, d] + begin, w.level[b, d + 1], by):
+                i = w.order[b, a]
+                if w.stale[b, i] == 0:
+                    continue
+                if eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.right, w.passed, w.held, b, at.o, i, column, 1 - coulomb) == 0:
+                    lost = lost + 1
+        meet()
+    if count_all(lost) > 0:
+        return 0
+    if at.lane == 0:
+        w.step[b, 0] = vec6()
+    meet()
+    for d in range(1, tall):
+        for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
+            i = w.order[b, a]
+            substitute(w.passed, w.held, w.step, b, tree.parent[at.o + i], i)
+        meet()
+    return 1

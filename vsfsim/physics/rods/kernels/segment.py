@@ -1,0 +1,192 @@
+"""One beam segment between two nodes with rotations: strains, energy, gradient and the exact second derivative.
+
+    E = 1/2 d . Kd d + 1/2 phi . Kphi phi
+    phi = log(Rp^T Rc)  (in the segment's frame F),   d = (Rm F)^T (xc - xp) - L e1,   Rm = Rp exp(phi / 2)
+    Kd = diag(E A, S2, S3) / L,  Kphi = diag(G J, E I2, E I3) / L,  1/S = 1/(k G A) + L^2 / (12 E I)
+
+The strain measures are Simo's and Reissner's (Reissner 1972; Simo and Vu-Quoc 1986) at the middle of the segment, invariant to rigid motions of any
+size (Crisfield and Jelenic 1999). One point of integration cannot lock in shear; the compliance L^2 / (12 E I) that it leaves out is put into S (MacNeal
+1978), so that at small strain the nodes of a straight beam are exact for loads at nodes, at any slenderness: G A may be infinite (Kirchhoff's rod).
+
+Node rotations are the identity at rest, so a joint of several segments is rigid by itself. Spins are spatial: R <- exp(spin) R. In the middle frame
+a and b are the spins of the two ends, e = b - a, psi = phi / 2, tau = tan(|psi| / 2) / |psi|, g = tau psi, and
+
+    phi' = C e,  C = c I + k psi psi^T,  c = |psi| / sin |psi|,  k = (1 - c) / |psi|^2
+    w = (a + b) / 2 - g x e / 2        the spin of the middle frame
+    d' = v' - w x D,                   D = d + L e1
+
+The second derivative along a path of constant spins follows by differentiating these once more; it is a form in (v', w, e).
+"""
+
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+mat33 = wp.mat33d
+vec3 = wp.vec3d
+quat = wp.quatd
+mat66 = wp.spatial_matrixd
+real = wp.float64
+
+HALF = wp.constant(wp.float64(0.5))
+ZERO = wp.constant(wp.float64(0.0))
+ONE = wp.constant(wp.float64(1.0))
+SMALL = wp.constant(wp.float64(0.05))  # below it series; what they leave out is under 1e-12 of the value
+TINY = wp.constant(wp.float64(1e-12))
+
+
+@wp.struct
+class Strain:
+    """Strains of a segment and what follows from them. turn: Rm F. d, phi: see above. D: d + L e1 [m]. psi, g: (3,)."""
+
+    turn: wp.quatd
+    d: wp.vec3d
+    phi: wp.vec3d
+    D: wp.vec3d
+    psi: wp.vec3d
+    g: wp.vec3d
+    angle: wp.float64
+    c: wp.float64
+
+
+@wp.struct
+class Blocks:
+    """Second derivative of a segment, 6 x 6 blocks in (position, spin) of the parent's node and of the child's."""
+
+    parent: wp.spatial_matrixd
+    child: wp.spatial_matrixd
+    mixed: wp.spatial_matrixd  # rows: child, columns: parent
+
+
+@wp.func(inline=False)
+def strain(xp: vec3, qp: quat, xc: vec3, qc: quat, frame: quat, length: real):
+    s = Strain()
+    left = wp.mul(qp, frame)
+    rel = wp.mul(wp.quat_inverse(left), wp.mul(qc, frame))
+    if rel[3] < ZERO:
+        rel = quat(-rel[0], -rel[1], -rel[2], -rel[3])
+    v = vec3(rel[0], rel[1], rel[2])
+    sine = wp.length(v)
+    s.angle = wp.atan2(sine, rel[3])
+    s.c = ONE
+    if sine > TINY:
+        s.c = s.angle / sine
+    s.psi = s.c * v
+    s.phi = real(2.0) * s.psi
+    s.g = v / (ONE + rel[3])
+    half = wp.normalize(quat(rel[0], rel[1], rel[2], ONE + rel[3]))
+    s.turn = wp.mul(left, half)
+    s.D = wp.quat_rotate_inv(s.turn, xc - xp)
+    s.d = s.D - vec3(length, ZERO, ZERO)
+    return s
+
+
+@wp.func
+def energy(s: Strain, kd: vec3, kphi: vec3):
+    return HALF * (wp.dot(wp.cw_mul(kd, s.d), s.d) + wp.dot(wp.cw_mul(kphi, s.phi), s.phi))
+
+
+@wp.func
+def k_of(angle: real, c: real):
+    """(1 - c) / angle^2."""
+    t = angle * angle
+    if angle < SMALL:
+        return -(real(1.0 / 6.0) + t * (real(7.0 / 360.0) + t * real(31.0 / 15120.0)))
+    return (ONE - c) / t
+
+
+@wp.func
+def times_c(s: Strain, mu: vec3):
+    """C mu."""
+    return s.c * mu + (k_of(s.angle, s.c) * wp.dot(s.psi, mu)) * s.psi
+
+
+@wp.func(inline=False)
+def gradient(s: Strain, kd: vec3, kphi: vec3):
+    """Force on the child's node, and moments on the child's and the parent's, in the world; the force on the parent's is minus the first."""
+    q = wp.cw_mul(kd, s.d)
+    cmu = times_c(s, wp.cw_mul(kphi, s.phi))
+    m = wp.cross(q, s.D)
+    gm = wp.cross(s.g, m)
+    on_child = HALF * (m + gm) + cmu
+    on_parent = HALF * (m - gm) - cmu
+    return wp.quat_rotate(s.turn, q), wp.quat_rotate(s.turn, on_child), wp.quat_rotate(s.turn, on_parent)
+
+
+@wp.func
+def symmetric(a: vec3, b: vec3):
+    return HALF * (wp.outer(a, b) + wp.outer(b, a))
+
+
+@wp.func
+def place(tl: mat33, tr: mat33, bl: mat33, br: mat33):
+    """A 6 x 6 matrix of four blocks."""
+    out = mat66()
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = tl[i, j]
+            out[i, j + 3] = tr[i, j]
+            out[i + 3, j] = bl[i, j]
+            out[i + 3, j + 3] = br[i, j]
+    return out
+
+
+@wp.func
+def six(force: vec3, moment: vec3):
+    """A force, or displacement, and a moment, or spin, as one vector."""
+    return wp.spatial_vectord(force[0], force[1], force[2], moment[0], moment[1], moment[2])
+
+
+@wp.func(inline=False)
+def second(s: Strain, kd: vec3, kphi: vec3, geometric: real):
+    """The second derivative; ``geometric`` 1: exact, 0: without the terms of the stresses, which is never negative."""
+    q = wp.cw_mul(kd, s.d)
+    mu = wp.cw_mul(kphi, s.phi)
+    m = wp.cross(q, s.D)
+    cmu = times_c(s, mu)
+    t = s.angle * s.angle
+    k = k_of(s.angle, s.c)
+    c1 = real(1.0 / 3.0) + t * (real(7.0 / 90.0) + t * real(31.0 / 2520.0))
+    k1 = -(real(7.0 / 180.0) + t * real(31.0 / 3780.0))
+    tau = HALF + t * (real(1.0 / 24.0) + t * real(1.0 / 240.0))
+    tau1 = real(1.0 / 12.0) + t * real(1.0 / 60.0)
+    if s.angle > SMALL:
+        sine = wp.sin(s.angle)
+        c_slope = (sine - s.angle * wp.cos(s.angle)) / (sine * sine)
+        c1 = c_slope / s.angle
+        k1 = -(c_slope * s.angle + real(2.0) * (ONE - s.c)) / (t * t)
+        tangent = wp.tan(HALF * s.angle)
+        tau = tangent / s.angle
+        tau1 = (HALF * (ONE + tangent * tangent) * s.angle - tangent) / (t * s.angle)
+    eye = wp.identity(n=3, dtype=real)
+    cc = s.c * eye + k * wp.outer(s.psi, s.psi)
+    dd = wp.skew(s.D)
+    kdd = wp.diag(kd) * dd
+    hvw = kdd - geometric * wp.skew(q)
+    hww = wp.transpose(dd) * kdd + geometric * (symmetric(q, s.D) - wp.dot(q, s.D) * eye)
+    hwe = (geometric * HALF) * (HALF * wp.skew(m) * wp.skew(s.g) - HALF * wp.skew(wp.cross(m, s.g)) + wp.skew(cmu))
+    mp = wp.dot(mu, s.psi)
+    pp = HALF * (c1 * symmetric(s.psi, mu) + k1 * mp * wp.outer(s.psi, s.psi) + k * symmetric(cmu, s.psi) + k * mp * cc)
+    pp = pp - (real(0.25) * (tau * k + tau1)) * symmetric(s.psi, wp.cross(m, s.psi))
+    hee = cc * wp.diag(kphi) * cc + geometric * pp
+    wa = HALF * (eye + wp.skew(s.g))
+    wb = wp.transpose(wa)
+    turn = wp.quat_to_matrix(s.turn)
+    back = wp.transpose(turn)
+    hvv = turn * wp.diag(kd) * back
+    hva = turn * (hvw * wa) * back
+    hvb = turn * (hvw * wb) * back
+    aw = wb * hww
+    bw = wa * hww
+    ae = wb * hwe  # wa^T hwe
+    be = wa * hwe  # wb^T hwe
+    haa = turn * (aw * wa - ae - wp.transpose(ae) + hee) * back
+    hbb = turn * (bw * wb + be + wp.transpose(be) + hee) * back
+    hba = turn * (bw * wa - be + wp.transpose(ae) - hee) * back
+    out = Blocks()
+    out.parent = place(hvv, -hva, -wp.transpose(hva), haa)
+    out.child = place(hvv, hvb, wp.transpose(hvb), hbb)
+    out.mixed = place(-hvv, hva, -wp.transpose(hvb), hba)
+    return out

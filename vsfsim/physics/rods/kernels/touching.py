@@ -1,0 +1,157 @@
+"""Contact of samples on a plant with rigid capsules: gap, penalty, and Coulomb's friction with memory.
+
+    Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
+    Pi_t = Huber(k |u_t|; tau): k u^2/2 while k u <= tau, else tau u - tau^2 / (2 k)
+
+y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch around it. The penalty k hardens at h = 1 mm, so that soft
+leaves may have a soft one, which Newton's method wants, and are still not gone through. Friction acts
+on the surface, y_s = y - r n with the n of the step's start carried along by the nodes, so a branch may roll. tau = mu dPi_n/dp is renewed in every Newton iteration and
+is a constant for its line search (a sequence of Tresca problems). u_t is the way of y_s over the capsule from where it stuck; a point that
+comes into contact within the step sticks where its straight way met the surface, as the first iterate inside has it.
+"""
+
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+NEAR = wp.constant(wp.float64(1e-12))
+HARD = wp.constant(wp.float64(1e-3))
+
+
+@wp.struct
+class Gap:
+    """value: [m]. normal: from the capsule to the point, world. away: distance from the capsule's axis [m]. axis: its direction, or 0 at a cap."""
+
+    value: wp.float64
+    normal: wp.vec3d
+    away: wp.float64
+    axis: wp.vec3d
+
+
+@wp.func
+def point_at(s: real, b: vec3, xp: vec3, qp: quat, xc: vec3, qc: quat):
+    """World position of a material point with the offset ``b`` from the middle line at rest."""
+    return (ONE - s) * (xp + wp.quat_rotate(qp, b)) + s * (xc + wp.quat_rotate(qc, b))
+
+
+@wp.func
+def gap_of(y: vec3, r: real, cx: vec3, cq: quat, half: real, radius: real):
+    local = wp.quat_rotate_inv(cq, y - cx)
+    z = wp.clamp(local[2], -half, half)
+    out = vec3(local[0], local[1], local[2] - z)
+    away = wp.length(out)
+    n = vec3(ONE, ZERO, ZERO)  # on the axis itself any way out will do
+    if away > NEAR:
+        n = out / away
+    g = Gap()
+    g.value = away - radius - r
+    g.normal = wp.quat_rotate(cq, n)
+    g.away = away
+    g.axis = vec3(ZERO, ZERO, ZERO)
+    if wp.abs(local[2]) < half:
+        g.axis = wp.quat_rotate(cq, vec3(ZERO, ZERO, ONE))
+    return g
+
+
+@wp.func
+def normal_energy(p: real, k: real):
+    return k * p * p * (HALF + p / (real(3.0) * HARD))
+
+
+@wp.func
+def normal_force(p: real, k: real):
+    """Of a penetration p >= 0 [N]."""
+    return k * p * (ONE + p / HARD)
+
+
+@wp.func
+def normal_stiffness(p: real, k: real):
+    return k * (ONE + real(2.0) * p / HARD)
+
+
+@wp.func
+def normal_hessian(g: Gap, k: real, geometric: real):
+    """Second derivative of Pi_n by y; the curvature of the capsule lowers it."""
+    eye = wp.identity(n=3, dtype=real)
+    nn = wp.outer(g.normal, g.normal)
+    bend = eye - nn - wp.outer(g.axis, g.axis)
+    return normal_stiffness(-g.value, k) * nn - (geometric * normal_force(-g.value, k) / wp.max(g.away, NEAR)) * bend
+
+
+@wp.func
+def slip(n: vec3, y: vec3, anchor: vec3):
+    """Way over the surface from the anchor."""
+    u = y - anchor
+    return u - wp.dot(u, n) * n
+
+
+@wp.func
+def friction_energy(u: real, k: real, tau: real):
+    if k * u <= tau:
+        return HALF * k * u * u
+    return tau * u - HALF * tau * tau / k
+
+
+@wp.func
+def friction_force(u: vec3, k: real, tau: real):
+    """Gradient of Pi_t: minus the force on the plant."""
+    size = k * wp.length(u)
+    if size <= tau:
+        return k * u
+    return (tau / size * k) * u
+
+
+@wp.func
+def friction_hessian(u: vec3, n: vec3, k: real, tau: real):
+    p = wp.identity(n=3, dtype=real) - wp.outer(n, n)
+    size = wp.length(u)
+    if k * size <= tau:
+        return k * p
+    t = u / size
+    return (tau / size) * (p - wp.outer(t, t))
+
+
+@wp.func
+def turn_hessian(f: vec3, lever: vec3):
+    """Second derivative of f . (R b) by the spin of R, lever = R b."""
+    return HALF * (wp.outer(f, lever) + wp.outer(lever, f)) - wp.dot(f, lever) * wp.identity(n=3, dtype=real)
+
+
+@wp.func_native(snippet="""
+    // J_r^T h J_c with J = (I, -[lever]) for a point that moves with a node: rows (h; [r] h), columns (. , -. [c])
+    wp::mat_t<6, 6, double> out = to;
+    double top[3][6];
+    for (int i = 0; i < 3; ++i) {
+        const double a = weight * h.data[i][0], b = weight * h.data[i][1], c = weight * h.data[i][2];
+        top[i][0] = a; top[i][1] = b; top[i][2] = c;
+        top[i][3] = column[1] * c - column[2] * b;
+        top[i][4] = column[2] * a - column[0] * c;
+        top[i][5] = column[0] * b - column[1] * a;
+    }
+    for (int j = 0; j < 6; ++j) {
+        for (int i = 0; i < 3; ++i)
+            out.data[i][j] += top[i][j];
+        out.data[3][j] += row[1] * top[2][j] - row[2] * top[1][j];
+        out.data[4][j] += row[2] * top[0][j] - row[0] * top[2][j];
+        out.data[5][j] += row[0] * top[1][j] - row[1] * top[0][j];
+    }
+    return out;
+""")
+def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.vec3d, weight: wp.float64) -> wp.spatial_matrixd:
+    """``to`` and J_r^T h J_c for points that move with nodes by the levers ``row`` and ``column``: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
+    ...
+
+
+@wp.func_native(snippet="""
+    wp::mat_t<6, 6, double> out = to;
+    for (int i = 0; i < 3; ++i)
+        for (int j = 0; j < 3; ++j)
+            out.data[i + 3][j + 3] += weight * h.data[i][j];
+    return out;
+""")
+def plus_spin(to: wp.spatial_matrixd, h: wp.mat33d, weight: wp.float64) -> wp.spatial_matrixd:
+    """``to`` and a 3 x 3 block by the spins of its node, times ``weight``."""
+    ...

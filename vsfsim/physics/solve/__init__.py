@@ -1,0 +1,1 @@
+"""The quasi-static solver: Newton, conjugate gradients, frames of a batch of touches."""

@@ -1,0 +1,257 @@
+"""A soft sensor that is carried against a soft object: both find one equilibrium, frame by frame.
+
+The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and the factor of its rest state
+stay what they are while it is carried along); `pair.PairTouching` is the contact between them, and everything else is `Solver`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.core.errors import SceneError
+from vsfsim.physics.contact.pair import PairTouching
+from vsfsim.physics.contact.pair_surfaces import SENSOR_NODES, farthest
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.linear.rest_factor import RestFactor
+from vsfsim.physics.model import Model
+from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
+from vsfsim.physics.solve.newton import State
+from vsfsim.physics.solve.touches import HARD, Memory, Rows, Solver
+
+_STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
+_BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
+_TRIES = 60
+
+
+@dataclass(frozen=True)
+class Points:
+    """The nodes of two bodies. points: the object's (world), then the sensor's (its frame) (N, 3) [m]."""
+
+    points: np.ndarray
+
+
+@dataclass(frozen=True)
+class BothFactors:
+    """The rest-state factors of two bodies that do not touch. object, sensor: theirs. split: 3 x the object's nodes."""
+
+    object: RestFactor
+    sensor: RestFactor
+    split: int
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """Displacements (3 N, k) [m] under forces (3 N, k) [N]."""
+        return np.concatenate([self.object.solve(right[:self.split]), self.sensor.solve(right[self.split:])])
+
+
+@dataclass(frozen=True)
+class Both:
+    """Two bodies as one model for `Solver`; fields as `Model`.
+
+    object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node numbers after the object's.
+    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. factor: of both at rest.
+    """
+
+    object: Model
+    sensor: Model
+    mesh: Points
+    blocks: tuple[Block, ...]
+    free: np.ndarray
+    load: np.ndarray
+    factor: BothFactors
+
+    @classmethod
+    def of(cls, model: Model, sensor: Model) -> Both:
+        """Put an object and a sensor side by side."""
+        count = len(model.mesh.points)
+        moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
+        return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])), (*model.blocks, *moved),
+                   np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
+                   BothFactors(model.factor, sensor.factor, 3 * count))
+
+    def grounding(self) -> np.ndarray:
+        """As `Model.grounding`."""
+        return np.concatenate([self.object.grounding(), self.sensor.grounding()])
+
+    def least_force(self) -> float:
+        """As `Model.least_force`: a sensor that has just let go balances its own gas to that only, however little the object's forces are."""
+        return max(self.object.least_force(), 100.0 * self.sensor.least_force())
+
+
+class _Carried:
+    """What `path` asks of a rigid body: how far it reaches from its origin."""
+
+    def __init__(self, sensor: Model):
+        self._reach = farthest(sensor)
+
+    def __len__(self) -> int:
+        return 1
+
+    def reach(self, k: int) -> float:
+        """Farthest point from the origin [m]."""
+        return self._reach
+
+
+class CoupledSolver(Solver):
+    """Touches of one object by one soft sensor.
+
+    Args:
+        model: the object, in the world. sensor: in its own frame, +z towards the object; its displacements are 0 in the free state.
+        friction: Coulomb's coefficient of the pair [-]. device, precision, options: see `Solver`.
+    """
+
+    def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu", precision: str = "float64",
+                 options: SolverOptions | None = None):
+        if len(sensor.mesh.points) > SENSOR_NODES:
+            raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} are allowed, since its compliance is kept whole. Give fewer nodes.")
+        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
+        self.object, self.sensor = model, sensor
+        self._predicted: tuple[torch.Tensor, Memory, np.ndarray] | None = None  # displacements, friction's memory before the prediction, poses before
+        height = float(np.ptp(sensor.mesh.points[:, 2]))
+        self._stride = _STRIDE * height
+
+    def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
+        """Follow the sensor through all frames.
+
+        Args:
+            poses: sensor to world (T, B, 4, 4). keep, progress: see `Solver.run`; with ``keep``, ``self.sensor_position`` holds T entries
+                (m, 3, B) of the sensor's nodes in the world [m] and ``self.sensor_force`` (m, 3, B) the contact force on each [N].
+
+        Returns:
+            Frames: force is the one on the sensor; ``pressure`` [Pa] and ``volume`` [m^3] (T, B) of a sensor with gas are in `self`.
+        """
+        self.pressure: list[np.ndarray] = []
+        self.volume: list[np.ndarray] = []
+        self.sensor_position: list[np.ndarray] = []
+        self.sensor_force: list[np.ndarray] = []
+        return super().run(poses, keep=keep, progress=progress)
+
+    def _meet(self, poses: np.ndarray) -> tuple[PairTouching, np.ndarray]:
+        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device, stride=self._stride)
+        return touching, self._outside(touching, poses[0])
+
+    def _outside(self, touching: PairTouching, pose: np.ndarray) -> np.ndarray:
+        """First poses (B, 1, 4, 4) to come in from: drawn back along the sensor's axis until nothing touches."""
+        out = pose.copy()
+        every = torch.arange(touching.batch, device=self.device)
+        u = torch.zeros((len(self.model.free), touching.batch), dtype=torch.float64, device=self.device)
+        step = _BACK * self.bodies.reach(0)
+        for _ in range(_TRIES):
+            touching.begin(out, u)
+            touching.move(out, every)
+            touching.evaluate(every, touching.gather(u))
+            inside = (touching.touches(every) | (touching.astray(every) > 0)).cpu().numpy() | self._within_sensor(out)
+            if not inside.any():
+                break
+            out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]
+        return out
+
+    def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
+        """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes are seen by the contact."""
+        at = self.object.mesh.points[self.object.mesh.surface_nodes()]
+        own = self.sensor.mesh.points
+        sheet = own[self.sensor.mesh.faces[:, :3]]
+        out = np.zeros(len(pose), bool)
+        for b in range(len(pose)):
+            local = (at - pose[b, 0, :3, 3]) @ pose[b, 0, :3, :3]
+            local = local[(local > own.min(axis=0)).all(axis=1) & (local < own.max(axis=0)).all(axis=1)]
+            out[b] = len(local) and np.isfinite(_along(local, sheet, np.array([0.0, 0.0, 1.0])))
+        return out
+
+    def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
+        super()._start(columns, before, pose)
+        self._predicted = None
+        if bool(self.touching.touches(columns).any()):
+            self.touching.foresee(columns, self._balance.u)
+            if self.touching.rubs:
+                self._predicted = self._balance.u.clone(), self.touching.memory(), before
+                # what is predicted tells friction's limits better than the step before, and points that touch for the first time have none yet
+                self._balance.evaluate(columns)
+                self.touching.lag(columns)
+
+    def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
+        predicted = self._predicted
+        self._predicted = None
+        super()._equilibrium(columns, pose, begin, deadline)
+        if predicted is None:
+            return
+        # limits from a prediction that was far off may lead nowhere: those touches begin again with the limits of the step before
+        u, memory, before = predicted
+        balance, touching = self._balance, self.touching
+        host = columns.cpu().numpy()
+        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.spent(host), device=self.device)]
+        if len(failed):
+            balance.u[:, failed] = u[:, failed]
+            touching.restore(failed, memory)
+            touching.begin(before, begin)
+            touching.move(pose, failed)
+            touching.foresee(failed, balance.u)
+            super()._equilibrium(failed, pose, begin, deadline)
+
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one
+        return super()._guesses(now, last, pose)[-1:]
+
+    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
+        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
+        return measure > HARD
+
+    def _keep(self) -> None:
+        u = self._balance.u
+        self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
+        split = 3 * len(self.object.mesh.points)
+        contact = self._pushed.view(-1, 3, u.shape[1])
+        self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)].cpu().numpy())
+        self.sensor_force.append(self.touching.carried(contact[split // 3:], place=False).cpu().numpy())
+        own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None] + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
+        self.sensor_position.append(self.touching.carried(own, place=True).cpu().numpy())
+
+    def _report(self, state: State) -> Rows:
+        # the object's balance only: the sensor's forces stand in its own frame, and end at its rim
+        split = 3 * len(self.object.mesh.points)
+        mask = torch.zeros_like(self._balance.free)
+        mask[:split] = 1.0
+        own = dict(state)
+        own["contact"], own["internal"] = state["contact"] * mask, state["internal"] * mask
+        out = super()._report(own)
+        if self.elasticity.pressure is not None:
+            self.pressure.append(wp.to_torch(self.elasticity.pressure).cpu().numpy().copy())
+            self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
+        return out
+
+
+def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) -> float:
+    """How far the sensor can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the object at rest [m]; infinite if it does not.
+
+    Between flat facets: from every node of either surface to the other one.
+    """
+    own = sensor.mesh.points @ pose[:3, :3].T + pose[:3, 3]
+    at = model.mesh.points
+    sheet, skin = own[sensor.mesh.faces[:, :3]], at[model.mesh.faces[:, :3]]
+    there = _along(own[np.unique(sensor.mesh.faces[:, :3])], skin, axis)
+    back = _along(at[np.unique(model.mesh.faces[:, :3])], sheet, -axis)
+    return float(min(there, back))
+
+
+def _along(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> float:
+    """Shortest way [m] of any of the points (p, 3) along ``axis`` to any of the triangles (f, 3, 3), no less than -1e-9."""
+    across = np.linalg.svd(axis[None])[2][1:]  # two directions across the axis
+    p, t = points @ across.T, triangles @ across.T
+    edge1, edge2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]
+    det = edge1[:, 0] * edge2[:, 1] - edge1[:, 1] * edge2[:, 0]
+    flat = np.abs(det) > 1e-16
+    height, best = triangles @ axis, np.inf
+    for chunk in np.array_split(np.arange(len(p)), max(1, len(p) // 200)):
+        r = p[chunk, None] - t[None, flat, 0]
+        u = (r[..., 0] * edge2[flat, 1] - r[..., 1] * edge2[flat, 0]) / det[flat]
+        v = (edge1[flat, 0] * r[..., 1] - edge1[flat, 1] * r[..., 0]) / det[flat]
+        h = height[flat]
+        way = h[:, 0] + u * (h[:, 1] - h[:, 0]) + v * (h[:, 2] - h[:, 0]) - (points[chunk] @ axis)[:, None]
+        met = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way > -1e-9)
+        if met.any():
+            best = min(best, float(way[met].min()))
+    return best

@@ -1,0 +1,303 @@
+"""All elements of a body on the device: forces, energy, tangent products, for the columns of a batch.
+
+Every element writes its own forces; a node then adds up what its elements wrote, in a fixed order: the sum is the same on every
+run, which atomics would not promise.
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements.block import Block
+from vsfsim.physics.model import Model
+
+_CHUNKS = 64  # partial sums of energy for each touch: enough threads for a GPU, and the same sum on every device
+
+
+@functools.cache
+def kernels(real: type) -> Any:
+    """What all elements share, for one scalar type."""
+    vec3 = wp.types.vector(length=3, dtype=real)
+    module = f"vsfsim_elasticity_{real.__name__}"
+
+    @wp.kernel(module=module, enable_backward=False)
+    def gather(
+        # model
+        start: wp.array(dtype=wp.int32),
+        slot: wp.array(dtype=wp.int32),
+        free: wp.array(dtype=real),
+        index: wp.array(dtype=wp.int32),
+        compact: int,  # 1: column k of both arrays, 0: column index[k]
+        # state in
+        element_in: wp.array3d(dtype=real),
+        # state out
+        node_out: wp.array2d(dtype=real),
+    ):
+        i, k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = vec3()
+        for s in range(start[i], start[i + 1]):
+            at = slot[s]
+            total += vec3(element_in[at, 0, b], element_in[at, 1, b], element_in[at, 2, b])
+        for c in range(3):
+            node_out[3 * i + c, b] = total[c] * free[3 * i + c]
+
+    @wp.kernel(module=module, enable_backward=False)
+    def remember(index: wp.array(dtype=wp.int32), u_in: wp.array2d(dtype=real), at_out: wp.array2d(dtype=real)):
+        i, k = wp.tid()
+        at_out[i, index[k]] = u_in[i, index[k]]
+
+    @wp.kernel(module=module, enable_backward=False)
+    def partial(
+        # model
+        index: wp.array(dtype=wp.int32),
+        chunk: int,
+        # state in
+        energy_in: wp.array2d(dtype=real),
+        det_in: wp.array2d(dtype=real),
+        # state out
+        energy_out: wp.array2d(dtype=wp.float64),
+        det_out: wp.array2d(dtype=real),
+    ):
+        p, k = wp.tid()
+        b = index[k]
+        total = wp.float64(0.0)
+        least = real(1e30)
+        for t in range(p * chunk, wp.min((p + 1) * chunk, energy_in.shape[0])):
+            total += wp.float64(energy_in[t, b])
+            least = wp.min(least, det_in[t, b])
+        energy_out[p, b] = total
+        det_out[p, b] = least
+
+    @wp.kernel(module=module, enable_backward=False)
+    def whole(
+        # model
+        index: wp.array(dtype=wp.int32),
+        # state in
+        energy_in: wp.array2d(dtype=wp.float64),
+        det_in: wp.array2d(dtype=real),
+        # state out
+        energy_out: wp.array(dtype=wp.float64),
+        det_out: wp.array(dtype=real),
+    ):
+        b = index[wp.tid()]
+        total = wp.float64(0.0)
+        least = real(1e30)
+        for p in range(energy_in.shape[0]):
+            total += energy_in[p, b]
+            least = wp.min(least, det_in[p, b])
+        energy_out[b] = total
+        det_out[b] = least
+
+    @wp.kernel(module=module, enable_backward=False)
+    def add_part(
+        # model
+        index: wp.array(dtype=wp.int32),
+        compact: int,  # as in `gather`
+        chunk: int,
+        # state in
+        share_in: wp.array2d(dtype=wp.float64),
+        # state out
+        part_out: wp.array2d(dtype=wp.float64),
+    ):
+        p, k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = wp.float64(0.0)
+        for t in range(p * chunk, wp.min((p + 1) * chunk, share_in.shape[0])):
+            total += share_in[t, b]
+        part_out[p, b] = total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def add_parts(
+        # model
+        index: wp.array(dtype=wp.int32),
+        compact: int,
+        # state in
+        part_in: wp.array2d(dtype=wp.float64),
+        # state out
+        number_out: wp.array(dtype=wp.float64),
+    ):
+        k = wp.tid()
+        b = k
+        if compact == 0:
+            b = index[k]
+        total = wp.float64(0.0)
+        for p in range(part_in.shape[0]):
+            total += part_in[p, b]
+        number_out[b] = total
+
+    @wp.kernel(module=module, enable_backward=False)
+    def mark(index: wp.array(dtype=wp.int32), value: wp.float64, out: wp.array(dtype=wp.float64)):
+        out[index[wp.tid()]] = value
+
+    class Kernels:
+        pass
+
+    out = Kernels()
+    out.gather, out.remember, out.partial, out.whole = gather, remember, partial, whole
+    out.add_part, out.add_parts, out.mark = add_part, add_parts, mark
+    return out
+
+
+class Collective:
+    """A block whose elements act through one number a touch, e.g. a gas through its volume; see `elements/block.py`.
+
+    number: the number at the last `evaluate` (B,). answer: what it brings about (ANSWERS, B); both float64 on the device.
+
+    Args:
+        block: of the model. model: its nodes and parameters on the device. own, shared: kernels of the element and of `Elasticity`.
+    """
+
+    def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
+        self._rows, self._model, self._own, self._shared, self._device = len(block), model, own, shared, device
+        self._answers, self._law = block.element.ANSWERS, own.law(block, device)
+        self._chunk = -(-self._rows // _CHUNKS)
+
+    def begin(self, batch: int) -> None:
+        """Room for ``batch`` touches."""
+        new = {"dtype": wp.float64, "device": self._device}
+        self._shares, self._parts = wp.zeros((self._rows, batch), **new), wp.zeros((_CHUNKS, batch), **new)
+        self.number, self.answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
+        self._tangent_number, self._tangent_answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
+        self._true, self._change = wp.zeros(batch, **new), wp.zeros(batch, **new)
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self._device)
+
+    def _add(self, index: wp.array, compact: int, number: wp.array) -> None:
+        k = self._shared
+        self._launch(k.add_part, (_CHUNKS, len(index)), [index, compact, self._chunk, self._shares, self._parts])
+        self._launch(k.add_parts, (len(index),), [index, compact, self._parts, number])
+
+    def _respond(self, index: wp.array, u: wp.array, number: wp.array, answer: wp.array) -> None:
+        self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
+        self._add(index, 0, number)
+        self._launch(self._own.respond, (len(index),), [self._law, index, number, answer])
+
+    def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
+        """The number at u, the answer, and its forces; see `Elasticity.forces`."""
+        self._respond(index, u, self.number, self.answer)
+        self._launch(self._own.forces, (self._rows, len(index)), [*self._model, index, u, self.answer, *part])
+
+    def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
+        """Remember the answer at u, and whether the tangent is the true one."""
+        self._respond(index, u, self._tangent_number, self._tangent_answer)
+        self._launch(self._shared.mark, (len(index),), [index, wp.float64(0.0 if projected else 1.0), self._true])
+
+    def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
+        """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
+        self._launch(self._own.share_change, (self._rows, len(index)), [*self._model, index, at, x, self._shares])
+        self._add(index, 1, self._change)
+        self._launch(self._own.multiply, (self._rows, len(index)), [*self._model, index, at, self._tangent_answer, self._true, self._change, x, force])
+
+
+class Elasticity:
+    """Device arrays of one model and one batch of touches. Everything stays on the device; nothing is read back here.
+
+    internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns of the last
+    `forces` are renewed, the others stay as they were. pressure: gauge pressure (B,) [Pa] and volume: inside the surface (B,) [m^3] of
+    the (first) gas at the last `forces`, float64; None if there is none.
+
+    Args:
+        model: the body. device: Warp device. real: `wp.float32` or `wp.float64`.
+    """
+
+    def __init__(self, model: Model, *, device: str, real: type):
+        self.device, self.real = device, real
+        self.kernels = kernels(real)
+        self.blocks = model.blocks
+        self._points = len(model.mesh.points)
+        self._of = [block.element.kernels(real) for block in self.blocks]
+        self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
+                       for block, k in zip(self.blocks, self._of, strict=True)]
+        self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i, block in enumerate(self.blocks) if block.collective}
+        # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
+        flat = np.concatenate([block.nodes.ravel() for block in self.blocks])
+        count = np.bincount(flat, minlength=self._points)
+        self._start = wp.array(np.concatenate([[0], np.cumsum(count)]), dtype=wp.int32, device=device)
+        self._slot = wp.array(np.argsort(flat, kind="stable"), dtype=wp.int32, device=device)
+        self._free = wp.array(model.free, dtype=real, device=device)
+        self._every = wp.array(np.ones_like(model.free), dtype=real, device=device)
+
+    def begin(self, batch: int) -> None:
+        """Room for ``batch`` touches."""
+        new = {"dtype": self.real, "device": self.device}
+        slots = np.cumsum([0, *(block.nodes.size for block in self.blocks)])
+        rows = np.cumsum([0, *(len(block) for block in self.blocks)])
+        self._force = wp.zeros((int(slots[-1]), 3, batch), **new)
+        self._energies = wp.zeros((int(rows[-1]), batch), **new)
+        self._dets = wp.zeros((int(rows[-1]), batch), **new)
+        # the part of each block, as its element sees it
+        self._part = [(self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch)),
+                       self._energies[int(rows[i]):int(rows[i + 1])], self._dets[int(rows[i]):int(rows[i + 1])])
+                      for i, block in enumerate(self.blocks)]
+        self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
+        self._at = wp.zeros((3 * self._points, batch), **new)
+        self._partial_energy = wp.zeros((_CHUNKS, batch), dtype=wp.float64, device=self.device)
+        self._partial_det = wp.zeros((_CHUNKS, batch), **new)
+        self.internal = wp.zeros((3 * self._points, batch), **new)
+        self.energy = wp.zeros(batch, dtype=wp.float64, device=self.device)
+        self.least_det = wp.zeros(batch, **new)
+        for collective in self._together.values():
+            collective.begin(batch)
+
+    def _gas(self) -> Collective | None:
+        return next((self._together[i] for i, block in enumerate(self.blocks) if block.kind == "gas"), None)
+
+    @property
+    def pressure(self) -> wp.array | None:
+        gas = self._gas()
+        return None if gas is None else gas.answer[0]
+
+    @property
+    def volume(self) -> wp.array | None:
+        gas = self._gas()
+        return None if gas is None else gas.number
+
+    def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
+        wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
+
+    def forces(self, index: wp.array, u: wp.array) -> None:
+        """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B) [m]."""
+        k, count = self.kernels, len(index)
+        for i, (block, own, model, part) in enumerate(zip(self.blocks, self._of, self._model, self._part, strict=True)):
+            if i in self._together:
+                self._together[i].forces(index, u, part)
+            else:
+                self._launch(own.forces, (len(block), count), [*model, index, u, *part])
+        self._launch(k.gather, (self._points, count), [self._start, self._slot, self._every, index, 0, self._force, self.internal])
+        chunk = -(-self._energies.shape[0] // _CHUNKS)
+        self._launch(k.partial, (_CHUNKS, count), [index, chunk, self._energies, self._dets, self._partial_energy, self._partial_det])
+        self._launch(k.whole, (count,), [index, self._partial_energy, self._partial_det, self.energy, self.least_det])
+
+    def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
+        """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it is."""
+        self._launch(self.kernels.remember, (3 * self._points, len(index)), [index, u, self._at])
+        for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state, strict=True)):
+            if i in self._together:
+                self._together[i].tangent(index, u, projected)
+            elif own.tangent is not None:
+                self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
+
+    def remembered(self, block: int) -> np.ndarray:
+        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble a matrix on the host."""
+        return self._state[block].numpy()
+
+    def multiply(self, index: wp.array, x: wp.array) -> wp.array:
+        """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are 0."""
+        out = wp.empty_like(x)
+        for i, (block, own, model, state, part) in enumerate(zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)):
+            if i in self._together:
+                self._together[i].multiply(index, self._at, x, part[0])
+            else:
+                self._launch(own.multiply, (len(block), len(index)), [*model, index, self._at, state, x, part[0]])
+        self._launch(self.kernels.gather, (self._points, len(index)),
+                     [self._start, self._slot, self._free, index, 1, self._force, out])
+        return out

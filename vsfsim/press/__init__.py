@@ -1,0 +1,1 @@
+"""One press: result, text, figures, files, refinement."""

@@ -1,0 +1,80 @@
+"""What a press takes for granted where the scene says nothing; every assumption is a sentence for the user."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.rigid import PressSpec
+from vsfsim.core.scene import Scene
+from vsfsim.core.shape import Family, MeshFile, Sphere, extent
+from vsfsim.generate.effectors.probe import clearance
+from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.model import Model
+from vsfsim.robot.path import turn_to
+
+RADIUS = 0.2  # of the default probe, over the object's smallest edge: sharp enough to indent, blunt enough to be resolved
+LARGEST_RADIUS = 0.02  # [m]
+DEPTH = 0.1  # of the default press, over the object's height
+BLUNT = 0.5  # and over the probe's radius: deeper, a ball meets the body with its equator
+FRAMES = 10
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
+    """The scene with a probe that suits the object's size, if the file has none, and what was assumed."""
+    if "probe" in scene.given:
+        return scene, []
+    if scene.press is not None or isinstance(scene.object.shape, Family):  # a path is made for a certain probe: the grammar's own
+        assert scene.probe == Sphere(LARGEST_RADIUS)
+        return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
+    shape = scene.object.shape
+    if isinstance(shape, MeshFile):
+        # scan pulls in trimesh; a box does not need it
+        from vsfsim.physics.mesh.scan import extents
+
+        size = extents(shape)
+    else:
+        size = np.array(extent(shape))
+    radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}"))
+    if radius <= 0.0 or radius == LARGEST_RADIUS:
+        return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
+    note = f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, {100 * RADIUS:g} % of the object's smallest edge."
+    return dataclasses.replace(scene, probe=Sphere(radius)), [note]
+
+
+def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
+    """The scene with a press from above at the middle, if the file has none, and what was assumed.
+
+    Raises:
+        SceneError: the probe does not meet the body from above.
+    """
+    if scene.press is not None:
+        return scene, []
+    points = model.mesh.points
+    low, high = points.min(axis=0), points.max(axis=0)
+    pose = np.eye(4)
+    pose[:3, :3] = turn_to(DOWN, scene.probe)
+    above = sdf.support(scene.probe, pose[:3, :3].T @ DOWN)
+    middle = 0.5 * (low + high)
+    where = "at the middle"
+    for place in (middle, points[points[:, 2].argmax()]):
+        pose[:3, 3] = [place[0], place[1], high[2] + above + 0.01 * (high[2] - low[2])]
+        gap = clearance(model, scene.probe, pose, DOWN)
+        if np.isfinite(gap) and pose[2, 3] - gap - above > low[2]:
+            break
+        where = "at its highest point (from above, the middle is empty)"
+    else:
+        raise SceneError(f"{scene.source}: there is no [press], and a probe that comes from above meets nothing; add from and to, "
+                         "world coordinates of the probe's centre in metres.")
+    height = float(high[2] - low[2])
+    room = min(DEPTH * height, BLUNT * min(sdf.reach(scene.probe), height))
+    depth = float(f"{room:.2g}")
+    start = pose[:3, 3] + gap * DOWN
+    stop = start + depth * DOWN
+    spec = PressSpec((tuple(map(float, start)), tuple(map(float, stop))), (FRAMES,))
+    note = (f"No [press] is given: the probe goes from above, {where}, from first contact at ({', '.join(f'{v:.4g}' for v in start)}) m, "
+            f"{1e3 * depth:.3g} mm deep, {100 * depth / height:.2g} % of the height, in {FRAMES} frames.")
+    return dataclasses.replace(scene, press=spec), [note]

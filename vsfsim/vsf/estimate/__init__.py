@@ -1,0 +1,1 @@
+"""Estimators of stiffness from readings that are linear in it."""

@@ -1,0 +1,169 @@
+"""Online estimation of a VSF: the diagonal Kalman filter (Neural VSF sections III-B and III-C).
+
+The stiffnesses are kept as independent Gaussians. A frame of readings z = W K + noise updates them exactly, and what it correlates
+is then forgotten:
+
+    M = W V W^T + S,   K += V W^T M^-1 (z - W K),   v_i -= v_i^2 w_i^T M^-1 w_i,   K = max(K, 0)
+
+w_i is column i of W. Only the particles a frame moves are touched. Readings on the vertices of a sensor are coupled between neighbours only, and
+M^-1 is needed between such neighbours only: then both are worked out along a band (`banded`). Else M is factorised once, or, with fewer
+particles than readings, the same update is made through the particles' precision matrix.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import linalg, sparse
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.estimate.banded import Band
+
+# Dense arithmetic is faster an operation than that of many small blocks, by about this.
+_BLOCKS = 3
+
+@dataclass
+class DiagonalFilter:
+    """Stiffnesses as independent Gaussians, updated frame by frame.
+
+    mean: >= 0 after every update (n,) [N/m]. var: > 0 (n,) [(N/m)^2].
+    """
+
+    mean: np.ndarray
+    var: np.ndarray
+    _bands: dict[int, Band] = field(default_factory=dict, repr=False)  # by number of readings in a frame
+
+    @classmethod
+    def start(cls, particles: int, *, mean: np.ndarray | float, var: np.ndarray | float) -> DiagonalFilter:
+        """From a prior, one number or one a particle.
+
+        Raises:
+            VsfError: values that are not finite, or a variance that is not positive.
+        """
+        try:
+            out = cls(*(np.array(np.broadcast_to(np.asarray(x, np.float64), (particles,))) for x in (mean, var)))
+        except ValueError:
+            raise VsfError(f"vsf.kalman: the prior has shapes {np.shape(mean)} and {np.shape(var)} for {particles} particles; give one number or ({particles},).") from None
+        if not (np.isfinite(out.mean).all() and np.isfinite(out.var).all() and (out.var > 0.0).all()):
+            raise VsfError("vsf.kalman: the prior's mean must be finite and its variance finite and greater than 0.")
+        return out
+
+    def update(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float) -> None:
+        """Take in the readings of one frame.
+
+        Args:
+            w: observation matrix (m, n). z: readings (m,). noise_std: > 0, (m,) or one number, in the unit of z.
+
+        Raises:
+            VsfError: shapes that do not fit, a reading that is not finite, a noise that is not positive.
+        """
+        w = sparse.csr_matrix(w)
+        z = np.asarray(z, np.float64)
+        noise = np.broadcast_to(np.asarray(noise_std, np.float64), z.shape)
+        if w.shape != (len(z), len(self.mean)):
+            raise VsfError(f"vsf.kalman: W is {w.shape[0]} x {w.shape[1]} for {len(z)} readings and {len(self.mean)} particles.")
+        if not (np.isfinite(z).all() and np.isfinite(w.data).all() and (noise > 0.0).all()):
+            raise VsfError("vsf.kalman: a frame has readings or rows that are not finite, or a noise that is not positive; leave the frame out.")
+        if w.nnz == 0:
+            return
+        count = np.diff(w.indptr)
+        band = self._bands.setdefault(len(z), Band(len(z)))
+        read = np.flatnonzero(count)
+        rows = read[np.argsort(band.position[read])]
+        marked = np.zeros(len(self.mean), bool)
+        marked[w.indices] = True
+        moved = np.flatnonzero(marked)
+        place = np.empty(len(self.mean), np.int32)
+        place[moved] = np.arange(len(moved))
+        rank = np.empty(len(z), np.int32)
+        rank[rows] = np.arange(len(rows))
+        a = sparse.csr_matrix((w.data / np.repeat(noise, count), (np.repeat(rank, count), place[w.indices])), shape=(len(rows), len(moved)))
+        surprise = z[rows] / noise[rows] - a @ self.mean[moved]
+        var = self.var[moved]
+        if a.nnz * 4 < a.shape[0] * a.shape[1]:
+            shift, left = _by_sparse_readings(a, surprise, var, rows, band)
+        else:
+            shift, left = _by_particles(a, surprise, var) if len(moved) < len(rows) else _by_readings(a, surprise, var)
+        self.mean[moved] = np.maximum(self.mean[moved] + shift, 0.0)
+        # Rounding may leave a little less than nothing of a variance that fell by fourteen orders.
+        self.var[moved] = np.maximum(left, 1e-14 * var)
+
+    def run(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, size: int = 1) -> None:
+        """Frame after frame: rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T size,) are frame t."""
+        w = sparse.csr_matrix(w)
+        noise = np.broadcast_to(np.asarray(noise_std, np.float64), np.shape(z))
+        for start in range(0, w.shape[0], size):
+            if w.indptr[start] < w.indptr[min(start + size, w.shape[0])]:
+                part = slice(start, start + size)
+                self.update(w[part], z[part], noise_std=noise[part])
+
+
+def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the means and new variances where a particle has few readings, ``rows`` being those of the frame, in the band's order; noise is 1."""
+    columns = a.tocsc()
+    weighted = columns.T
+    weighted.data = weighted.data * np.repeat(var, np.diff(columns.indptr))
+    spread = sparse.csr_matrix(a @ sparse.csr_matrix(weighted))
+    if not band.holds(rows, spread):
+        band.learn(rows, spread)
+        # The readings come in the new order.
+        order = np.argsort(band.position[rows])
+        return _by_sparse_readings(a[order], surprise[order], var, rows[order], band)
+    r, k = a.shape
+    if _BLOCKS * 9 * r * band.width**2 < min(r, k) ** 3:
+        dense = spread.toarray()
+        dense[np.diag_indices(r)] += 1.0
+        inverse, pull = band.solve(dense, surprise)
+        return weighted @ pull, var * (1.0 - var * _quadratic_forms(columns, inverse))
+    if k < r:
+        return _by_particles(a, surprise, var)
+    dense = spread.toarray()
+    dense[np.diag_indices(r)] += 1.0
+    factor = linalg.cho_factor(dense, lower=True, overwrite_a=True, check_finite=False)
+    shift = weighted @ linalg.cho_solve(factor, surprise, check_finite=False)
+    return shift, var * (1.0 - var * _quadratic_forms(columns, _inverse(factor[0])))
+
+
+def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same through M (readings x readings), dense."""
+    weighted = a.copy()
+    weighted.data = weighted.data * var[a.indices]
+    spread = (weighted @ a.T).toarray()
+    spread[np.diag_indices_from(spread)] += 1.0
+    factor = linalg.cho_factor(spread, lower=True, overwrite_a=True, check_finite=False)
+    shift = weighted.T @ linalg.cho_solve(factor, surprise, check_finite=False)
+    white = linalg.solve_triangular(factor[0], a.toarray(), lower=True, check_finite=False)
+    return shift, var * (1.0 - var * np.einsum("ij,ij->j", white, white))
+
+
+def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same through the precision matrix V^-1 + A^T A (particles x particles)."""
+    precision = (a.T @ a).toarray()
+    precision[np.diag_indices_from(precision)] += 1.0 / var
+    factor = linalg.cho_factor(precision, lower=True, overwrite_a=True, check_finite=False)
+    inverse = _inverse(factor[0])
+    return inverse @ (a.T @ surprise), np.diag(inverse).copy()
+
+
+def _inverse(lower: np.ndarray) -> np.ndarray:
+    """Of a matrix with this Cholesky factor, by LAPACK's potri: half the work of solving for the identity."""
+    half = np.tril(linalg.lapack.dpotri(lower, lower=1)[0])
+    return half + np.tril(half, -1).T
+
+
+def _quadratic_forms(columns: sparse.csc_matrix, matrix: np.ndarray) -> np.ndarray:
+    """c_j^T matrix c_j of every column (k,), matrix symmetric and at least as large as the columns are long."""
+    count = np.diff(columns.indptr)
+    out = np.zeros(len(count))
+    flat, stride = matrix.reshape(-1), matrix.shape[1]
+    for size in np.unique(count[count > 0]):
+        which = np.flatnonzero(count == size)
+        entry = columns.indptr[which][:, None] + np.arange(size)
+        row, value = columns.indices[entry], columns.data[entry]
+        # Each pair once; the diagonal counts half.
+        first, second = np.triu_indices(size)
+        weight = np.where(first == second, 1.0, 2.0)
+        at = row[:, first].astype(np.intp) * stride + row[:, second]
+        out[which] = np.einsum("kp,kp,kp,p->k", value[:, first], value[:, second], flat[at], weight)
+    return out

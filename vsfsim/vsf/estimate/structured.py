@@ -1,0 +1,177 @@
+"""Online estimation under a composition structure: SBML eq. 16 with K >= 0, and the posterior's spread.
+
+    minimise  1/2 |(z - W theta) / s|^2 + 1/2 |theta - B mu|^2_(B D B^T)^-1   subject to  theta >= 0
+
+With theta = phi + G g the prior's term is 1/2 |theta - mean - G g|^2 / var + 1/2 |g - group_mean|^2 / group_var, minimised over the
+few shared components g. For a fixed g this is the program of `estimate.map_estimate`; what is left is a convex, once
+differentiable function of g, minimised by Newton's method with a line search. Its Hessian needs readings x readings at most:
+
+    H = 1/group_var + (W_F G_F)^T (S + W_F diag(var_F) W_F^T)^-1 (W_F G_F) + G_A^T diag(1/var_A) G_A
+
+F are the particles with theta > 0, A those held at 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg, sparse
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.estimate.map import map_estimate, posterior_std
+from vsfsim.vsf.meta.composition import GaussianPrior
+
+_NEWTON_STEPS = 60
+# Newton decrement, in units of the objective (which is a negative log-posterior, so 1e-10 is far below any meaning).
+_DECREMENT = 1e-10
+_BLOCK = 1024
+
+
+@dataclass(frozen=True)
+class StructuredResult:
+    """The most probable stiffnesses. mean: theta >= 0 (n,) [N/m]. shared: the shared components g (s,) [N/m]; steps: Newton steps on
+    g. decrement: of the last one, an estimate of how far the negative log-posterior is above its minimum [-]."""
+
+    mean: np.ndarray
+    shared: np.ndarray
+    steps: int
+    decrement: float
+
+
+def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> StructuredResult:
+    """Solve SBML eq. 16 for any composition structure.
+
+    Args:
+        w: observation matrix (m, n). z: readings (m,). noise_std: of the readings, > 0.
+        prior: on the n stiffnesses.
+
+    Raises:
+        VsfError: shapes that do not fit, values that are not finite, a variance that is not positive.
+    """
+    g = prior.membership
+    w = sparse.csr_matrix(w)
+    if g.shape[1] == 0:
+        return StructuredResult(map_estimate(w, z, noise_std=noise_std, prior_mean=prior.mean, prior_var=prior.var).mean, np.zeros(0), 0, 0.0)
+    if not ((prior.group_var > 0.0).all() and np.isfinite(prior.group_mean).all()):
+        raise VsfError("vsf.structured_map: the shared components need finite means and variances greater than 0.")
+    z = np.asarray(z, np.float64)
+    noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
+    shared = prior.group_mean.astype(np.float64)
+    value, theta = _inner(w, z, noise, prior, shared)
+    decrement = np.inf
+    for step in range(_NEWTON_STEPS):
+        gradient = (shared - prior.group_mean) / prior.group_var - g.T @ ((theta - prior.mean - g @ shared) / prior.var)
+        factor = linalg.cho_factor(_hessian(w, noise, prior, theta))
+        direction = -linalg.cho_solve(factor, gradient)
+        decrement = float(-0.5 * gradient @ direction)
+        if decrement <= _DECREMENT * max(1.0, abs(value)):
+            return StructuredResult(theta, shared, step, decrement)
+        length = 1.0
+        for _ in range(40):
+            trial, moved = _inner(w, z, noise, prior, shared + length * direction)
+            if trial <= value - 0.5 * length * decrement:
+                break
+            length *= 0.5
+        else:
+            # No descent left but rounding.
+            return StructuredResult(theta, shared, step, decrement)
+        shared, value, theta = shared + length * direction, trial, moved
+    return StructuredResult(theta, shared, _NEWTON_STEPS, decrement)
+
+
+def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
+    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
+
+    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles; with more
+    readings than touched particles the rows are first reduced by an orthogonal factorisation.
+    """
+    g = prior.membership
+    w = sparse.csr_matrix(w)
+    if g.shape[1] == 0:
+        return posterior_std(w, noise_std=noise_std, prior_var=prior.var)
+    out = prior.var + g.multiply(g) @ prior.group_var
+    white = _Whitener.of(w, noise_std, prior)
+    if white is None:
+        return np.sqrt(out)
+    identity = sparse.identity(len(out), format="csr")
+    for start in range(0, len(out), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        out[part] -= np.einsum("ij,ij->j", *[white.of_rows(identity[part], prior)] * 2)
+    # What float64 leaves of a particle known to 1e-7 of its prior.
+    return np.sqrt(np.maximum(out, 1e-14 * prior.total_std() ** 2))
+
+
+def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
+    """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
+
+    Args:
+        w: rows that were read (m, n). query: rows of readings to come, Q (q, n). noise_std: of the readings of ``w``. prior: on theta.
+    """
+    query = sparse.csr_matrix(query)
+    shared = (query @ sparse.csr_matrix(prior.membership)).toarray()
+    out = query.multiply(query) @ prior.var + shared**2 @ prior.group_var
+    before = out.copy()
+    white = _Whitener.of(sparse.csr_matrix(w), noise_std, prior)
+    if white is not None:
+        for start in range(0, len(out), _BLOCK):
+            part = slice(start, start + _BLOCK)
+            out[part] -= np.einsum("ij,ij->j", *[white.of_rows(query[part], prior)] * 2)
+    return np.sqrt(np.maximum(out, 1e-14 * before))
+
+
+@dataclass(frozen=True)
+class _Whitener:
+    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P A^T + 1 (r, r)."""
+
+    a: sparse.csr_matrix
+    shared: np.ndarray
+    factor: np.ndarray
+
+    @classmethod
+    def of(cls, w: sparse.csr_matrix, noise_std: np.ndarray | float, prior: GaussianPrior) -> _Whitener | None:
+        """None without a reading that any particle moves."""
+        read = np.flatnonzero(np.diff(w.indptr))
+        if len(read) == 0:
+            return None
+        noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
+        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
+        touched = np.flatnonzero(np.diff(a.tocsc().indptr))
+        if len(touched) < a.shape[0]:
+            r = linalg.qr(a[:, touched].toarray(), mode="r")[0][:len(touched)]
+            a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)), shape=(len(r), w.shape[1]))
+        shared = (a @ sparse.csr_matrix(prior.membership)).toarray()
+        spread = (a @ sparse.diags_array(prior.var) @ a.T).toarray() + (shared * prior.group_var) @ shared.T
+        spread[np.diag_indices_from(spread)] += 1.0
+        return cls(a, shared, linalg.cholesky(spread, lower=True))
+
+    def of_rows(self, rows: sparse.csr_matrix, prior: GaussianPrior) -> np.ndarray:
+        """L^-1 A P Q^T for rows Q (q, n): (r, q); its columns' squares are what the readings take off the variances."""
+        members = (rows @ sparse.csr_matrix(prior.membership)).toarray()
+        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray() + (self.shared * prior.group_var) @ members.T
+        return linalg.solve_triangular(self.factor, cross, lower=True)
+
+
+def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior, shared: np.ndarray) -> tuple[float, np.ndarray]:
+    """Value and stiffnesses of the program at fixed shared components."""
+    centre = prior.mean + prior.membership @ shared
+    theta = map_estimate(w, z, noise_std=noise, prior_mean=centre, prior_var=prior.var).mean
+    misfit = (z - w @ theta) / noise
+    value = 0.5 * (misfit @ misfit + np.sum((theta - centre) ** 2 / prior.var) + np.sum((shared - prior.group_mean) ** 2 / prior.group_var))
+    return float(value), theta
+
+
+def _hessian(w: sparse.csr_matrix, noise: np.ndarray, prior: GaussianPrior, theta: np.ndarray) -> np.ndarray:
+    g = prior.membership
+    free = theta > 0.0
+    out = np.diag(1.0 / prior.group_var)
+    held = g[~free]
+    out += (held.T @ sparse.diags_array(1.0 / prior.var[~free]) @ held).toarray()
+    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise) @ w)[:, free]
+    a = a[np.flatnonzero(np.diff(a.indptr))]
+    if a.shape[0]:
+        ag = (a @ g[free]).toarray()
+        spread = (a @ sparse.diags_array(prior.var[free]) @ a.T).toarray()
+        spread[np.diag_indices_from(spread)] += 1.0
+        out += ag.T @ linalg.cho_solve(linalg.cho_factor(spread), ag)
+    return out

@@ -1,0 +1,1 @@
+"""The continuous VSF: networks and grids fitted to dense contact forces."""

@@ -1,0 +1,252 @@
+"""The continuous VSF: stiffness as a function of position, fitted to dense contact forces (Neural VSF section III-D).
+
+The force on a vertex that has come along its way v(tau) up to time t is a line integral over what it swept (eq. 5),
+
+    f(t) = sum_i -K(v(tau_i)) (v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
+
+with s its oriented area: linear in the values of K at known points, see `swept`. A field is fitted by minimising eq. 6, the sum of |f - f_hat| over a
+batch of B observations plus a free-space term lambda * mean K at random points of the volume, with Adam.
+
+Two fields share all of this: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours: a sum of trilinear grids
+of rising resolution, which needs a few dozen operations a point instead of tens of thousands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.fields.adam import Adam
+from vsfsim.vsf.fields.palpation import DenseTouch
+from vsfsim.vsf.fields.recorded import Recorded
+from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
+
+
+class NerfField(nn.Module):
+    """K(p) by an 8-layer perceptron on a sinusoidal encoding, the encoding once more at the fifth layer.
+
+    Args:
+        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. width: of a layer; 64 gives the
+            paper's 100 kB. octaves: of the encoding.
+    """
+
+    def __init__(self, bounds: np.ndarray, unit: float, *, width: int = 64, octaves: int = 6):
+        super().__init__()
+        self.kind, self.settings = "nerf", {"width": width, "octaves": octaves}
+        self.register_buffer("bounds", torch.as_tensor(np.asarray(bounds), dtype=torch.float32))
+        self.unit, self.octaves = float(unit), octaves
+        size = 3 + 6 * octaves
+        self.layers = nn.ModuleList([nn.Linear(size if i == 0 else width + (size if i == 4 else 0), width) for i in range(8)])
+        self.out = nn.Linear(width, 1)
+
+    def forward(self, points: torch.Tensor) -> torch.Tensor:
+        """Stiffness density over the unit at ``points`` (k, 3) [m]: (k,), > 0."""
+        x = 2.0 * (points - self.bounds[0]) / (self.bounds[1] - self.bounds[0]) - 1.0
+        phase = x[:, None, :] * (np.pi * 2.0 ** torch.arange(self.octaves, device=x.device))[:, None]
+        code = torch.cat([x, torch.sin(phase).flatten(1), torch.cos(phase).flatten(1)], dim=1)
+        h = code
+        for i, layer in enumerate(self.layers):
+            h = torch.relu(layer(torch.cat([h, code], dim=1) if i == 4 else h))
+        return functional.softplus(self.out(h)[:, 0])
+
+
+class GridField(nn.Module):
+    """K(p) = softplus of a sum of trilinear grids, each twice as fine as the one before.
+
+    The coarse grids carry what neighbours share, the fine ones the detail, so that the field is as smooth as the data let it be.
+
+    Args:
+        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. cell: edge of the finest cells [m];
+            None for a 24th of the longest edge. levels: of grids.
+    """
+
+    def __init__(self, bounds: np.ndarray, unit: float, *, cell: float | None = None, levels: int = 4):
+        super().__init__()
+        self.kind, self.settings = "grid", {"cell": cell, "levels": levels}
+        edges = np.asarray(bounds[1], float) - np.asarray(bounds[0], float)
+        cell = float(edges.max()) / 24.0 if cell is None else cell
+        self.register_buffer("bounds", torch.as_tensor(np.asarray(bounds), dtype=torch.float32))
+        self.unit = float(unit)
+        shapes = [[max(2, round(edge / cell / 2**level) + 1) for edge in edges[::-1]] for level in range(levels)]
+        self.grids = nn.ParameterList([nn.Parameter(torch.zeros(1, 1, *shape)) for shape in shapes])
+        self.bias = nn.Parameter(torch.zeros(()))
+
+    def forward(self, points: torch.Tensor) -> torch.Tensor:
+        """Stiffness density over the unit at ``points`` (k, 3) [m]: (k,), > 0."""
+        x = (2.0 * (points - self.bounds[0]) / (self.bounds[1] - self.bounds[0]) - 1.0).reshape(1, 1, 1, -1, 3)
+        total = self.bias + sum(functional.grid_sample(grid, x, align_corners=True, padding_mode="border").reshape(-1) for grid in self.grids)
+        return functional.softplus(total)
+
+
+_PACK = 50
+"""Iterations whose batches are drawn together."""
+
+FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridField}
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K over the field's unit. free_points: n_reg.
+    seed: of initial weights and batches."""
+
+    iterations: int = 2000
+    batch: int = 1000
+    samples: int = 100
+    rate: float = 2e-4
+    free_space: float = 1e-2
+    free_points: int = 1000
+    seed: int = 0
+
+
+def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray, settings: Fitting | None = None, *, device: str = "cpu",
+        progress: Callable[[int, int, str], None] | None = None, **field: object) -> nn.Module:
+    """Fit a stiffness field to contact forces.
+
+    Args:
+        kind: "nerf" or "grid". touches: at least one; with forces on the vertices, or with their total only. bounds: corners of the volume (2, 3) [m].
+        settings: of the training; with totals a batch holds as many vertices as with forces on them. device: torch device.
+        progress: called with (iteration, of how many, loss). field: settings of the field's constructor.
+
+    Returns:
+        The field, whose `unit` times its output is a stiffness density [N/m^4].
+
+    Raises:
+        VsfError: an unknown kind, or touches that cannot be used.
+    """
+    if kind not in FIELDS:
+        raise VsfError(f"vsf.neural: there is no field '{kind}'; allowed: {', '.join(FIELDS)}.")
+    s = settings or Fitting()
+    total = len(touches) > 0 and isinstance(touches[0], TotalTouch)
+    seen = TotalForces.of(touches, device=device) if total else VertexForces.of(touches, device=device)
+    size = max(1, s.batch // seen.cost())
+    generator = torch.Generator().manual_seed(s.seed)
+    unit = _unit(seen, generator, size)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(s.seed)
+        model = FIELDS[kind](bounds, unit, **field).to(device)
+    corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
+    on_host = torch.device(device).type == "cpu"
+    optimiser = Adam(model.parameters(), rate=s.rate, counted_there=not on_host)
+    draws = _Draws(len(seen.index), size, s.free_points, generator, device)
+
+    def step() -> torch.Tensor:
+        which, free = draws.next()
+        points, factor, force = seen.rows(which, s.samples)
+        value = model(torch.cat([points.reshape(-1, 3), corner[0] + free * (corner[1] - corner[0])]))
+        # Off its samples' box a field is not defined: what lies outside the volume has no stiffness.
+        inside = ((points >= corner[0]) & (points <= corner[1])).all(dim=2)
+        predicted = ((value[:-s.free_points].reshape(inside.shape) * inside)[..., None] * factor * unit).sum(dim=1)
+        # A hair inside the root keeps the gradient of |f - f_hat| finite where both are 0.
+        misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
+        loss = misfit + s.free_space * value[-s.free_points:].mean()
+        if on_host:
+            optimiser.clear()
+            loss.backward()
+            optimiser.step()
+        else:
+            optimiser.along(torch.autograd.grad(loss, optimiser.parameters))
+        return misfit.detach()
+
+    recorded = Recorded(step, device=device)
+    for iteration in range(s.iterations):
+        draws.fill(iteration, s.iterations)
+        misfit = recorded()
+        if progress is not None and iteration % 50 == 0:
+            progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
+    if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
+        raise VsfError(f"vsf.neural: the {kind} field diverged: its weights are no longer finite. Lower the rate, {s.rate:g} now.")
+    return model.eval()
+
+
+@torch.no_grad()
+def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.ndarray:
+    """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not looked at."""
+    device = model.bounds.device
+    asked = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))], device=str(device))
+    points, factor, _ = asked.rows(torch.arange(len(asked.index), device=device), samples)
+    inside = ((points >= model.bounds[0]) & (points <= model.bounds[1])).all(dim=2)
+    value = torch.cat([model(part) for part in points.reshape(-1, 3).split(200_000)]).reshape(inside.shape)
+    force = ((value * inside)[..., None] * factor * model.unit).sum(dim=(1, 2)).double().cpu().numpy()
+    return np.concatenate([[0.0], force])
+
+
+@torch.no_grad()
+def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
+    """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
+    device = model.bounds.device
+    parts = torch.as_tensor(np.asarray(points), dtype=torch.float32, device=device).split(200_000)
+    return np.concatenate([np.zeros(0), *((model(part).double() * model.unit).cpu().numpy() for part in parts)])
+
+
+def save_field(model: nn.Module, path: str | Path) -> None:
+    """Write a field as .npz, its weights in half precision (a relative 5e-4 of each): a `NerfField` takes under 100 kB."""
+    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16) for name, value in model.state_dict().items()}
+    with open(path, "wb") as file:
+        np.savez_compressed(file, kind=model.kind, unit=model.unit, **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
+
+
+def load_field(path: str | Path) -> nn.Module:
+    """Read what `save_field` wrote.
+
+    Raises:
+        VsfError: no such file, or not a field.
+    """
+    try:
+        with np.load(path) as file:
+            given = {name: file[name] for name in file.files}
+        kind = str(given["kind"])
+        settings = {name.removeprefix("set."): value.item() for name, value in given.items() if name.startswith("set.")}
+        state = {name.removeprefix("weight."): torch.as_tensor(value).float() for name, value in given.items() if name.startswith("weight.")}
+        model = FIELDS[kind](state["bounds"].numpy(), float(given["unit"]), **settings)
+        model.load_state_dict(state)
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        raise VsfError(f"vsf.neural: no field can be read from '{path}': {error}. Give a file that `save_field` wrote.") from error
+    return model.eval()
+
+
+class _Draws:
+    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that a step waits for no host.
+
+    observations: to draw from. size: of a batch. free: points an iteration, as fractions of the volume's edges.
+    """
+
+    def __init__(self, observations: int, size: int, free: int, generator: torch.Generator, device: str):
+        self.observations, self.generator = observations, generator
+        self.which = torch.zeros(_PACK, size, dtype=torch.int64, device=device)
+        self.free = torch.zeros(_PACK, free, 3, device=device)
+        self.at = torch.zeros(1, dtype=torch.int64, device=device)
+
+    def fill(self, iteration: int, of: int) -> None:
+        """Draw the next pack, if ``iteration`` is the first of one."""
+        if iteration % _PACK:
+            return
+        count = min(_PACK, of - iteration)
+        pairs = [(torch.randint(self.observations, self.which.shape[1:], generator=self.generator), torch.rand(self.free.shape[1:], generator=self.generator))
+                 for _ in range(count)]
+        for buffer, column in ((self.which, 0), (self.free, 1)):
+            buffer[:count].copy_(torch.stack([pair[column] for pair in pairs]))
+        self.at.zero_()
+
+    def next(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Observations (b,) and free points (n, 3) in 0..1 of this iteration."""
+        out = self.which.index_select(0, self.at)[0], self.free.index_select(0, self.at)[0]
+        self.at += 1
+        return out
+
+
+def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:
+    """The one stiffness density that explains the forces best, in the least squares sense [N/m^4]."""
+    which = torch.randint(len(seen.index), (20 * size,), generator=generator).to(seen.index.device)
+    _, factor, force = seen.rows(which, 20)
+    total = factor.sum(dim=1)
+    unit = float((total * force).sum()) / max(float((total * total).sum()), 1e-300)
+    if not unit > 0.0:
+        raise VsfError("vsf.neural: the contact forces are all zero, or pull; a stiffness cannot be estimated. Are the forces those of the object on the sensor?")
+    return unit

@@ -1,0 +1,1 @@
+"""The structured prior of SBML and its training."""

@@ -1,0 +1,1 @@
+"""Where a known object lies, from an estimate of stiffness."""

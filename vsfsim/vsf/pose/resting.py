@@ -1,0 +1,85 @@
+"""Where a known object lies when it rests on one of its flat sides: the loss of Neural VSF eq. 7, seen from above.
+
+Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer over it before a probe gets there: the stiff points
+of an estimate are a thin sheet over the object, to which a registration of surfaces fits it in many ways. What such a sheet does tell is the object's
+outline. So the stiffness of each column of touched points is compared with the outline of the object at all angles and places,
+
+    L = sum over columns under the outline of max(threshold - K, 0) + threshold * (stiff columns beside it)
+
+on a grid first, then by a shrinking random search. The threshold leaves as large a share of the columns stiff as the outline has of the area
+that can be touched, so that it needs no knowledge of the cover. A turned over object has nearly the same outline mirrored: unless it may lie so, it is not asked.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from vsfsim.vsf.dynamics import VsfError
+from vsfsim.vsf.pose.localise import KnownObject, Pose
+
+_ANGLES = 48
+_STEPS, _STEP = 6, 0.004  # places to either side of the stiff columns' middle, and their distance [m]
+_MOST_STIFF = 0.5
+_COLUMNS = 500  # that vote on the grid
+
+
+def outline(known: KnownObject) -> float:
+    """Area of the object's outline from above [m^2]."""
+    return float(known.inside.any(axis=2).sum()) * known.cell**2
+
+
+def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float, turned: bool = False, refine: int = 400,
+               seed: int = 0) -> Pose:
+    """The pose that best explains the stiffness of columns.
+
+    Args:
+        known: the object, lying as in its own frame, or turned over about its x axis. columns: places (n, 2) [m], world. stiffness: of each, >= 0 (n,).
+        area: that can be touched [m^2]. top: z of the object's upper side [m]. turned: it may lie on its other face. refine: steps of the random search. seed: of it.
+
+    Raises:
+        VsfError: fewer than 10 columns, or all of one stiffness.
+    """
+    if len(columns) < 10 or not np.ptp(stiffness) > 0.0:
+        raise VsfError(f"vsf.lying: {len(columns)} columns of stiffnesses {np.min(stiffness, initial=0.0):g} to {np.max(stiffness, initial=0.0):g} tell nothing of where an object lies; touch more.")
+    share = min(outline(known) / area, _MOST_STIFF)
+    cut = float(np.quantile(stiffness, 1.0 - share))
+    if not cut > 0.0:
+        cut = float(stiffness[stiffness > 0.0].min())
+    stiff = stiffness >= cut
+    # Counted from the loss of an outline that lies on nothing: each column adds this much when it is covered.
+    gain = np.where(stiff, 1.0, -np.maximum(cut - stiffness, 0.0) / cut)
+    flat = np.pad(known.inside.any(axis=2), 1).astype(float)
+    middle = np.average(columns[stiff], axis=0)
+    shifts = _STEP * np.stack(np.meshgrid(*[np.arange(-_STEPS, _STEPS + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def covered(angle: float, face: int, places: np.ndarray, every: int = 1) -> np.ndarray:
+        """Gain of the outline's middle at ``places`` (p, 2), from every so many-th column: (p,)."""
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * [1.0, face] / known.cell
+        index = (columns[::every] @ turn - known.low[:2] / known.cell)[None] - (places @ turn)[:, None]
+        # One row and column of nothing around the outline takes whatever lies off it.
+        index = np.clip(np.floor(index).astype(np.int32) + 1, 0, np.array(flat.shape, np.int32) - 1)
+        return (flat[index[..., 0], index[..., 1]] * gain[::every]).sum(axis=1)
+
+    best, most, every = (0.0, 1, middle), -np.inf, -(-len(columns) // _COLUMNS)
+    for face in (1, -1) if turned else (1,):
+        for angle in 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES:
+            found = covered(angle, face, middle + shifts, every)
+            k = int(np.argmax(found))
+            if found[k] > most:
+                best, most = (angle, face, middle + shifts[k]), float(found[k])
+    most = float(covered(best[0], best[1], best[2][None])[0])
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    for step in range(refine):
+        size = 20.0 ** (-step / max(refine, 1))
+        trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1], best[2] + _STEP * size * rng.standard_normal(2))
+        found = float(covered(trial[0], trial[1], trial[2][None])[0])
+        if found >= most:
+            best, most = trial, found
+    angle, face, place = best
+    high = known.low[2] + known.cell * (1 + int(np.flatnonzero(known.inside.any(axis=(0, 1)))[-1]))
+    low = known.low[2] + known.cell * int(np.flatnonzero(known.inside.any(axis=(0, 1)))[0])
+    c, s = np.cos(angle), np.sin(angle)
+    out = np.eye(4)
+    out[:3, :3] = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) @ np.diag([1.0, face, face])
+    out[:3, 3] = [*place, top - (high if face > 0 else -low)]
+    return Pose(out, float(stiff.sum() - most) * cut)
