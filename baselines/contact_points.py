@@ -1,6 +1,7 @@
 """`contact-points`: what touches say without a stiffness (the contact-only baseline of Neural VSF section IV-C).
 
-A known object's outline is laid on the points where the force passed a limit. Asked for forces, it answers with those of the nearest touch.
+A known object's outline is laid on the points where the force passed a limit. Asked for forces, it answers with those
+of the nearest touch.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ class ContactPoints:
     """Learns nothing from training objects.
 
     Args:
-        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the paper. seed: of the search.
+        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the
+        paper. seed: of the search.
     """
 
     def __init__(self, *, share: float = 0.5, seed: int = 0):
@@ -42,7 +44,8 @@ class ContactPoints:
         self._view, self._support = view, list(support)
         for index, reading in enumerate(support):
             if not np.isfinite(reading.value[reading.valid]).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
+                                  f"marked valid.")
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of the nearest touch of the support, at the same way past its start; 0 without touches."""
@@ -65,16 +68,19 @@ class ContactPoints:
         Raises:
             MethodError: the readings are not forces, or the view shows no object.
         """
-        strange = next((r.action.observation for r in self._support if r.surface is None and r.action.observation not in FORCES), None)
+        strange = next((r.action.observation for r in self._support
+                        if r.surface is None and r.action.observation not in FORCES), None)
         if strange is not None:
-            raise MethodError(f"contact-points: a contact is where the force passes a limit, and the readings are '{strange}'; it knows {' and '.join(FORCES)}, or a sensor's surface.")
+            raise MethodError(f"contact-points: a contact is where the force passes a limit, and the readings are "
+                              f"'{strange}'; it knows {' and '.join(FORCES)}, or a sensor's surface.")
         points, size = self._contacts()
         hard = size > self.share * size.max(initial=0.0)
         # Contact or not is all that is told, as in the paper.
         return locate(vertices, triangles, points, hard.astype(float), self._view, Locating(seed=self.seed))
 
     def _contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and theirs."""
+        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and
+        theirs."""
         points, size = [np.zeros((0, 3))], [np.zeros(0)]
         for reading in (r for r in self._support if r.valid.any()):
             if reading.surface is not None:

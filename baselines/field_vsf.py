@@ -1,7 +1,8 @@
 """`neural-vsf` and `grid-vsf`: the continuous VSF, fitted to one object's touches (Neural VSF section III-D).
 
-Where the sensor has a surface the observations are the contact forces on its vertices (eq. 5 and 6). A rigid probe tells its total force only: its
-surface is then the sensor's, and the sum over it along the press is the observation, as in the papers' pressure-only baseline.
+Where the sensor has a surface the observations are the contact forces on its vertices (eq. 5 and 6). A rigid probe
+tells its total force only: its surface is then the sensor's, and the sum over it along the press is the observation, as
+in the papers' pressure-only baseline.
 `neural-vsf` is the papers' network, `grid-vsf` our fast field.
 """
 
@@ -28,25 +29,32 @@ class NeuralVsf:
     """The papers' 8-layer network.
 
     Args:
-        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`; iterations, batch 1,000, samples 100 and rate 2e-4 are
+        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`;
+        iterations, batch 1,000, samples 100 and rate 2e-4 are
             the paper's, which take minutes an object on a CPU.
-        octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not say how many; 6 of ours. Where a frame has
+        octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not say how
+        many; 6 of ours. Where a frame has
             one force alone, 2 find buried ropes far better (docs/studies.md).
         margin: by which the box of the field is wider than the visible cloud [m]. table_height: z of the table [m].
         depth: of the points that are asked where a hidden object lies [m]. seed: of weights and batches.
-        skin: fit the forces on a sensor's vertices where they were read; False: the total only, the pressure-only baseline.
+        skin: fit the forces on a sensor's vertices where they were read; False: the total only, the pressure-only
+        baseline.
         device: torch device.
     """
 
     _kind = "nerf"
 
-    def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4, free_space: float = 1e-2,
-                 octaves: int = 6, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
+    def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4,
+                 free_space: float = 1e-2,
+                 octaves: int = 6, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0,
+                 skin: bool = True, device: str = "cpu"):
         from vsfsim.vsf.fields.neural import Fitting
 
         if min(iterations, batch, samples, octaves) < 1 or not rate > 0.0:
-            raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} and octaves {octaves} must be at least 1 and rate {rate} greater than 0.")
-        self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, seed=seed)
+            raise MethodError(f"{self._kind}: iterations {iterations}, batch {batch}, samples {samples} and octaves "
+                              f"{octaves} must be at least 1 and rate {rate} greater than 0.")
+        self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
+                                seed=seed)
         self.margin, self.table_height, self.depth, self.seed, self.skin, self.device = margin, table_height, depth, seed, skin, device
         self._field: dict[str, float] = {"octaves": octaves}
         self._model = None
@@ -58,7 +66,8 @@ class NeuralVsf:
         """Fit the field. Without touches, or where all readings are zero, there is no stiffness anywhere.
 
         Raises:
-            MethodError: a reading marked valid is not finite, the view is empty, or the probe is not a ball and no surface was read.
+            MethodError: a reading marked valid is not finite, the view is empty, or the probe is not a ball and no
+            surface was read.
         """
         from vsfsim.vsf.fields.neural import fit
 
@@ -68,7 +77,8 @@ class NeuralVsf:
         self._view, self._support, self._model = view, list(support), None
         for index, reading in enumerate(support):
             if not np.isfinite(reading.value[reading.valid]).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
+                                  f"marked valid.")
         if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
             return
         dense = self.skin and all(r.surface is not None for r in support)
@@ -77,20 +87,23 @@ class NeuralVsf:
         if not touches:
             return
         # Pushes of the noise alone, the other way, say: nothing stiff was met.
-        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field))
+        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device,
+                                          **self._field))
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet.
 
         Raises:
-            MethodError: the probe is neither a ball nor a bubble's dome, or its readings are not forces along the press (or, of a dome, its pressure).
+            MethodError: the probe is neither a ball nor a bubble's dome, or its readings are not forces along the press
+            (or, of a dome, its pressure).
         """
         from vsfsim.vsf.fields.neural import predict_totals
 
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action) for action, touch in zip(touches, asked, strict=True)]
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action)
+                for action, touch in zip(touches, asked, strict=True)]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]; no standard deviation."""
@@ -106,15 +119,19 @@ class NeuralVsf:
 
 
 class GridVsf(NeuralVsf):
-    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`, but for the octaves; cell: edge of the finest grid's cells [m]."""
+    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`, but for the
+    octaves; cell: edge of the finest grid's cells [m]."""
 
     _kind = "grid"
 
-    def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1, free_space: float = 1e-2,
-                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
+    def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1,
+                 free_space: float = 1e-2,
+                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012,
+                 seed: int = 0, skin: bool = True, device: str = "cpu"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
-        super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space, margin=margin, table_height=table_height,
+        super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
+                         margin=margin, table_height=table_height,
                          depth=depth, seed=seed, skin=skin, device=device)
         self._field = {"cell": cell}
 
@@ -132,24 +149,29 @@ def _fitted(work):
 
 def _total(reading: Reading):
     if reading.value.shape[1:] != (1,):
-        raise MethodError(f"the readings have {reading.value.shape[1:]} numbers a frame; without a sensor's surface the field is fitted to one force a frame.")
+        raise MethodError(f"the readings have {reading.value.shape[1:]} numbers a frame; without a sensor's surface "
+                          f"the field is fitted to one force a frame.")
     return _surface_of(reading.action, np.where(reading.valid, reading.value[:, 0], np.nan))
 
 
 def _surface_of(action: Action, force: np.ndarray):
-    """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their unit."""
+    """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their
+    unit."""
     from vsfsim.vsf.fields.palpation import dome
     from vsfsim.vsf.fields.swept import TotalTouch
 
     if isinstance(action.probe, Dome):
         if action.observation not in ("normal-force", "pressure"):
-            raise MethodError(f"the readings are '{action.observation}'; of a bubble the continuous VSF knows 'normal-force' and 'pressure'.")
+            raise MethodError(f"the readings are '{action.observation}'; of a bubble the continuous VSF knows "
+                              f"'normal-force' and 'pressure'.")
         places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
         return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
     if not isinstance(action.probe, Sphere):
-        raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
+        raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface "
+                          f"of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
     if action.observation != "normal-force":
-        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF needs 'normal-force'.")
+        raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF "
+                          f"needs 'normal-force'.")
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])

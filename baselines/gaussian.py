@@ -1,9 +1,10 @@
 """`gaussian` and `gaussian-zero`: the vanilla VSF with a naive Gaussian prior (SBML section 4.2 and appendix C.1).
 
-Vision gives the particles but not the prior: all particles of all objects share one mean and one variance. Both come from the
-training objects: each is fitted with all of its touches and no informed prior (as `point-vsf` does), and the spring constants of
-the touched particles of all of them are pooled. Since the mean is pulled up by the stiff ones and tends to overestimate, the
-paper has a second variant that sets the mean to zero and keeps the variance.
+Vision gives the particles but not the prior: all particles of all objects share one mean and one variance. Both come
+from the
+training objects: each is fitted with all of its touches and no informed prior (as `point-vsf` does), and the spring
+constants of the touched particles of all of them are pooled. Since the mean is pulled up by the stiff ones and tends to
+overestimate, the paper has a second variant that sets the mean to zero and keeps the variance.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ class GaussianAverage:
     Args:
         spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
         friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
-        noise_std: of a reading [N]: what the particle model cannot explain, which is more than the sensor's 0.15 N. With 0.15 the
+        noise_std: of a reading [N]: what the particle model cannot explain, which is more than the sensor's 0.15 N.
+        With 0.15 the
             Gaussian prior's error on fewshot-shoes-mini-v1 no longer falls with every touch.
         fit_std: prior standard deviation of a spring constant in the fits of the training objects [N/m]; large, so that
             their touches decide.
@@ -37,7 +39,8 @@ class GaussianAverage:
 
     _zero_mean = False
 
-    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, fit_std: float = 1000.0,
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
+                 fit_std: float = 1000.0,
                  margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
         self.fit_std = fit_std
         self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
@@ -52,11 +55,13 @@ class GaussianAverage:
         """
         pooled = [np.zeros(0)]
         for specimen in specimens:
-            posterior = Posterior.of(VsfObject.behind(specimen.view, self._settings), specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
+            posterior = Posterior.of(VsfObject.behind(specimen.view, self._settings), specimen.touches, prior_mean=0.0,
+                                     prior_var=self.fit_std**2)
             pooled.append(posterior.stiffness[posterior.touched()])
         values = np.concatenate(pooled)
         if values.size == 0 or values.var() == 0.0:
-            raise MethodError(f"the Gaussian prior cannot be estimated: {len(specimens)} training objects with {values.size} touched particles. Give a train split whose touches meet the objects.")
+            raise MethodError(f"the Gaussian prior cannot be estimated: {len(specimens)} training objects with "
+                              f"{values.size} touched particles. Give a train split whose touches meet the objects.")
         self._prior = (0.0 if self._zero_mean else float(values.mean()), float(values.var()))
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
@@ -85,7 +90,8 @@ class GaussianAverage:
 
     def save(self, folder: Path) -> None:
         """Keep the prior."""
-        (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]} if self._prior else None))
+        (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]}
+                                                      if self._prior else None))
 
     def load(self, folder: Path) -> None:
         """Take up a prior that `save` kept."""

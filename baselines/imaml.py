@@ -1,9 +1,9 @@
 """`imaml` and `imaml-vision`: non-structured meta-learning (SBML section 4.2 and appendix B.4).
 
-A perceptron maps the robot's action to the reading, with no object in between; a touched object moves its weights by a few steps
-of gradient descent from the meta-learned start. `imaml-vision` also sees one vector of the whole view. The network, the inner and
-the outer loop have the paper's sizes and rates. The paper's action is 7 joint angles; without an arm it is 7 numbers here too: the
-probe's position, its press direction, and how far it has come along it.
+A perceptron maps the robot's action to the reading, with no object in between; a touched object moves its weights by a
+few steps of gradient descent from the meta-learned start. `imaml-vision` also sees one vector of the whole view. The
+network, the inner and the outer loop have the paper's sizes and rates. The paper's action is 7 joint angles; without an
+arm it is 7 numbers here too: the probe's position, its press direction, and how far it has come along it.
 """
 
 from __future__ import annotations
@@ -33,13 +33,16 @@ class Imaml:
         inner_rate, inner_steps: gradient descent on the support touches.
         regularisation: lambda. cg_damping, cg_steps: of the implicit gradient.
         features: of the view's vector, for `imaml-vision`. weights: file of pretrained weights for the DINOv2 features.
-        device: torch device of the network and of the DINOv2 features; the draws are made on the host, the same for every device.
+        device: torch device of the network and of the DINOv2 features; the draws are made on the host, the same for
+        every device.
     """
 
     _vision = False
 
-    def __init__(self, *, seed: int = 0, epochs: int = 400, outer_rate: float = 1e-3, inner_rate: float = 1e-3, inner_steps: int = 30,
-                 regularisation: float = 2.0, cg_damping: float = 100.0, cg_steps: int = 10, features: str = "local", weights: str = "", device: str = "cpu"):
+    def __init__(self, *, seed: int = 0, epochs: int = 400, outer_rate: float = 1e-3, inner_rate: float = 1e-3,
+                 inner_steps: int = 30,
+                 regularisation: float = 2.0, cg_damping: float = 100.0, cg_steps: int = 10, features: str = "local",
+                 weights: str = "", device: str = "cpu"):
         if features not in NAMES:
             raise MethodError(f"imaml: features are '{features}'. {did_you_mean(features, NAMES)}")
         self.seed, self.epochs, self.outer_rate, self.inner_rate, self.inner_steps = seed, epochs, outer_rate, inner_rate, inner_steps
@@ -61,7 +64,8 @@ class Imaml:
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:
-            raise MethodError(f"imaml cannot be trained: of {len(specimens)} training objects none has the two touches that make a support and a query set.")
+            raise MethodError(f"imaml cannot be trained: of {len(specimens)} training objects none has the two touches "
+                              f"that make a support and a query set.")
         rows = [[_samples(reading) for reading in s.touches] for s in usable]
         tokens = [self._token(s.view) for s in usable]
         x, y = (np.concatenate([touch[k] for touches in rows for touch in touches]) for k in (0, 1))
@@ -69,7 +73,8 @@ class Imaml:
         if not np.isfinite(y).all():
             raise MethodError("imaml: a training reading in a frame marked valid is not finite.")
         if not (y.std(axis=0) > 0.0).all():
-            raise MethodError("imaml cannot be trained: the training readings never vary. Give touches that meet the objects.")
+            raise MethodError("imaml cannot be trained: the training readings never vary. Give touches that meet "
+                              "the objects.")
         self._scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
                        "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
         self._network = self._build(x.shape[1], y.shape[1])
@@ -84,8 +89,10 @@ class Imaml:
             for _ in range(self.epochs):
                 halves = [self._halves(touches, rng) for touches in rows]
                 support, query = (self._batch([h[k] for h in halves], tokens) for k in (0, 1))
-                phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps, regularisation=self.regularisation)
-                gradient, _ = im.implicit_gradient(self._network, phi, support, query, regularisation=self.regularisation,
+                phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps,
+                               regularisation=self.regularisation)
+                gradient, _ = im.implicit_gradient(self._network, phi, support, query,
+                                                   regularisation=self.regularisation,
                                                    damping=self.cg_damping, cg_steps=self.cg_steps)
                 for p, g in zip(theta, gradient):
                     p.grad = g.mean(dim=0)
@@ -95,7 +102,8 @@ class Imaml:
         self._theta = [p.detach() for p in theta]
         if not all(torch.isfinite(p).all() for p in self._theta):
             self._scale = None
-            raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or inner_rate.")
+            raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or "
+                              "inner_rate.")
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Gradient descent on the support touches, from the meta-learned start."""
@@ -106,12 +114,14 @@ class Imaml:
         samples = [_samples(reading) for reading in support]
         for index, (_, y) in enumerate(samples):
             if not np.isfinite(y).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
+                                  f"marked valid.")
         self._seen = self._token(view)
         size = (len(self._scale["x_mean"]), len(self._scale["y_std"]))
         joined = tuple(np.concatenate([np.zeros((0, n)), *(s[k] for s in samples)]) for k, n in enumerate(size))
         batch = self._batch([joined], [self._seen])
-        self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps, regularisation=self.regularisation)
+        self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps,
+                             regularisation=self.regularisation)
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of touches not made yet."""
@@ -119,7 +129,8 @@ class Imaml:
 
         out = []
         for action in touches:
-            batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))], [self._seen])
+            batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))],
+                                [self._seen])
             with torch.no_grad():
                 out.append(self._network(self._phi, batch.x, batch.token)[0].cpu().numpy() * self._scale["y_std"])
         return out
@@ -129,7 +140,8 @@ class Imaml:
         if self._scale is None:
             raise MethodError("imaml has nothing to save yet; call meta_fit first.")
         (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
-        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.cpu().numpy() for i, p in enumerate(self._theta)})
+        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.cpu().numpy() for i,
+                                                         p in enumerate(self._theta)})
 
     def load(self, folder: Path) -> None:
         """Take up what `save` kept.
@@ -144,11 +156,13 @@ class Imaml:
             with np.load(folder / "imaml.npz") as file:
                 arrays = dict(file)
         except (OSError, ValueError) as error:
-            raise MethodError(f"imaml: nothing can be read from '{folder}': {error}. Give a folder that `save` wrote.") from error
+            raise MethodError(f"imaml: nothing can be read from '{folder}': {error}. Give a folder that "
+                              f"`save` wrote.") from error
         mine = {"vision": self._vision, "features": self.features}
         if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
             raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
-        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), device=self.device) for i in range(sum(name.startswith("theta") for name in list(arrays)))]
+        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), device=self.device)
+                       for i in range(sum(name.startswith("theta") for name in list(arrays)))]
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
 
@@ -162,14 +176,17 @@ class Imaml:
             return np.zeros(0)
         key = digest(view.rgb, view.depth, view.mask, view.intrinsics, view.camera_pose)
         if key not in self._tokens:
-            self._tokens[key] = view_token(self.features, view, weights=self.weights, device=self.device).astype(np.float64)
+            self._tokens[key] = view_token(self.features, view, weights=self.weights,
+                                           device=self.device).astype(np.float64)
         return self._tokens[key]
 
-    def _halves(self, touches: Sequence[tuple[np.ndarray, np.ndarray]], rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _halves(self, touches: Sequence[tuple[np.ndarray, np.ndarray]],
+                rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
         """A training object's touches, divided at random into support (at least one touch) and query (at least one)."""
         order = rng.permutation(len(touches))
         cut = int(rng.integers(1, len(touches)))
-        return [tuple(np.concatenate([touches[i][k] for i in part]) for k in (0, 1)) for part in (order[:cut], order[cut:])]
+        return [tuple(np.concatenate([touches[i][k] for i in part]) for k in (0, 1))
+                for part in (order[:cut], order[cut:])]
 
     def _batch(self, parts: Sequence[tuple[np.ndarray, np.ndarray]], tokens: Sequence[np.ndarray]):
         import torch
@@ -180,7 +197,10 @@ class Imaml:
         x, y = np.zeros((len(parts), count, len(s["x_mean"]))), np.zeros((len(parts), count, len(s["y_std"])))
         weight = np.zeros((len(parts), count))
         for i, (own_x, own_y) in enumerate(parts):
-            x[i, :len(own_x)], y[i, :len(own_y)], weight[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"], own_y / s["y_std"], 1.0
+            x[i, :len(own_x)], y[i,
+                                 :len(own_y)], weight[i,
+                                                      :len(own_x)] = (own_x
+                                                                      - s["x_mean"]) / s["x_std"], own_y / s["y_std"], 1.0
         token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
         return Batch(*(torch.as_tensor(a, dtype=torch.float64, device=self.device) for a in (x, token, y, weight)))
 
@@ -192,7 +212,8 @@ class ImamlVision(Imaml):
 
 
 def _inputs(action: Action) -> np.ndarray:
-    """The action in 7 numbers a frame (T, 7): an arm's joint angles [rad] (SBML appendix B.4); without an arm position [m], press direction, way along it since the first frame [m]."""
+    """The action in 7 numbers a frame (T, 7): an arm's joint angles [rad] (SBML appendix B.4); without an arm position
+    [m], press direction, way along it since the first frame [m]."""
     if action.q is not None:
         return action.q
     position = action.poses[:, :3, 3]

@@ -4,13 +4,15 @@ Meta-parameters theta are where every task starts. A task adapts by gradient des
 
     phi(theta) = argmin_phi  L_support(phi) + lambda/2 |phi - theta|^2
 
-and the gradient of its query loss with respect to theta is, by the implicit function theorem and without unrolling the descent,
+and the gradient of its query loss with respect to theta is, by the implicit function theorem and without unrolling the
+descent,
 
     dL_query/dtheta = (I + H / lambda)^-1 grad L_query(phi),   H = Hessian of L_support at phi
 
-solved by a few steps of conjugate gradients. The Hessian is divided by lambda + damping, as the authors' code does: far from the inner minimum
-it need not be positive, and damping keeps the system so. All tasks of an outer step are one batch: their parameters carry a
-leading task axis. Gradients and products with the Hessian are written out (backpropagation, and Pearlmutter's forward pass over it, 1994), a matrix product a
+solved by a few steps of conjugate gradients. The Hessian is divided by lambda + damping, as the authors' code does: far
+from the inner minimum it need not be positive, and damping keeps the system so. All tasks of an outer step are one
+batch: their parameters carry a leading task axis. Gradients and products with the Hessian are written out
+(backpropagation, and Pearlmutter's forward pass over it, 1994), a matrix product a
 layer: the networks are so small that automatic differentiation would cost more than the arithmetic.
 """
 
@@ -29,7 +31,8 @@ _EXACT = 1e-10
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples of B tasks, padded to the same number R. x: (B, R, inputs). token: of the task (B, c), c may be 0. y: (B, R, outputs).
+    """Samples of B tasks, padded to the same number R. x: (B, R, inputs). token: of the task (B, c), c may be 0. y: (B,
+    R, outputs).
     weight: 1 for a sample, 0 for padding (B, R)."""
 
     x: torch.Tensor
@@ -39,10 +42,11 @@ class Batch:
 
 
 class Network:
-    """A perceptron from action (and view) to reading. Parameters are lists of tensors, with or without a leading task axis.
+    """A perceptron from action (and view) to reading. Parameters are lists of tensors, with or without a leading task
+    axis.
 
-    inputs, outputs: sizes. token: size of the view's vector, 0 for no vision. hidden: widths. encoder: widths of the token's own
-    perceptron, whose output stands beside the action.
+    inputs, outputs: sizes. token: size of the view's vector, 0 for no vision. hidden: widths. encoder: widths of the
+    token's own perceptron, whose output stands beside the action.
     """
 
     def __init__(self, inputs: int, outputs: int, *, token: int, hidden: Sequence[int], encoder: Sequence[int]):
@@ -88,7 +92,8 @@ class Network:
             code = _forward(own, batch.token[:, None])
             x = torch.cat([x, code[-1].expand(-1, x.shape[1], -1)], dim=2)
         layers = _forward(rest, x)
-        share = (2.0 / batch.y.shape[2]) * (batch.weight / batch.weight.sum(dim=1, keepdim=True).clamp_min(1.0))[:, :, None]
+        share = (2.0 / batch.y.shape[2]) * (batch.weight / batch.weight.sum(dim=1,
+                                                                            keepdim=True).clamp_min(1.0))[:, :, None]
         gradient, errors = _backward(rest, layers, share * (layers[-1] - batch.y))
         code_errors: Parameters = []
         if self.split:
@@ -100,9 +105,10 @@ class Network:
 
 @dataclass(frozen=True)
 class _Pass:
-    """What a product with the Hessian needs of a forward and a backward pass. layers: the input of each layer, and the output (B, R, width). errors: the loss's
-    gradient with respect to each layer's output before its ReLU. code, code_errors: the same of the token's perceptron, or empty. share: second derivative of the loss
-    by the network's output (B, R, 1). inputs: numbers of the action. gradient: with respect to the parameters."""
+    """What a product with the Hessian needs of a forward and a backward pass. layers: the input of each layer, and the
+    output (B, R, width). errors: the loss's gradient with respect to each layer's output before its ReLU. code,
+    code_errors: the same of the token's perceptron, or empty. share: second derivative of the loss by the network's
+    output (B, R, 1). inputs: numbers of the action. gradient: with respect to the parameters."""
 
     layers: Parameters
     errors: Parameters
@@ -114,7 +120,8 @@ class _Pass:
 
 
 class Curvature:
-    """The Hessian of the loss at some parameters; ``at @ v`` is its product with v, task by task. A ReLU has no curvature of its own."""
+    """The Hessian of the loss at some parameters; ``at @ v`` is its product with v, task by task. A ReLU has no
+    curvature of its own."""
 
     def __init__(self, network: Network, parameters: Parameters, at: _Pass):
         self._split, self._at = 2 * network.split, at
@@ -125,12 +132,16 @@ class Curvature:
         change = None
         if self._split:
             moved = _forward_change(self._own, own, at.code, None)
-            change = torch.cat([torch.zeros_like(at.layers[0][:, :, :at.inputs]), moved[-1].expand(-1, at.layers[0].shape[1], -1)], dim=2)
+            change = torch.cat([torch.zeros_like(at.layers[0][:, :, :at.inputs]),
+                                moved[-1].expand(-1, at.layers[0].shape[1], -1)], dim=2)
         layers = _forward_change(self._rest, rest, at.layers, change)
         out, errors = _backward_change(self._rest, rest, at.layers, layers, at.errors, at.share * layers[-1])
         if self._split:
-            into = torch.bmm(errors[0], self._rest[0][:, at.inputs:].transpose(1, 2)) + torch.bmm(at.errors[0], rest[0][:, at.inputs:].transpose(1, 2))
-            out = _backward_change(self._own, own, at.code, moved, at.code_errors, into.sum(dim=1, keepdim=True))[0] + out
+            into = torch.bmm(errors[0], self._rest[0][:, at.inputs:].transpose(1,
+                                                                               2)) + torch.bmm(at.errors[0],
+                                                                                               rest[0][:, at.inputs:].transpose(1, 2))
+            out = _backward_change(self._own, own, at.code, moved, at.code_errors,
+                                   into.sum(dim=1, keepdim=True))[0] + out
         return out
 
 
@@ -146,7 +157,8 @@ def _forward(parameters: Parameters, x: torch.Tensor) -> Parameters:
 
 
 def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -> tuple[Parameters, Parameters]:
-    """Gradient with respect to the parameters, and to every layer's output before its ReLU, from that of the last one."""
+    """Gradient with respect to the parameters, and to every layer's output before its ReLU, from that of the last
+    one."""
     gradient, errors = [torch.empty(0)] * len(parameters), [error]
     for i in range(len(parameters) - 2, -1, -2):
         x = layers[i // 2]
@@ -157,7 +169,8 @@ def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -
     return gradient, errors
 
 
-def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters, change: torch.Tensor | None) -> Parameters:
+def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters,
+                    change: torch.Tensor | None) -> Parameters:
     """How `layers` change along ``v``; ``change``: of the input, None if it stays."""
     out = [torch.zeros_like(layers[0]) if change is None else change]
     for i in range(0, len(parameters), 2):
@@ -178,7 +191,8 @@ def _backward_change(parameters: Parameters, v: Parameters, layers: Parameters, 
         out[i] = torch.baddbmm(torch.bmm(layers[k].transpose(1, 2), change), moved[k].transpose(1, 2), errors[k])
         out[i + 1] = change.sum(dim=1, keepdim=True)
         if i:
-            change = torch.baddbmm(torch.bmm(change, parameters[i].transpose(1, 2)), errors[k], v[i].transpose(1, 2)) * (layers[k] > 0.0)
+            change = torch.baddbmm(torch.bmm(change, parameters[i].transpose(1, 2)), errors[k],
+                                   v[i].transpose(1, 2)) * (layers[k] > 0.0)
             changes.insert(0, change)
     return out, changes
 
@@ -196,7 +210,8 @@ def spread(theta: Parameters, tasks: int) -> Parameters:
     return [p.detach().expand(tasks, *p.shape).clone() for p in theta]
 
 
-def adapt(network: Network, theta: Parameters, batch: Batch, *, rate: float, steps: int, regularisation: float) -> Parameters:
+def adapt(network: Network, theta: Parameters, batch: Batch, *, rate: float, steps: int,
+          regularisation: float) -> Parameters:
     """phi of every task: gradient descent from theta on the regularised support loss."""
     count = len(batch.x)
     phi = spread(theta, count)
@@ -209,7 +224,8 @@ def adapt(network: Network, theta: Parameters, batch: Batch, *, rate: float, ste
     return phi
 
 
-def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: Batch, *, regularisation: float, damping: float = 0.0,
+def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: Batch, *, regularisation: float,
+                      damping: float = 0.0,
                       cg_steps: int = 10) -> tuple[Parameters, torch.Tensor]:
     """Gradient of every task's query loss with respect to theta (each (B, ...)), and those losses (B,)."""
     hessian = network.curvature(phi, support)
@@ -221,7 +237,8 @@ def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: 
 
 
 def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
-    """Solve A x = right for every task by itself, in so many steps at most: with the papers' damping four are enough to leave 1e-10 of it."""
+    """Solve A x = right for every task by itself, in so many steps at most: with the papers' damping four are enough to
+    leave 1e-10 of it."""
     def dot(a: Parameters, b: Parameters) -> torch.Tensor:
         return sum((x * y).flatten(1).sum(dim=1) for x, y in zip(a, b))
 

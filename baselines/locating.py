@@ -1,7 +1,9 @@
-"""Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings that all share.
+"""Where a known stiff object lies, for methods that estimate stiffness (Neural VSF section III-E), with the settings
+that all share.
 
-The papers register the object's surface to the stiff points (`vsfsim.vsf.pose.localise`); on the training objects of localization-mini-v1 that tips over in
-most cases, while the outline of the stiff columns (`vsfsim.vsf.pose.resting`) finds the angle to some degrees: docs/methods.md has both figures.
+The papers register the object's surface to the stiff points (`vsfsim.vsf.pose.localise`); on the training objects of
+localization-mini-v1 that tips over in most cases, while the outline of the stiff columns (`vsfsim.vsf.pose.resting`)
+finds the angle to some degrees: docs/methods.md has both figures.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ STEP = 0.003
 
 @dataclass(frozen=True)
 class Locating:
-    """Settings. cover: how deep the object's upper side is taken to lie under the touched surface [m], of which touch says little. refine: steps of the
-    random search. turned: the object may lie on its other face (the training objects do not). seed: of the search."""
+    """Settings. cover: how deep the object's upper side is taken to lie under the touched surface [m], of which touch
+    says little. refine: steps of the random search. turned: the object may lie on its other face (the training objects
+    do not). seed: of the search."""
 
     cover: float = 0.004
     turned: bool = False
@@ -36,10 +39,12 @@ class Locating:
     seed: int = 0
 
 
-def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stiffness: np.ndarray, view: View, settings: Locating) -> np.ndarray:
+def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stiffness: np.ndarray, view: View,
+           settings: Locating) -> np.ndarray:
     """Object-to-world transform (4, 4) of a known object from the stiffness at touched points (n, 3) [m], (n,).
 
-    Where the points tell nothing (too few, or all of one stiffness) the object stands upright in the middle of what is seen.
+    Where the points tell nothing (too few, or all of one stiffness) the object stands upright in the middle of what is
+    seen.
 
     Raises:
         MethodError: the view shows no object.
@@ -52,7 +57,9 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        return lying_pose(_known(_kept(vertices, float), _kept(triangles, np.int64)), (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine, seed=settings.seed).transform
+        return lying_pose(_known(_kept(vertices, float), _kept(triangles, np.int64)), (columns + 0.5) * STEP, stiffest,
+                          area=area, top=top, turned=settings.turned, refine=settings.refine,
+                          seed=settings.seed).transform
     except VsfError:
         out = np.eye(4)
         out[:3, 3] = cloud.mean(axis=0)
@@ -62,7 +69,8 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
 @functools.lru_cache(maxsize=16)
 def _known(vertices: tuple[tuple[int, ...], bytes], triangles: tuple[tuple[int, ...], bytes]) -> KnownObject:
     # The same object is asked for at every shot and seed, and its inside test takes seconds to make.
-    return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]), np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))
+    return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]),
+                          np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))
 
 
 def _kept(array: np.ndarray, kind: type) -> tuple[tuple[int, ...], bytes]:

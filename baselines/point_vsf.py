@@ -1,8 +1,9 @@
-"""`point-vsf`: the volumetric stiffness field without an informed prior (SBML tables 1 and 2, row "VSF all-shot"); `dense-vsf`: the same from the forces on a
-soft sensor's skin.
+"""`point-vsf`: the volumetric stiffness field without an informed prior (SBML tables 1 and 2, row "VSF all-shot");
+`dense-vsf`: the same from the forces on a soft sensor's skin.
 
-Independent springs on particles (SBML appendix A), their constants by MAP with K >= 0 (eq. 16) under a zero mean and a variance
-so large that the data alone decide. The papers give it all touches; here it also runs at every shot, where it shows what
+Independent springs on particles (SBML appendix A), their constants by MAP with K >= 0 (eq. 16) under a zero mean and a
+variance so large that the data alone decide. The papers give it all touches; here it also runs at every shot, where it
+shows what
 the touches say by themselves: before the first one it predicts 0.
 """
 
@@ -26,16 +27,19 @@ class PointVsf:
     Args:
         spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
         friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
-        noise_std: of a reading [N]: what the particle model cannot explain, which is more than the sensor's 0.15 N. With 0.15 the
+        noise_std: of a reading [N]: what the particle model cannot explain, which is more than the sensor's 0.15 N.
+        With 0.15 the
             Gaussian prior's error on fewshot-shoes-mini-v1 no longer falls with every touch.
         prior_std: of a spring constant [N/m]; "large": some hundred times what a particle of a shoe's upper has.
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         device: Warp device.
-        estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which takes in one frame after the other (Neural VSF section III-B).
+        estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which takes in one frame
+        after the other (Neural VSF section III-B).
     """
 
-    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, prior_std: float = 1000.0,
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
+                 prior_std: float = 1000.0,
                  margin: float = 0.01, table_height: float = 0.0, device: str = "cpu", estimator: str = "batch"):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
@@ -69,16 +73,20 @@ class PointVsf:
 
 
 class DenseVsf(PointVsf):
-    """The point VSF from dense contact forces (Neural VSF section III-C): where a soft sensor tells the force on each vertex of its skin, those are the
-    observations. Without a skin it is `point-vsf`, which is the paper's pressure-only baseline.
+    """The point VSF from dense contact forces (Neural VSF section III-C): where a soft sensor tells the force on each
+    vertex of its skin, those are the observations. Without a skin it is `point-vsf`, which is the paper's pressure-only
+    baseline.
 
     Args:
-        skin_std: noise of a component of the force on a vertex [N], the sensor's and the model's. The rest as `PointVsf`.
+        skin_std: noise of a component of the force on a vertex [N], the sensor's and the model's. The rest as
+        `PointVsf`.
     """
 
-    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, skin_std: float = 0.05, prior_std: float = 1000.0,
+    def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, skin_std: float = 0.05,
+                 prior_std: float = 1000.0,
                  margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
         if not skin_std > 0.0:
             raise MethodError(f"dense-vsf: skin_std is {skin_std!r}; it must be greater than 0, in newtons.")
-        super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin, table_height=table_height, device=device)
+        super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin,
+                         table_height=table_height, device=device)
         self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std))

@@ -1,6 +1,7 @@
 """`sbml`: structured Bayesian meta-learning on the VSF model (SBML, eq. 10-16, appendices A and B).
 
-Visual features of the particles give the mean and variance of their spring constants, by a small network learned offline on the
+Visual features of the particles give the mean and variance of their spring constants, by a small network learned
+offline on the
 training objects: maximum likelihood of their readings with the springs marginalised out (eq. 15). On a new object the
 network's output is the prior, and touches update it (eq. 16, K >= 0).
 """
@@ -31,12 +32,15 @@ class Sbml:
         prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
         rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta.prior`.
-        validation: fraction of the training objects that only stop the training (at least one of them if there are two).
+        validation: fraction of the training objects that only stop the training (at least one of them if there are
+        two).
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
-        noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq. 15 takes its ten
+        noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq.
+        15 takes its ten
             readings for independent; 3 N is 1 N times sqrt(10). docs/methods.md has figures.
-        noise_share: of a touch's largest reading, that the particle model errs by besides (in eq. 15 and 16). With 0, the paper's way, stiff objects decide the
+        noise_share: of a touch's largest reading, that the particle model errs by besides (in eq. 15 and 16). With 0,
+        the paper's way, stiff objects decide the
             mean, and it lies far above most objects; docs/studies.md has figures.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
@@ -44,9 +48,12 @@ class Sbml:
         device: "cpu" or "cuda:0", for Warp and torch.
     """
 
-    def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "", seed: int = 0, rate: float = 1e-4,
-                 epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus", validation: float = 0.25, spacing: float = 0.005,
-                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
+    def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
+                 seed: int = 0, rate: float = 1e-4,
+                 epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus",
+                 validation: float = 0.25, spacing: float = 0.005,
+                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0,
+                 margin: float = 0.01, table_height: float = 0.0,
                  device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
@@ -55,11 +62,13 @@ class Sbml:
         if not 0.0 <= validation < 1.0:
             raise MethodError(f"sbml: validation is {validation!r}; it must be a fraction from 0 to under 1.")
         if not (noise_std > 0.0 and noise_share >= 0.0):
-            raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 or greater).")
+            raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 "
+                              f"or greater).")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
-        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device, noise_share=noise_share)
+        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device,
+                                     noise_share=noise_share)
         self._shelf = ObjectShelf(self._settings)
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
@@ -78,7 +87,8 @@ class Sbml:
         from vsfsim.vsf.meta.prior import MetaPrior, train
 
         if not specimens:
-            raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the folder of a saved prior (--set prior=FOLDER).")
+            raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the "
+                              "folder of a saved prior (--set prior=FOLDER).")
         models = [self._shelf.get(s.view) for s in specimens]
         raw = [self._features(model, s.view) for model, s in zip(models, specimens)]
         self._normaliser = Normaliser.of(raw)
@@ -87,7 +97,8 @@ class Sbml:
         tasks = [self._task(*row) for row in zip(models, specimens, raw, parts)]
         held = self._held_out(len(tasks))
         self._network = self._build(MetaPrior, raw[0].shape[1], spread)
-        self.training = train(self._network, [t for i, t in enumerate(tasks) if i not in held], [t for i, t in enumerate(tasks) if i in held],
+        self.training = train(self._network, [t for i, t in enumerate(tasks) if i not in held],
+                              [t for i, t in enumerate(tasks) if i in held],
                               rate=self.rate, epochs=self.epochs, patience=self.patience, seed=self.seed)
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
@@ -125,7 +136,8 @@ class Sbml:
         """Keep the prior: prior.json, and prior.npz with the weights."""
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
-        table = {"structure": self.structure, "features": self.features, "output": self.output, "size": len(self._normaliser.mean), "unit": self._network.unit}
+        table = {"structure": self.structure, "features": self.features, "output": self.output,
+                 "size": len(self._normaliser.mean), "unit": self._network.unit}
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
         np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std,
                  **{f"net.{name}": value.cpu().numpy() for name, value in self._network.state_dict().items()})
@@ -145,26 +157,32 @@ class Sbml:
             with np.load(folder / "prior.npz") as file:
                 arrays = dict(file)
         except (OSError, ValueError) as error:
-            raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that `save` wrote.") from error
+            raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
+                              f"`save` wrote.") from error
         for key in ("structure", "features", "output"):
             if table.get(key) != getattr(self, key):
-                raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not '{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
+                raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
+                                  f"'{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
         self._priors.clear()
         self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
         self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
-        self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name, value in arrays.items()})
+        self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name,
+                                       value in arrays.items()})
 
     def _build(self, kind: type, size: int, spread):
         import torch
 
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
-            return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout, output=self.output).to(self.device)
+            return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
+                        output=self.output).to(self.device)
 
     def _features(self, model: VsfObject, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"
         if key not in model.features:
-            model.features[key] = particle_features(self.features, view, model.particles, spacing=self._settings.spacing, weights=self.weights, device=self.device)
+            model.features[key] = particle_features(self.features, view, model.particles,
+                                                    spacing=self._settings.spacing, weights=self.weights,
+                                                    device=self.device)
         return model.features[key]
 
     def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
@@ -174,13 +192,17 @@ class Sbml:
         from vsfsim.vsf.meta.prior import MetaTask
 
         rows, z = model.stack(specimen.touches)
-        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) * t.action.size for t in specimen.touches])
-        evidence = Evidence.of(rows, z, noise_std=self._settings.noise_std, membership=part.membership, touch=touch, device=self.device)
+        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) * t.action.size
+                                                             for t in specimen.touches])
+        evidence = Evidence.of(rows, z, noise_std=self._settings.noise_std, membership=part.membership, touch=touch,
+                               device=self.device)
         features = self._normaliser(raw)[evidence.touched]
-        return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device) for x in (features, part.features)), evidence)
+        return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device)
+                          for x in (features, part.features)), evidence)
 
     def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):
-        """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3, "initialisation")."""
+        """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3,
+        "initialisation")."""
         from vsfsim.vsf.meta.prior import Spread
 
         pooled, means = [np.zeros(0)], []
@@ -193,7 +215,8 @@ class Sbml:
             means += list((share.T @ fit.stiffness[touched])[count > 0] / count[count > 0])
         values = np.concatenate(pooled)
         if values.size == 0 or values.std() == 0.0:
-            raise MethodError(f"sbml cannot learn a prior: {len(specimens)} training objects with {values.size} touched particles. Give a train split whose touches meet the objects.")
+            raise MethodError(f"sbml cannot learn a prior: {len(specimens)} training objects with {values.size} "
+                              f"touched particles. Give a train split whose touches meet the objects.")
         return Spread(float(values.mean()), float(values.std()), float(np.std(means)) if len(means) > 1 else 0.0)
 
     def _held_out(self, count: int) -> set[int]:

@@ -20,5 +20,6 @@ def seen_cloud(view: View) -> np.ndarray:
     depth = np.asarray(view.depth, np.float64)[mask]
     lost = int(np.count_nonzero(~(np.isfinite(depth) & (depth > 0.0))))
     if lost:
-        raise MethodError(f"the view's depth is 0 or not a number in {lost} of the {depth.size} pixels of its mask; leave them out of the mask.")
+        raise MethodError(f"the view's depth is 0 or not a number in {lost} of the {depth.size} pixels of its mask; "
+                          f"leave them out of the mask.")
     return view.points()

@@ -10,17 +10,19 @@ from vsfsim.core.errors import MethodError
 from vsfsim.vsf.fields.palpation import DenseTouch
 
 BASE_AREA = 7.18e-3
-"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML eq. 8)."""
+"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML
+eq. 8)."""
 
 
 def noise_unit(action: Action) -> float:
-    """Factor from a reading to the unit of a method's noise, and to a force: a pressure becomes a force, all else stays."""
+    """Factor from a reading to the unit of a method's noise, and to a force: a pressure becomes a force, all else
+    stays."""
     return BASE_AREA if action.observation == "pressure" else 1.0
 
 
 def skin_touch(reading: Reading) -> DenseTouch | None:
-    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading of them); None if it was seen in fewer than two,
-    or with no force behind the first of them.
+    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading
+    of them); None if it was seen in fewer than two, or with no force behind the first of them.
 
     The triangles are those of the Delaunay triangulation over the rim's plane, wound outwards.
 
@@ -30,12 +32,14 @@ def skin_touch(reading: Reading) -> DenseTouch | None:
     assert reading.surface is not None
     vertices, force = (np.asarray(x, float) for x in (reading.surface.vertices, reading.surface.force))
     if vertices.ndim != 3 or vertices.shape != force.shape or vertices.shape[2] != 3:
-        raise MethodError(f"the sensor's surface has vertices {vertices.shape} and forces {force.shape}; both must be (T, N, 3).")
+        raise MethodError(f"the sensor's surface has vertices {vertices.shape} and forces {force.shape}; both must "
+                          f"be (T, N, 3).")
     seen = np.isfinite(vertices).all(axis=(1, 2))
     force = np.where(reading.valid[:, None, None], force, np.nan)[seen]
     known = ~np.isnan(force).all(axis=(1, 2))
     if not np.isfinite(force[known]).all():
-        raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the whole frame out.")
+        raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the "
+                          "whole frame out.")
     if not known[1:].any():
         return None
     first = int(np.argmax(seen))

@@ -1,7 +1,7 @@
 """One object as the baselines see it: the papers' particles behind a view, and the observation rows of its touches.
 
-Both baselines are this model with different priors. The particles, and the rows of a touch, depend on no stiffness (SBML
-eq. 5), so they are made once and kept: 4 shots x 10 seeds on one object cost one simulation a touch.
+Both baselines are this model with different priors. The particles, and the rows of a touch, depend on no stiffness
+(SBML eq. 5), so they are made once and kept: 4 shots x 10 seeds on one object cost one simulation a touch.
 """
 
 from __future__ import annotations
@@ -41,8 +41,10 @@ class VsfSettings:
     margin: by how much the box around the visible cloud is widened sideways [m].
     table_height: z of the table, down to which the hidden volume is filled [m].
     device: Warp device, "cpu" or "cuda:0".
-    noise_share: of a touch's largest reading, that is added to noise_std in quadrature, for all readings of the touch: the particle model errs in proportion.
-    skin_std: noise of a component of the force on a vertex of a soft sensor's skin [N]; None: only the readings are looked at, and the skin is not.
+    noise_share: of a touch's largest reading, that is added to noise_std in quadrature, for all readings of the touch:
+    the particle model errs in proportion.
+    skin_std: noise of a component of the force on a vertex of a soft sensor's skin [N]; None: only the readings are
+    looked at, and the skin is not.
     """
 
     spacing: float
@@ -59,8 +61,8 @@ class VsfSettings:
 class VsfObject:
     """The particles of one object.
 
-    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action; skins: rows and values of
-    touches with a skin; features: of the particles, by kind. All are filled on demand.
+    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action; skins: rows
+    and values of touches with a skin; features: of the particles, by kind. All are filled on demand.
     """
 
     particles: np.ndarray
@@ -79,11 +81,13 @@ class VsfObject:
         cloud = seen_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - settings.margin, cloud.max(axis=0) + settings.margin])
         bounds[0, 2] = min(settings.table_height, cloud[:, 2].min())
-        # Half a cell before the surface still belongs to it; else the first layer would lie up to a cell deep, and a shallow
-        # press would meet nothing.
-        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device, tolerance=0.5 * settings.spacing)
+        # Half a cell before the surface still belongs to it; else the first layer would lie up to a cell deep, and a
+        # shallow press would meet nothing.
+        particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device,
+                                        tolerance=0.5 * settings.spacing)
         if not len(particles):
-            raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
+            raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points "
+                              f"span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
                               f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller spacing.")
         return cls(particles, settings)
 
@@ -93,7 +97,8 @@ class VsfObject:
             return self._torque_rows(action)
         key = digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
         if key not in self.rows:
-            moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction, device=self.settings.device)
+            moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction,
+                             device=self.settings.device)
             if action.observation == "normal-force":
                 self.rows[key] = normal_force_rows(moved, len(self.particles), action.axis)
             elif action.observation == "force-magnitude":
@@ -101,7 +106,8 @@ class VsfObject:
             elif action.observation == "pressure":
                 self.rows[key] = force_sum_rows(moved, len(self.particles)) / BASE_AREA
             else:
-                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows normal-force, force-magnitude, pressure and joint-torque.")
+                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows "
+                                  f"normal-force, force-magnitude, pressure and joint-torque.")
         return self.rows[key]
 
     def _torque_rows(self, action: Action) -> sparse.csr_matrix:
@@ -110,11 +116,13 @@ class VsfObject:
             raise MethodError("joint torques need an arm: a touch with joint angles, and the arm's chain as its probe.")
         key = digest(action.q, action.axis) + b"joint-torque"
         if key not in self.rows:
-            self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction, device=self.settings.device)
+            self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction,
+                                             device=self.settings.device)
         return self.rows[key]
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
-        """All valid rows of some touches: W (m, n) and z (m,), in units in which each has the noise of `VsfSettings.noise_std`.
+        """All valid rows of some touches: W (m, n) and z (m,), in units in which each has the noise of
+        `VsfSettings.noise_std`.
 
         Raises:
             MethodError: a reading marked valid is not finite.
@@ -123,14 +131,17 @@ class VsfObject:
         for index, reading in enumerate(readings):
             value = reading.value[reading.valid]
             if value.shape[1:] != (reading.action.size,):
-                raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; its action says {reading.action.size}.")
+                raise MethodError(f"touch {index} of the support has readings of {value.shape[1:]} numbers; its action "
+                                  f"says {reading.action.size}.")
             if not np.isfinite(value).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame marked valid.")
+                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
+                                  f"marked valid.")
             if self.settings.skin_std is not None and reading.surface is not None:
                 rows, seen = self._skin_rows(reading)
                 weight = self.settings.noise_std / self.settings.skin_std
             else:
-                rows, seen = self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid, reading.action.size))], value.ravel()
+                rows, seen = self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid,
+                                                                                   reading.action.size))], value.ravel()
                 weight = noise_unit(reading.action)
                 weight /= float(self.noise_factor(weight * seen))
             blocks.append(weight * rows)
@@ -142,8 +153,9 @@ class VsfObject:
         return np.hypot(1.0, self.settings.noise_share * np.abs(force).max(initial=0.0) / self.settings.noise_std)
 
     def _skin_rows(self, reading: Reading) -> tuple[sparse.csr_matrix, np.ndarray]:
-        """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural VSF eq. 3): with W^T W = V s V^T
-        they are sqrt(s) V^T and V^T W^T z / sqrt(s), as many as particles were moved at most, where W has three a vertex and frame."""
+        """Rows (r, n) and values (r,) that say of the stiffnesses all that the forces on the skin's vertices do (Neural
+        VSF eq. 3): with W^T W = V s V^T they are sqrt(s) V^T and V^T W^T z / sqrt(s), as many as particles were moved
+        at most, where W has three a vertex and frame."""
         assert reading.surface is not None
         key = digest(reading.surface.vertices, reading.surface.force, reading.valid)
         if key not in self.skins:
@@ -151,14 +163,16 @@ class VsfObject:
             if touch is None:
                 return sparse.csr_matrix((0, len(self.particles))), np.zeros(0)
             known = ~np.isnan(touch.force).all(axis=(1, 2))
-            w = dense_force_rows(stick(self.particles, touch.vertices, touch.triangles), len(self.particles), touch.triangles, touch.vertices.shape[1])
+            w = dense_force_rows(stick(self.particles, touch.vertices, touch.triangles), len(self.particles),
+                                 touch.triangles, touch.vertices.shape[1])
             w = w[np.flatnonzero(np.repeat(known, touch.force[0].size))]
             moved = np.unique(w.indices)
             part = w[:, moved]
             size, turn = np.linalg.eigh((part.T @ part).toarray()) if len(moved) else (np.zeros(0), np.zeros((0, 0)))
             keep = size > 1e-12 * max(float(size[-1]) if len(size) else 0.0, 1e-300)
             root = np.sqrt(size[keep])
-            rows = sparse.csr_matrix(((root[:, None] * turn[:, keep].T).ravel(), np.tile(moved, len(root)), np.arange(len(root) + 1) * len(moved)), shape=(len(root), w.shape[1]))
+            rows = sparse.csr_matrix(((root[:, None] * turn[:, keep].T).ravel(), np.tile(moved, len(root)),
+                                      np.arange(len(root) + 1) * len(moved)), shape=(len(root), w.shape[1]))
             self.skins[key] = rows, (turn[:, keep].T @ (part.T @ touch.force[known].ravel())) / root
         return self.skins[key]
 
@@ -215,8 +229,8 @@ class Posterior:
     def density(self, points: np.ndarray) -> Estimate:
         """Stiffness density around ``points`` (k, 3) [m]: mean and std (k,) [N/m^4].
 
-        Spring constant over the volume of a particle's cell, averaged over the particles within two spacings (the nearest one if
-        there is none). The std is the mean of theirs, as if they erred together.
+        Spring constant over the volume of a particle's cell, averaged over the particles within two spacings (the
+        nearest one if there is none). The std is the mean of theirs, as if they erred together.
         """
         spacing = self.model.settings.spacing
         std = self._std()
@@ -225,7 +239,8 @@ class Posterior:
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
         groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
         volume = spacing**3
-        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume, np.array([std[g].mean() for g in groups]) / volume)
+        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume,
+                        np.array([std[g].mean() for g in groups]) / volume)
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         """Of readings to come, rows (q, n), without their own noise (q,)."""
@@ -233,17 +248,20 @@ class Posterior:
 
     def _std(self) -> np.ndarray:
         """Of each particle's spring constant (n,) [N/m]."""
-        return structured_std(self.rows, noise_std=self.model.settings.noise_std, prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+        return structured_std(self.rows, noise_std=self.model.settings.noise_std,
+                              prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
         touched = self.touched()
-        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, Locating(seed=seed))
+        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view,
+                      Locating(seed=seed))
 
 
 @dataclass
 class Filtered(Posterior):
-    """What the diagonal Kalman filter knows after the same touches, taken in frame by frame (Neural VSF section III-B). var: of each spring constant (n,) [(N/m)^2]."""
+    """What the diagonal Kalman filter knows after the same touches, taken in frame by frame (Neural VSF section III-B).
+    var: of each spring constant (n,) [(N/m)^2]."""
 
     var: np.ndarray
 
@@ -259,7 +277,8 @@ class Filtered(Posterior):
                 raise MethodError(str(error).replace("touch 0", f"touch {index}")) from error
             state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size)
             blocks.append(rows)
-        return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)), GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
+        return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)),
+                   GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         return np.sqrt(sparse.csr_matrix(rows).power(2) @ self.var)

@@ -1,4 +1,5 @@
-"""`vsfsim measure arm`: what the dynamic arm reads and the kinematic one does not, on touches of plants, and what each costs."""
+"""`vsfsim measure arm`: what the dynamic arm reads and the kinematic one does not, on touches of plants, and what each
+costs."""
 
 from __future__ import annotations
 
@@ -18,17 +19,20 @@ from vsfsim.robot.dynamic import IMPEDANCE, POSITION
 from vsfsim.robot.path import times
 
 PARTS = ("rms", "friction", "inertia", "lag")
-WHAT = {"rms": "all of it", "friction": "friction that the torque sensors see", "inertia": "masses that are moved", "lag": "the same forces at angles a little off"}
+WHAT = {"rms": "all of it", "friction": "friction that the torque sensors see", "inertia": "masses that are moved",
+        "lag": "the same forces at angles a little off"}
 
 
 def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], None]) -> dict[str, Any]:
     """Touch one plant, then lead both arms along the same path under the same wrenches.
 
     Args:
-        device: Warp device of the plant. scene: name or path, with [arm]. touches: how many that meet the plant. progress: called with what is going on.
+        device: Warp device of the plant. scene: name or path, with [arm]. touches: how many that meet the plant.
+        progress: called with what is going on.
     """
     loaded = load_scene(find_scene(scene))
-    recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=touches, tier=None, device=device, precision="float64", renderer="warp")
+    recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=touches, tier=None, device=device,
+                         precision="float64", renderer="warp")
     job = jobs_of(recipe, loaded.path, None, Path("."), None)[0]
     progress("compiling kernels, or finding them")
     compile_kernels(_kernels("float64", loaded.sample(0)), device)
@@ -51,8 +55,10 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
             time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
             found.append(difference(subject.arm, q, time_, force, frames.moment[good, b], drive=drive))
         rows.append({"drive": name, "touches": len(found), "scale": max((d.scale for d in found), default=0.0),
-                     "kinematic_rms": _joined([np.sqrt((d.kinematic**2).mean(axis=0)) for d in found]), **{part: _joined([getattr(d, part) for d in found]) for part in PARTS},
-                     "largest": np.max([d.largest for d in found], axis=0).tolist() if found else [], "tool_m": max((d.tool for d in found), default=0.0),
+                     "kinematic_rms": _joined([np.sqrt((d.kinematic**2).mean(axis=0)) for d in found]),
+                     **{part: _joined([getattr(d, part) for d in found]) for part in PARTS},
+                     "largest": np.max([d.largest for d in found], axis=0).tolist() if found else [],
+                     "tool_m": max((d.tool for d in found), default=0.0),
                      "seconds": np.sum([d.seconds for d in found], axis=0).tolist() if found else []})
     return {"scene": loaded.name, "rows": rows}
 
@@ -63,13 +69,17 @@ def _joined(values: list[np.ndarray]) -> list[float]:
 
 def table(found: dict[str, Any]) -> str:
     """The result for the terminal."""
-    lines = [f"{found['scene']}: the dynamic arm's readings less J^T f of the kinematic arm, the same wrenches on the same path; rms over touches, each joint [N m]"]
+    lines = [f"{found['scene']}: the dynamic arm's readings less J^T f of the kinematic arm, the same wrenches on the "
+             f"same path; rms over touches, each joint [N m]"]
     for row in found["rows"]:
         if not row["touches"]:
             lines.append(f"{row['drive']} drive: no touch met the plant; ask for more --touches")
             continue
-        lines += ["", f"{row['drive']} drive, {row['touches']} touches, torques to {row['scale']:.2f} N m; the tool leaves its path by {1e3 * row['tool_m']:.2f} mm at most; "
-                  f"{row['seconds'][0]:.2f} s kinematic, {row['seconds'][1]:.2f} s dynamic", f"{'':<14}" + "".join(f"{f'joint {j + 1}':>9}" for j in range(len(row["rms"])))]
+        lines += ["", f"{row['drive']} drive, {row['touches']} touches, torques to {row['scale']:.2f} N m; the tool "
+                      f"leaves its path by {1e3 * row['tool_m']:.2f} mm at most; "
+                  f"{row['seconds'][0]:.2f} s kinematic, {row['seconds'][1]:.2f} s dynamic",
+                  f"{'':<14}" + "".join(f"{f'joint {j + 1}':>9}" for j in range(len(row["rms"])))]
         lines.append(f"{'J^T f':<14}" + "".join(f"{v:>9.3f}" for v in row["kinematic_rms"]) + "   for comparison")
-        lines += [f"{'difference' if name == 'rms' else name:<14}" + "".join(f"{v:>9.3f}" for v in row[name]) + f"   {WHAT[name]}" for name in PARTS]
+        lines += [f"{'difference' if name == 'rms' else name:<14}" + "".join(f"{v:>9.3f}" for v in row[name])
+                  + f"   {WHAT[name]}" for name in PARTS]
     return "\n".join(lines)

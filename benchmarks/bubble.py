@@ -1,8 +1,9 @@
 """What a bubble on a soft object costs: `vsfsim measure bubble`.
 
-Two measurements on a shoe of `shoes-punyo-mini`, at tier `fem` with cells small enough for 5,000 tetrahedra. *One touch*: a sealed poke, after another
-touch of the same object (mesh, factor, inflation and kernels are there), CPU seconds and iterations of a frame with their parts. *A batch*: touches
-of that object that advance together, touches a minute. Progress is told frame by frame, so that a run that is cut off has shown something.
+Two measurements on a shoe of `shoes-punyo-mini`, at tier `fem` with cells small enough for 5,000 tetrahedra. *One
+touch*: a sealed poke, after another touch of the same object (mesh, factor, inflation and kernels are there), CPU
+seconds and iterations of a frame with their parts. *A batch*: touches of that object that advance together, touches a
+minute. Progress is told frame by frame, so that a run that is cut off has shown something.
 """
 
 from __future__ import annotations
@@ -42,9 +43,11 @@ Progress = Callable[[str], None]
 class Poke:
     """One touch, the second of its object.
 
-    tets, unknowns, nodes: of the object, of both bodies together, of the bubble [-]. frames: how many, in_contact of them with a force. force, pressure: at
-    full depth [N], change [Pa]. seconds: of a frame in contact, on the clock [s]; cpu_seconds: of the process [s]; worst_seconds: of the slowest frame [s].
-    newton, cg: iterations of a frame in contact [-]. converged: share of all frames [-]. residual: worst of a converged one [-]. parts: seconds of the whole touch [s].
+    tets, unknowns, nodes: of the object, of both bodies together, of the bubble [-]. frames: how many, in_contact of
+    them with a force. force, pressure: at full depth [N], change [Pa]. seconds: of a frame in contact, on the clock
+    [s]; cpu_seconds: of the process [s]; worst_seconds: of the slowest frame [s].
+    newton, cg: iterations of a frame in contact [-]. converged: share of all frames [-]. residual: worst of a converged
+    one [-]. parts: seconds of the whole touch [s].
     build_seconds: of mesh, factor and bubble, once an object [s]; first_seconds: of the first touch [s].
     """
 
@@ -73,8 +76,9 @@ class Poke:
 class Batch:
     """Many touches of one object together.
 
-    touches, frames: how many. seconds: of all [s]. per_minute: touches a minute [1/min]. newton, cg: iterations of a frame in contact, on average [-]. converged: share of the
-    frames [-]. reasons: number of frames by why not. difference: largest difference of a force from the CPU's over the largest force [-], or None.
+    touches, frames: how many. seconds: of all [s]. per_minute: touches a minute [1/min]. newton, cg: iterations of a
+    frame in contact, on average [-]. converged: share of the frames [-]. reasons: number of frames by why not.
+    difference: largest difference of a force from the CPU's over the largest force [-], or None.
     """
 
     device: str
@@ -92,7 +96,8 @@ class Batch:
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is pressed. scene: concrete. body, sensor: the object and the bubble. aims: of the touches. spec: their frames. seconds: to build body and sensor [s]."""
+    """What is pressed. scene: concrete. body, sensor: the object and the bubble. aims: of the touches. spec: their
+    frames. seconds: to build body and sensor [s]."""
 
     scene: Scene
     body: Model
@@ -108,28 +113,33 @@ def schedule(frames: int) -> tuple[int, int, int, int]:
     return 1, frames - 2 - out, 1, out
 
 
-def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution: float | None = RESOLUTION, nodes: int | None = None) -> _Subject:
+def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution: float | None = RESOLUTION,
+            nodes: int | None = None) -> _Subject:
     """The shoe, the bubble and ``touches`` + 1 aims, as `vsfsim generate` draws them."""
     from vsfsim.sensing.camera import look_at, render
 
     began = time.perf_counter()
     scene = load_scene(find_scene(SCENE)).sample(stream(0, _SCENE, 0))
     assert scene.sensor is not None and scene.touches is not None and scene.object is not None
-    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=resolution), sensor=dataclasses.replace(scene.sensor, nodes=nodes or scene.sensor.nodes))
+    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=resolution),
+                                sensor=dataclasses.replace(scene.sensor, nodes=nodes or scene.sensor.nodes))
     body = tiers.build(scene, tier, seed=stream(0, _BODY, 0))
     sensor = build_bubble(scene.sensor)
     seconds = time.perf_counter() - began
-    intrinsics, pose = look_at(dataclasses.replace(scene.camera, width=_PICTURE[0], height=_PICTURE[1]), body.mesh.points.mean(axis=0))
+    intrinsics, pose = look_at(dataclasses.replace(scene.camera, width=_PICTURE[0], height=_PICTURE[1]),
+                               body.mesh.points.mean(axis=0))
     view = render(surface_of(body.solid, scene), intrinsics, pose, *_PICTURE)
     spec = dataclasses.replace(scene.touches, count=touches + 1, frames=schedule(frames))
     aims = touch_bubble.aim(scene, spec, body, sensor, view, lambda k: np.random.default_rng(stream(0, _AIM, 0, 0, k)))
     return _Subject(scene, body, sensor, aims, spec, seconds)
 
 
-def _run(s: _Subject, aims: list[Aim], tier: str, device: str, told: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
+def _run(s: _Subject, aims: list[Aim], tier: str, device: str,
+         told: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
     assert s.scene.sensor is not None
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
-    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device, options=touch_bubble.options(tier, device))
+    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device,
+                           options=touch_bubble.options(tier, device))
     began = time.perf_counter()
     return solver.run(poses, progress=lambda t: told(t, time.perf_counter() - began)), solver
 
@@ -153,9 +163,12 @@ def poke(s: _Subject, tier: str, device: str, progress: Progress) -> Poke:
     good = frames.converged[:, 0]
     total = float(frames.seconds.sum())
     spent = float(frames.seconds[contact].sum())
-    return Poke(device, tier, len(s.body.mesh.tets), len(s.body.free) + len(s.sensor.free), len(s.sensor.mesh.points), len(size), int(contact.sum()), float(size[deep]),
-                float(solver.pressure[deep][0] - s.sensor.pressure), spent / count, busy * spent / max(total, 1e-9) / count, float(frames.seconds.max()),
-                float(frames.iterations[contact].sum() / count), float(frames.cg_iterations[contact].sum() / count), float(good.mean()),
+    return Poke(device, tier, len(s.body.mesh.tets), len(s.body.free) + len(s.sensor.free), len(s.sensor.mesh.points),
+                len(size), int(contact.sum()), float(size[deep]),
+                float(solver.pressure[deep][0] - s.sensor.pressure), spent / count,
+                busy * spent / max(total, 1e-9) / count, float(frames.seconds.max()),
+                float(frames.iterations[contact].sum() / count), float(frames.cg_iterations[contact].sum() / count),
+                float(good.mean()),
                 float(frames.residual[:, 0][good & contact].max(initial=0.0)), parts, s.seconds, first)
 
 
@@ -165,7 +178,8 @@ def batch(s: _Subject, touches: int, tier: str, device: str, progress: Progress,
 
     def told(t: int, seconds: float) -> None:
         total = sum(s.spec.frames)
-        progress(f"batch of {touches}: frame {t} of {total} after {seconds:.1f} s, {60.0 * touches * t / total / max(seconds, 1e-9):.1f} touches a minute so far")
+        progress(f"batch of {touches}: frame {t} of {total} after {seconds:.1f} s, "
+                 f"{60.0 * touches * t / total / max(seconds, 1e-9):.1f} touches a minute so far")
 
     began = time.perf_counter()
     frames, _ = _run(s, aims, tier, device, told)
@@ -174,21 +188,27 @@ def batch(s: _Subject, touches: int, tier: str, device: str, progress: Progress,
     names, counts = np.unique(frames.reason[frames.reason != Reason.NONE], return_counts=True)
     difference = None
     if compare and device != "cpu":
-        host, _ = _run(s, aims[:compare], tier, "cpu", lambda t, spent: progress(f"{compare} touches on the CPU: frame {t} after {spent:.1f} s"))
+        host, _ = _run(s, aims[:compare], tier, "cpu", lambda t,
+                       spent: progress(f"{compare} touches on the CPU: frame {t} after {spent:.1f} s"))
         both = host.converged & frames.converged[:, :compare]
-        difference = float(np.abs(host.force - frames.force[:, :compare])[both].max(initial=0.0) / max(np.abs(host.force[both]).max(initial=0.0), 1e-12))
-    return Batch(device, tier, touches, len(frames.seconds), seconds, 60.0 * touches / seconds, float(frames.iterations[contact].mean()) if contact.any() else 0.0,
+        difference = float(np.abs(host.force - frames.force[:, :compare])[both].max(initial=0.0)
+                           / max(np.abs(host.force[both]).max(initial=0.0), 1e-12))
+    return Batch(device, tier, touches, len(frames.seconds), seconds, 60.0 * touches / seconds,
+                 float(frames.iterations[contact].mean()) if contact.any() else 0.0,
                  float(frames.cg_iterations[contact].mean()) if contact.any() else 0.0, float(frames.converged.mean()),
                  {Reason(int(n)).name: int(c) for n, c in zip(names, counts, strict=True)}, difference)
 
 
-def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAMES, tier: str = TIER, resolution: float | None = RESOLUTION, nodes: int | None = None,
+def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAMES, tier: str = TIER,
+          resolution: float | None = RESOLUTION, nodes: int | None = None,
           compare: int = 0, progress: Progress = lambda _: None) -> dict[str, Any]:
     """Both measurements.
 
     Args:
-        device: Warp device. touches: of the batch; None for 4 on a CPU and 800 on a GPU. frames: of a touch, 4 or more. tier, resolution: of the object, the latter [m]. nodes: of
-            the bubble, None for the scene's. compare: so many touches of a GPU's batch also on the CPU. progress: told every frame.
+        device: Warp device. touches: of the batch; None for 4 on a CPU and 800 on a GPU. frames: of a touch, 4 or more.
+        tier, resolution: of the object, the latter [m]. nodes: of
+            the bubble, None for the scene's. compare: so many touches of a GPU's batch also on the CPU. progress: told
+            every frame.
 
     Returns:
         "poke" and "batch", fields as `Poke` and `Batch`.
@@ -196,7 +216,8 @@ def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAM
     count = touches or (4 if device == "cpu" else 800)
     progress("building the shoe and the bubble")
     s = prepare(count, frames=frames, tier=tier, resolution=resolution, nodes=nodes)
-    progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in {s.seconds:.1f} s; compiling kernels")
+    progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in "
+             f"{s.seconds:.1f} s; compiling kernels")
     compile_kernels(pair_kernels("float64", touch_bubble.KINDS), device)
     one = poke(s, tier, device, progress)
     progress(f"one touch: {one.seconds:.3f} s a frame, {one.newton:.1f} Newton, {one.cg:.1f} CG")
@@ -210,11 +231,17 @@ def table(result: dict[str, Any]) -> str:
     reasons = ", ".join(f"{n} {c}" for n, c in b["reasons"].items())
     off = "" if b["difference"] is None else f"; forces off the CPU's by {b['difference']:.0e} of the largest"
     return "\n".join([
-        f"one sealed poke of a shoe, tier {p['tier']}, {p['tets']} tetrahedra and a bubble of {p['nodes']} nodes ({p['unknowns']} unknowns), {p['device']}; the second touch of the object:",
-        f"  {p['seconds']:.3f} s a frame in contact ({p['cpu_seconds']:.3f} s of CPU; aim on one CPU core {TARGET_FRAME} s), slowest frame {p['worst_seconds']:.2f} s",
-        f"  {p['newton']:.1f} Newton and {p['cg']:.1f} conjugate gradients a frame; {100 * p['converged']:.0f} % of {p['frames']} frames converged, worst residual {p['residual']:.0e}; "
+        f"one sealed poke of a shoe, tier {p['tier']}, {p['tets']} tetrahedra and a bubble of {p['nodes']} nodes "
+        f"({p['unknowns']} unknowns), {p['device']}; the second touch of the object:",
+        f"  {p['seconds']:.3f} s a frame in contact ({p['cpu_seconds']:.3f} s of CPU; aim on one CPU core "
+        f"{TARGET_FRAME} s), slowest frame {p['worst_seconds']:.2f} s",
+        f"  {p['newton']:.1f} Newton and {p['cg']:.1f} conjugate gradients a frame; {100 * p['converged']:.0f} % of "
+        f"{p['frames']} frames converged, worst residual {p['residual']:.0e}; "
         f"{p['force']:.2f} N, {p['pressure']:.0f} Pa at full depth",
         f"  of which, over the touch: {parts}",
-        f"  once an object: {p['build_seconds']:.1f} s for mesh, factor and bubble, {p['first_seconds']:.1f} s for its first touch",
-        f"{b['touches']} touches of {b['frames']} frames together, {b['device']}: {b['seconds']:.1f} s, {b['per_minute']:.1f} touches a minute (aim on one H200 {TARGET_MINUTE:.0f})",
-        f"  {b['newton']:.1f} Newton and {b['cg']:.1f} conjugate gradients a frame in contact; {100 * b['converged']:.1f} % of the frames converged" + (f" (not: {reasons})" if reasons else "") + off])
+        f"  once an object: {p['build_seconds']:.1f} s for mesh, factor and bubble, {p['first_seconds']:.1f} s for its "
+        f"first touch",
+        f"{b['touches']} touches of {b['frames']} frames together, {b['device']}: {b['seconds']:.1f} s, "
+        f"{b['per_minute']:.1f} touches a minute (aim on one H200 {TARGET_MINUTE:.0f})",
+        f"  {b['newton']:.1f} Newton and {b['cg']:.1f} conjugate gradients a frame in contact; "
+        f"{100 * b['converged']:.1f} % of the frames converged" + (f" (not: {reasons})" if reasons else "") + off])

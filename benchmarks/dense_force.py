@@ -1,9 +1,11 @@
 """How far estimated contact forces of the bubble are from the true ones: `vsfsim measure dense-force`.
 
-The bubble is pressed on rigid balls at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh with white noise, and the pressure
-with the real sensor's 5.4 Pa. Truth are the simulator's contact forces, moved to the read-out mesh with net force and moment kept. E h and the force scale
-of `paper` and `taut` are calibrated by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor; `released` is
-taken as published; `membrane` knows the skin that the simulator was given, but on its own coarser mesh, and is also shown with an E h that is 10 % too large.
+The bubble is pressed on rigid balls at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh
+with white noise, and the pressure with the real sensor's 5.4 Pa. Truth are the simulator's contact forces, moved to the
+read-out mesh with net force and moment kept. E h and the force scale of `paper` and `taut` are calibrated by the net
+force of other presses with the smallest noise, as their owner would with a force-torque sensor; `released` is taken as
+published; `membrane` knows the skin that the simulator was given, but on its own coarser mesh, and is also shown with
+an E h that is 10 % too large.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ BALL, TIP, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.012)
 
 @dataclass(frozen=True)
 class Spot:
-    """One press of a ball. name: for tables. x, y: of the place on the dome, mount frame [m]. slant: of its way from the normal there, towards +x [rad]."""
+    """One press of a ball. name: for tables. x, y: of the place on the dome, mount frame [m]. slant: of its way from
+    the normal there, towards +x [rad]."""
 
     name: str
     x: float
@@ -53,7 +56,8 @@ class Spot:
 Plan = Sequence[tuple[Sphere, Sequence[Spot]]]
 
 PRESSES: Plan = (
-    (BALL, (Spot("ball, middle", 0.0, 0.0), Spot("ball, aside", 0.025, 0.010), Spot("ball, slanted", -0.010, 0.0, math.radians(30.0)))),
+    (BALL, (Spot("ball, middle", 0.0, 0.0), Spot("ball, aside", 0.025, 0.010),
+            Spot("ball, slanted", -0.010, 0.0, math.radians(30.0)))),
     (TIP, (Spot("tip, middle", 0.0, 0.0), Spot("tip, aside", -0.020, 0.012))),
 )
 """Balls of 20 and 5 mm radius."""
@@ -61,7 +65,8 @@ CALIBRATION: Plan = ((OTHER, (Spot("12 mm, a", 0.012, -0.008), Spot("12 mm, b", 
 """The presses that calibrate."""
 
 
-def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu", progress: Progress = lambda _: None) -> list[PressRecord]:
+def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu",
+             progress: Progress = lambda _: None) -> list[PressRecord]:
     """Press a bubble on rigid balls and read it out; frames that found no equilibrium are left out."""
     readout = readout_of(model)
     out = []
@@ -77,7 +82,8 @@ def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu", progress: P
             poses = np.tile(np.eye(4), (len(_FRAMES), 1, 1))
             poses[:, :3, 3] = model.mesh.points[node] + shape.radius * normal + np.array(_FRAMES)[:, None] * way
             columns.append(poses)
-        solver = Solver(model, shape, friction=_FRICTION, device=device, options=SolverOptions(seconds=_PATIENCE, cg_frame=4000))
+        solver = Solver(model, shape, friction=_FRICTION, device=device,
+                        options=SolverOptions(seconds=_PATIENCE, cg_frame=4000))
         frames = solver.run(np.stack(columns, axis=1), keep=True)
         for k, spot in enumerate(spots):
             good = frames.converged[:, k]
@@ -85,7 +91,8 @@ def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu", progress: P
             # what the solver keeps is the force on the body, which is the bubble
             force = np.stack([f[..., k] for f in solver.surface_force])[good]
             seen = readout.frames(points, force, gauge_pressure(model, points), rest_pressure=model.pressure)
-            out.append(PressRecord(spot.name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position, seen.pressure_change + model.pressure, seen.node_force))
+            out.append(PressRecord(spot.name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position,
+                                   seen.pressure_change + model.pressure, seen.node_force))
     return out
 
 
@@ -108,14 +115,16 @@ def bench(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[floa
     training = simulate(model, CALIBRATION, device=device, progress=progress)
     presses = simulate(model, PRESSES, device=device, progress=progress)
     if not any(len(p.depth) for p in presses) or not any(len(p.depth) for p in training):
-        raise SensorError(f"bench dense-force: no frame of the presses converged on the mesh of {len(model.mesh.points)} nodes; take another number of nodes.")
+        raise SensorError(f"bench dense-force: no frame of the presses converged on the mesh of "
+                          f"{len(model.mesh.points)} nodes; take another number of nodes.")
     field = contenders(calibration_of(model), training, progress=progress)
     return compare(field, presses, noise=noise, progress=progress), field, presses
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One estimator with its calibration. label: for the table. method, calibration, options: of the estimator. calibrated: its error there [N], or None."""
+    """One estimator with its calibration. label: for the table. method, calibration, options: of the estimator.
+    calibrated: its error there [N], or None."""
 
     label: str
     method: str
@@ -128,8 +137,9 @@ class Contender:
 class Row:
     """Errors of one contender at one noise level and depth bin, over the frames of all presses.
 
-    label: the contender. noise: of a node's coordinate [m]. low, high: of the depths [m]. frames: how many. node_rms, node_size: of the error and
-    the true forces, RMS over nodes and frames [N]. net, net_size: of the net force, RMS [N]. iou: of the contact regions, mean [-].
+    label: the contender. noise: of a node's coordinate [m]. low, high: of the depths [m]. frames: how many. node_rms,
+    node_size: of the error and the true forces, RMS over nodes and frames [N]. net, net_size: of the net force, RMS
+    [N]. iou: of the contact regions, mean [-].
     converged: share of the frames whose program was solved, a fraction. seconds: CPU time of a frame [s].
     """
 
@@ -147,7 +157,8 @@ class Row:
     seconds: float
 
 
-def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *, progress: Progress = lambda _: None) -> list[Contender]:
+def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *,
+               progress: Progress = lambda _: None) -> list[Contender]:
     """All estimators, calibrated on ``presses`` (without noise yet); ``calibration`` holds the true skin."""
     options = EstimatorOptions()
     rng = np.random.default_rng(1)
@@ -156,15 +167,19 @@ def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *
     for method in ("paper", "taut"):
         progress(f"calibrating {method}")
         fitted[method] = calibrate(calibration, seen, method=method, options=replace(options, tolerance=1e-3))
-    out = [Contender("residual", "residual", fitted["paper"][0], options), Contender("released", "released", calibration, options)]
-    out += [Contender(m, m, given, replace(how, tolerance=options.tolerance), error) for m, (given, how, error) in fitted.items()]
+    out = [Contender("residual", "residual", fitted["paper"][0], options),
+           Contender("released", "released", calibration, options)]
+    out += [Contender(m, m, given, replace(how, tolerance=options.tolerance), error) for m,
+            (given, how, error) in fitted.items()]
     if calibration.reference is not None:
         out.append(Contender("membrane", "membrane", calibration, options))
-        out.append(Contender("membrane, E h +10 %", "membrane", replace(calibration, stiffness=1.1 * calibration.stiffness), options))
+        out.append(Contender("membrane, E h +10 %", "membrane",
+                             replace(calibration, stiffness=1.1 * calibration.stiffness), options))
     return out
 
 
-def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise: Sequence[float] = NOISE, progress: Progress = lambda _: None) -> list[Row]:
+def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise: Sequence[float] = NOISE,
+            progress: Progress = lambda _: None) -> list[Row]:
     """Every contender on every press at every noise level.
 
     Args:
@@ -186,14 +201,17 @@ def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise
     return rows
 
 
-def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord], scores: list[Any], converged: list[np.ndarray]) -> list[Row]:
-    columns = {name: np.concatenate([getattr(s, name) for s in scores]) for name in ("node_rms", "node_size", "net", "net_size", "iou")}
+def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord], scores: list[Any],
+          converged: list[np.ndarray]) -> list[Row]:
+    columns = {name: np.concatenate([getattr(s, name) for s in scores])
+               for name in ("node_rms", "node_size", "net", "net_size", "iou")}
     depth, good = np.concatenate([p.depth for p in presses]), np.concatenate(converged)
     out = []
     for low, high in zip(DEPTHS[:-1], DEPTHS[1:], strict=True):  # noqa: RUF007  two bins are meant
         inside = (depth > low) & (depth <= high) & (columns["net_size"] > 0.0)
         if inside.any():
-            rms = {name: float(np.sqrt(np.mean(columns[name][inside] ** 2))) for name in ("node_rms", "node_size", "net", "net_size")}
+            rms = {name: float(np.sqrt(np.mean(columns[name][inside] ** 2)))
+                   for name in ("node_rms", "node_size", "net", "net_size")}
             out.append(Row(label, level, low, high, int(inside.sum()), **rms, iou=float(columns["iou"][inside].mean()),
                            converged=float(good[inside].mean()), seconds=spent))
     return out
@@ -205,17 +223,23 @@ def table(rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[Pre
     out = [f"{len(presses)} presses ({names}), {sum(len(p.depth) for p in presses)} frames."]
     for one in field:
         if one.calibrated is not None:
-            out.append(f"{one.label}: calibrated to E h {one.calibration.stiffness:.0f} N/m and a force scale of {one.options.force_scale:g} N (net force {one.calibrated:.3f} N there)")
+            out.append(f"{one.label}: calibrated to E h {one.calibration.stiffness:.0f} N/m and a force scale of "
+                       f"{one.options.force_scale:g} N (net force {one.calibrated:.3f} N there)")
     bins = sorted({(r.low, r.high) for r in rows})
     above = f"{'':20}" + "".join(f"{f'{1e3 * low:.0f} to {1e3 * high:.0f} mm deep':^36}" for low, high in bins)
     head = f"{'estimator':20}" + f"{'node RMS N':>15}{'net force N':>15}{'IoU':>6}" * len(bins)
     for level in sorted({r.noise for r in rows}):
         some = {(r.low, r.high): r for r in rows if r.noise == level}
-        out += ["", f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure" if level else ""), above,
-                f"{head}{'s/frame':>9}{'solved':>8}", f"{'(true forces)':20}" + "".join(f"{some[b].node_size:15.4f}{some[b].net_size:15.2f}{'':6}" for b in bins)]
+        out += ["", f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure"
+                                                                                if level else ""), above,
+                f"{head}{'s/frame':>9}{'solved':>8}",
+                f"{'(true forces)':20}" + "".join(f"{some[b].node_size:15.4f}{some[b].net_size:15.2f}{'':6}"
+                                                  for b in bins)]
         for one in field:
             mine = {(r.low, r.high): r for r in rows if r.noise == level and r.label == one.label}
-            cells = "".join(f"{mine[b].node_rms:8.4f} {100 * mine[b].node_rms / mine[b].node_size:5.0f}%{mine[b].net:9.3f} {100 * mine[b].net / mine[b].net_size:4.0f}%{mine[b].iou:6.2f}" for b in bins)
+            cells = "".join(f"{mine[b].node_rms:8.4f} "
+                            f"{100 * mine[b].node_rms / mine[b].node_size:5.0f}%{mine[b].net:9.3f} "
+                            f"{100 * mine[b].net / mine[b].net_size:4.0f}%{mine[b].iou:6.2f}" for b in bins)
             out.append(f"{one.label:20}{cells}{mine[bins[0]].seconds:9.3f}{100 * np.mean([m.converged for m in mine.values()]):7.0f}%")
     return "\n".join(out)
 
@@ -223,4 +247,5 @@ def table(rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[Pre
 def tables(rows: Sequence[Row], field: Sequence[Contender]) -> dict[str, Any]:
     """The same for JSON."""
     return {"rows": [asdict(r) for r in rows],
-            "calibrated": {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale, "net_error": c.calibrated} for c in field if c.calibrated is not None}}
+            "calibrated": {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale,
+                                     "net_error": c.calibrated} for c in field if c.calibrated is not None}}

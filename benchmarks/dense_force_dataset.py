@@ -1,7 +1,9 @@
-"""The comparison of `bench_dense_force` on the touches of a dataset that a bubble felt: soft objects instead of rigid balls.
+"""The comparison of `bench_dense_force` on the touches of a dataset that a bubble felt: soft objects instead of rigid
+balls.
 
-The estimators are calibrated on touches of the train split and scored on the test split, a few frames of each touch. Where the bubble of the dataset was
-simulated on the read-out mesh itself, `membrane` shares mesh and law with it, and its error without noise says nothing: the table says so.
+The estimators are calibrated on touches of the train split and scored on the test split, a few frames of each touch.
+Where the bubble of the dataset was simulated on the read-out mesh itself, `membrane` shares mesh and law with it, and
+its error without noise says nothing: the table says so.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ CALIBRATING = 4  # touches of the train split
 _FELT = 0.05  # force from which a frame counts as contact [N], a third of a real sensor's noise
 
 
-def bench_dataset(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2], progress: Progress = lambda _: None) -> tuple[list[Row], list[Contender], list[PressRecord], list[str]]:
+def bench_dataset(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2],
+                  progress: Progress = lambda _: None) -> tuple[list[Row], list[Contender], list[PressRecord],
+                                                                list[str]]:
     """Calibrate on the first split of ``dataset``, score on the last one.
 
     Args:
@@ -43,12 +47,14 @@ def bench_dataset(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2], progr
     notes = []
     if len(splits) == 1:
         training, presses = presses[:CALIBRATING], presses[CALIBRATING:]
-        notes.append(f"the dataset has one split, '{splits[0]}': its first {len(training)} touches calibrate, the others are scored")
+        notes.append(f"the dataset has one split, '{splits[0]}': its first {len(training)} touches calibrate, the "
+                     f"others are scored")
     else:
         training = training[:: max(1, len(training) // CALIBRATING)][:CALIBRATING]
         notes.append(f"calibrated on {len(training)} touches of split '{splits[0]}', scored on split '{splits[-1]}'")
     if not training or not presses:
-        raise DatasetError(f"dense force: {dataset.path} has {len(training)} touches to calibrate on and {len(presses)} to score with a converged frame in contact; both must be at least 1.")
+        raise DatasetError(f"dense force: {dataset.path} has {len(training)} touches to calibrate on and "
+                           f"{len(presses)} to score with a converged frame in contact; both must be at least 1.")
     if _sensor_nodes(dataset) == len(calibration.rest):
         notes.append("the bubble was simulated on the read-out mesh itself: 'membrane' shares mesh and law with it")
     field = contenders(calibration, training, progress=progress)
@@ -65,7 +71,9 @@ def records(views: Sequence[ObjectView]) -> list[PressRecord]:
                 continue
             turn, shift = touch.mount_pose[frames, :3, :3], touch.mount_pose[frames, None, :3, 3]
             assert touch.node_position is not None and touch.node_force is not None and touch.pressure is not None
-            out.append(PressRecord(f"{view.name} {number}", depths(touch)[frames], np.einsum("tni,tij->tnj", touch.node_position[frames].astype(float) - shift, turn), touch.pressure[frames],
+            out.append(PressRecord(f"{view.name} {number}", depths(touch)[frames],
+                                   np.einsum("tni,tij->tnj", touch.node_position[frames].astype(float) - shift, turn),
+                                   touch.pressure[frames],
                                    np.einsum("tni,tij->tnj", touch.node_force[frames].astype(float), turn)))
     return out
 
@@ -98,12 +106,18 @@ def calibration_of(dataset: Dataset, views: Sequence[ObjectView]) -> BubbleCalib
     """
     touches = [touch for view in views for touch in view.touches]
     first = next((touch for touch in touches if touch.node_rest is not None), None)
-    sensor = parse_scene(dataset.recipe.scene_text, dataset.path / "scene").sample(0).sensor if first is not None else None
-    if first is None or first.node_rest is None or first.node_triangles is None or first.rest_pressure is None or sensor is None:
-        raise DatasetError(f"dense force: none of the {len(touches)} touches in {dataset.path} has a skin; the dataset must be made with a bubble, a [sensor] in the scene.")
-    if any(touch.node_rest is None or not np.array_equal(touch.node_rest, first.node_rest) or touch.rest_pressure != first.rest_pressure for touch in touches):
-        raise DatasetError(f"dense force: the touches in {dataset.path} were made with different bubbles; one calibration does not do. Give a scene whose [sensor] has no distribution.")
-    return BubbleCalibration(first.node_rest, first.node_triangles, rim_of(first.node_triangles, len(first.node_rest)), sensor.modulus, first.rest_pressure, reference=first.node_reference)
+    sensor = parse_scene(dataset.recipe.scene_text,
+                         dataset.path / "scene").sample(0).sensor if first is not None else None
+    if (first is None or first.node_rest is None or first.node_triangles is None or first.rest_pressure is None
+        or sensor is None):
+        raise DatasetError(f"dense force: none of the {len(touches)} touches in {dataset.path} has a skin; the dataset "
+                           f"must be made with a bubble, a [sensor] in the scene.")
+    if any(touch.node_rest is None or not np.array_equal(touch.node_rest, first.node_rest)
+           or touch.rest_pressure != first.rest_pressure for touch in touches):
+        raise DatasetError(f"dense force: the touches in {dataset.path} were made with different bubbles; one "
+                           f"calibration does not do. Give a scene whose [sensor] has no distribution.")
+    return BubbleCalibration(first.node_rest, first.node_triangles, rim_of(first.node_triangles, len(first.node_rest)),
+                             sensor.modulus, first.rest_pressure, reference=first.node_reference)
 
 
 def _sensor_nodes(dataset: Dataset) -> int:

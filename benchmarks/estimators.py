@@ -1,11 +1,12 @@
 """Every estimator against its literal dense form, at equal answers: `vsfsim measure methods`.
 
-The literal forms are the papers' equations written down with dense matrices over the touched particles, as openvsf has them: eq. 15 with
-W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least squares problem with bounds; the diagonal Kalman
-filter with a dense gain. Each runs in a process of its own, so that its peak memory is its own; what takes less than some
-seconds is run again, and the fastest run counts. On a CPU the processor's time is compared, which other programs on the machine do not change; the time on
-the clock stands beside it. Where a literal form would not fit, or take minutes, both are run on as many of the
-workload's touches as it can take, and its time for the whole is estimated from its number of operations.
+The literal forms are the papers' equations written down with dense matrices over the touched particles, as openvsf has
+them: eq. 15 with W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least
+squares problem with bounds; the diagonal Kalman filter with a dense gain. Each runs in a process of its own, so that
+its peak memory is its own; what takes less than some seconds is run again, and the fastest run counts. On a CPU the
+processor's time is compared, which other programs on the machine do not change; the time on the clock stands beside it.
+Where a literal form would not fit, or take minutes, both are run on as many of the workload's touches as it can take,
+and its time for the whole is estimated from its number of operations.
 """
 
 from __future__ import annotations
@@ -50,8 +51,10 @@ class Times(NamedTuple):
 
 @dataclass(frozen=True)
 class Workload:
-    """Observation matrices of a synthetic palpation. pressure: force sums (T_all, n) [m]. pressure_z: their readings (T_all,) [N].
-    touch: which touch each is of (T_all,). dense: contact forces (T_all N 3, n) [m]. dense_z: their readings (T_all N 3,) [N].
+    """Observation matrices of a synthetic palpation. pressure: force sums (T_all, n) [m]. pressure_z: their readings
+    (T_all,) [N].
+    touch: which touch each is of (T_all,). dense: contact forces (T_all N 3, n) [m]. dense_z: their readings (T_all N
+    3,) [N].
     frame: rows of ``dense`` in a frame. frames: of a touch."""
 
     pressure: sparse.csr_matrix
@@ -89,8 +92,9 @@ class Workload:
                         self.dense_z[:rows * self.frame], self.frame, self.frames)
 
     def export(self, folder: Path) -> None:
-        """Write the workload for an estimator from elsewhere: pressure.npz and dense.npz (CSR, `scipy.sparse.load_npz`), readings.npz and readings.json, which
-        says what each is and gives the noise and the prior.
+        """Write the workload for an estimator from elsewhere: pressure.npz and dense.npz (CSR,
+        `scipy.sparse.load_npz`), readings.npz and readings.json, which says what each is and gives the noise and the
+        prior.
 
         Raises:
             VsfError: the folder cannot be written.
@@ -103,11 +107,16 @@ class Workload:
             (folder / "readings.json").write_text(json.dumps({
                 "model": "z = W K + noise, K >= 0: spring constants K [N/m] of particles, W [m], z [N]",
                 "pressure.npz": "W of the force sums, one row a frame: (frames of all touches, particles)",
-                "dense.npz": f"W of the contact forces on a sensor's vertices, {self.frame} rows a frame (vertex by vertex, x y z)",
-                "readings.npz": {"pressure": "z of pressure.npz", "dense": "z of dense.npz", "touch": "which touch each frame is of"},
-                "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE, "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD}, indent=1) + "\n")
+                "dense.npz": f"W of the contact forces on a sensor's vertices, {self.frame} rows a frame (vertex by "
+                             f"vertex, x y z)",
+                "readings.npz": {"pressure": "z of pressure.npz", "dense": "z of dense.npz",
+                                 "touch": "which touch each frame is of"},
+                "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE,
+                                                              "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD},
+                                                             indent=1) + "\n")
         except OSError as error:
-            raise VsfError(f"bench methods: the workload cannot be written to '{folder}': {error}. Give a folder that can be made.") from error
+            raise VsfError(f"bench methods: the workload cannot be written to '{folder}': {error}. Give a folder that "
+                           f"can be made.") from error
 
     @property
     def touches(self) -> int:
@@ -122,9 +131,12 @@ def volume_points(particles: int, touches: int, frames: int) -> tuple[np.ndarray
         VsfError: a size of the workload is below 1, or there are fewer than two frames.
     """
     if min(particles, touches) < 1 or frames < 2:
-        raise VsfError(f"bench methods: {particles} particles, {touches} touches, {frames} frames; give at least 1, 1 and 2.")
+        raise VsfError(f"bench methods: {particles} particles, {touches} touches, {frames} frames; give at least "
+                       f"1, 1 and 2.")
     spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
-    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08, 0.06)] + [np.arange(-0.015 + 0.5 * spacing, 0.0, spacing)]
+    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08,
+                                                                         0.06)] + [np.arange(-0.015 + 0.5 * spacing,
+                                                                                             0.0, spacing)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), spacing
 
 
@@ -133,7 +145,8 @@ class Estimator:
     """One estimator in both forms.
 
     ours, literal: (workload, device) -> (time, answer). matrix: name of the rows it reads.
-    needs: (rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the literal form.
+    needs: (rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the
+    literal form.
     """
 
     name: str
@@ -146,17 +159,20 @@ class Estimator:
         """Bytes and operations of the literal form on a workload."""
         w = getattr(load, self.matrix)
         touched = len(np.unique(w.indices))
-        return self.needs(float(w.shape[0]), float(touched), w.nnz / 9.0 / max(len(load.pressure_z), 1), float(load.frame))
+        return self.needs(float(w.shape[0]), float(touched), w.nnz / 9.0 / max(len(load.pressure_z), 1),
+                          float(load.frame))
 
 
 def epoch(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
-    """Eq. 15 of one object, value and gradient, after a reduction that is made once for all epochs: (time of an epoch, answer)."""
+    """Eq. 15 of one object, value and gradient, after a reduction that is made once for all epochs: (time of an epoch,
+    answer)."""
     import torch
 
     from vsfsim.vsf.estimate.evidence import Evidence
 
     evidence = Evidence.of(load.pressure, load.pressure_z, noise_std=NOISE, touch=load.touch, device=device)
-    mean, var = (torch.full((len(evidence.touched),), x, dtype=torch.float64, device=device, requires_grad=True) for x in (MEAN, STD**2))
+    mean, var = (torch.full((len(evidence.touched),), x, dtype=torch.float64, device=device, requires_grad=True)
+                 for x in (MEAN, STD**2))
 
     def work() -> np.ndarray:
         value = evidence.nll(mean, var)
@@ -170,13 +186,16 @@ def epoch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarra
     import torch
 
     touched = np.unique(load.pressure.indices)
-    w, z = torch.tensor(load.pressure[:, touched].toarray(), device=device), torch.tensor(load.pressure_z, device=device)
-    mean, var = (torch.full((len(touched),), x, dtype=torch.float64, device=device, requires_grad=True) for x in (MEAN, STD**2))
+    w, z = torch.tensor(load.pressure[:, touched].toarray(),
+                        device=device), torch.tensor(load.pressure_z, device=device)
+    mean, var = (torch.full((len(touched),), x, dtype=torch.float64, device=device, requires_grad=True)
+                 for x in (MEAN, STD**2))
 
     def work() -> np.ndarray:
         spread = w @ torch.diag(var) @ w.T + NOISE**2 * torch.eye(len(z), dtype=torch.float64, device=device)
         e = z - w @ mean
-        value = 0.5 * e @ torch.linalg.inv(spread) @ e + 0.5 * torch.slogdet(spread)[1] + 0.5 * len(z) * np.log(2.0 * np.pi)
+        value = (0.5 * e @ torch.linalg.inv(spread) @ e + 0.5 * torch.slogdet(spread)[1] + 0.5 * len(z)
+                 * np.log(2.0 * np.pi))
         return np.concatenate([[value.item()], *(g.cpu().numpy() for g in torch.autograd.grad(value, [mean, var]))])
 
     return _timed(work)
@@ -184,18 +203,21 @@ def epoch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarra
 
 def batch(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """Eq. 16 from pressures."""
-    return _timed(lambda: map_estimate(load.pressure, load.pressure_z, noise_std=NOISE, prior_mean=MEAN, prior_var=STD**2).mean)
+    return _timed(lambda: map_estimate(load.pressure, load.pressure_z, noise_std=NOISE, prior_mean=MEAN,
+                                       prior_var=STD**2).mean)
 
 
 def batch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
-    """Eq. 16 as one dense bounded least squares problem, [W / s; 1 / v] K = [z / s; mu / v], by Lawson and Hanson's active set."""
+    """Eq. 16 as one dense bounded least squares problem, [W / s; 1 / v] K = [z / s; mu / v], by Lawson and Hanson's
+    active set."""
     touched = np.unique(load.pressure.indices)
     n = len(touched)
 
     def solve() -> np.ndarray:
         a = np.concatenate([load.pressure[:, touched].toarray() / NOISE, np.eye(n) / STD])
         out = np.full(load.pressure.shape[1], MEAN)
-        out[touched] = optimize.nnls(a, np.concatenate([load.pressure_z / NOISE, np.full(n, MEAN / STD)]), maxiter=100 * n)[0]
+        out[touched] = optimize.nnls(a, np.concatenate([load.pressure_z / NOISE, np.full(n, MEAN / STD)]),
+                                     maxiter=100 * n)[0]
         return out
 
     return _timed(solve)
@@ -203,7 +225,8 @@ def batch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarra
 
 def batch_dense(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
     """Eq. 16 from contact forces on the vertices."""
-    return _timed(lambda: map_estimate(load.dense, load.dense_z, noise_std=NOISE, prior_mean=MEAN, prior_var=STD**2).mean)
+    return _timed(lambda: map_estimate(load.dense, load.dense_z, noise_std=NOISE, prior_mean=MEAN,
+                                       prior_var=STD**2).mean)
 
 
 def batch_dense_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarray]:
@@ -253,18 +276,25 @@ def online_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarr
 # Bytes and operations: m rows, n touched particles, k moved in a frame, r rows of a frame.
 ESTIMATORS = (
     Estimator("eq. 15, value and gradient", epoch, epoch_literal, "pressure",
-              lambda m, n, k, r: (8.0 * (4 * m * n + 6 * m * m + 3 * n * n), 6.0 * (m * n * n + m * m * n) + 12.0 * m**3)),
-    Estimator("eq. 16 from pressure", batch, batch_literal, "pressure", lambda m, n, k, r: (16.0 * (m + n) * n, 12.0 * (m + n) * n * n)),
-    Estimator("eq. 16 from contact forces", batch_dense, batch_dense_literal, "dense", lambda m, n, k, r: (16.0 * m * n + 24.0 * n * n, 2.0 * m * n * n + 25.0 * n**3)),
-    Estimator("diagonal filter", online, online_literal, "dense", lambda m, n, k, r: (16.0 * r * (k + r), m / r * (4.0 * r * r * k + 2.0 * r**3))))
+              lambda m, n, k, r: (8.0 * (4 * m * n + 6 * m * m + 3 * n * n),
+                                  6.0 * (m * n * n + m * m * n) + 12.0 * m**3)),
+    Estimator("eq. 16 from pressure", batch, batch_literal, "pressure", lambda m, n, k,
+              r: (16.0 * (m + n) * n, 12.0 * (m + n) * n * n)),
+    Estimator("eq. 16 from contact forces", batch_dense, batch_dense_literal, "dense", lambda m, n, k,
+              r: (16.0 * m * n + 24.0 * n * n, 2.0 * m * n * n + 25.0 * n**3)),
+    Estimator("diagonal filter", online, online_literal, "dense", lambda m, n, k,
+              r: (16.0 * r * (k + r), m / r * (4.0 * r * r * k + 2.0 * r**3))))
 
 
 @dataclass(frozen=True)
 class Comparison:
     """One estimator. rows: of its matrix. particles: touched. time: ours. mib: ours [MiB].
-    part: touches of the workload that both were run on for the comparison (all of them where the literal form takes them), 0 without one.
-    ours_on_part, literal: there. literal_mib: its memory there [MiB]. times: literal over ours there [-]. difference: of the answers, over the largest value [-].
-    literal_bytes: that it would take on the whole [B]. literal_whole: time that it would, from its number of operations [s]."""
+    part: touches of the workload that both were run on for the comparison (all of them where the literal form takes
+    them), 0 without one.
+    ours_on_part, literal: there. literal_mib: its memory there [MiB]. times: literal over ours there [-]. difference:
+    of the answers, over the largest value [-].
+    literal_bytes: that it would take on the whole [B]. literal_whole: time that it would, from its number of operations
+    [s]."""
 
     name: str
     rows: int
@@ -314,7 +344,8 @@ def compare(load: Workload, *, literal: bool = True, device: str = "cpu", export
         # A processor's time says nothing of a GPU's work.
         counted = "busy" if device == "cpu" else "clock"
         times = getattr(other[0], counted) / max(getattr(mine, counted), 1e-9)
-        out.append(Comparison(e.name, rows.shape[0], len(np.unique(rows.indices)), taken, mib, part, mine, other[0], other[1], times, difference, size, whole))
+        out.append(Comparison(e.name, rows.shape[0], len(np.unique(rows.indices)), taken, mib, part, mine, other[0],
+                              other[1], times, difference, size, whole))
     return out
 
 
@@ -322,10 +353,12 @@ def table(rows: Sequence[Comparison], touches: int) -> str:
     """For a terminal."""
     names = [f"{row.name}, {row.rows:,} x {row.particles:,}" for row in rows]
     width = max(map(len, names))
-    lines = [f"{'':<{width}}  {'clock s':>8} {'busy s':>8} {'MiB':>6}  {'literal s':>9} {'busy s':>8} {'MiB':>6}  {'times':>6}  difference"]
+    lines = [f"{'':<{width}}  {'clock s':>8} {'busy s':>8} {'MiB':>6}  {'literal s':>9} {'busy s':>8} {'MiB':>6}  "
+             f"{'times':>6}  difference"]
 
     def literal(row: Comparison) -> str:
-        return f"{row.literal.clock:9.2f} {row.literal.busy:8.2f} {row.literal_mib:6.0f}  {row.times:6.0f}  {row.difference:.1e}"
+        return (f"{row.literal.clock:9.2f} {row.literal.busy:8.2f} {row.literal_mib:6.0f}  {row.times:6.0f}  "
+                f"{row.difference:.1e}")
 
     for name, row in zip(names, rows):
         left = f"{name:<{width}}  {row.time.clock:8.3f} {row.time.busy:8.3f} {row.mib:6.0f}  "
@@ -334,8 +367,10 @@ def table(rows: Sequence[Comparison], touches: int) -> str:
         elif row.part == touches:
             lines.append(left + literal(row))
         else:
-            lines.append(left + f"literal form needs {row.literal_bytes / 1e9:.1f} GB and about {row.literal_whole:.0f} s; measured on fewer touches:")
-            lines.append(f"{f'  the first {row.part} touches':<{width}}  {row.ours_on_part.clock:8.3f} {row.ours_on_part.busy:8.3f} {'':>6}  " + literal(row))
+            lines.append(left + f"literal form needs {row.literal_bytes / 1e9:.1f} GB and about "
+                                f"{row.literal_whole:.0f} s; measured on fewer touches:")
+            lines.append(f"{f'  the first {row.part} touches':<{width}}  {row.ours_on_part.clock:8.3f} "
+                         f"{row.ours_on_part.busy:8.3f} {'':>6}  " + literal(row))
     return "\n".join(lines)
 
 
@@ -352,14 +387,16 @@ def _timed(work: Callable[[], np.ndarray]) -> tuple[Times, np.ndarray]:
     return best, out
 
 
-def _apart(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload, device: str) -> tuple[Times, float, np.ndarray]:
+def _apart(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload,
+           device: str) -> tuple[Times, float, np.ndarray]:
     """Time, memory above that of the loaded workload [MiB], and the answer, from a process of its own."""
     context = multiprocessing.get_context("spawn")
     with context.Pool(1) as pool:
         return pool.apply(_measured, (work, load, device))
 
 
-def _measured(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload, device: str) -> tuple[Times, float, np.ndarray]:
+def _measured(work: Callable[[Workload, str], tuple[Times, np.ndarray]], load: Workload,
+              device: str) -> tuple[Times, float, np.ndarray]:
     import torch  # noqa: F401  its own size is not the method's
 
     before = held_memory(reset=True)

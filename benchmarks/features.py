@@ -1,7 +1,8 @@
 """Which features and noise SBML should take, from training objects alone: `vsfsim measure features`.
 
-Leave-some-out over the training split of a task's dataset: the prior is learned on the other folds and asked for the forces of touches of
-the objects left out, after 0 touches and of each half of their touches after the other half. Test objects are not opened; but for `on_test`, the one look at them after everything was chosen.
+Leave-some-out over the training split of a task's dataset: the prior is learned on the other folds and asked for the
+forces of touches of the objects left out, after 0 touches and of each half of their touches after the other half. Test
+objects are not opened; but for `on_test`, the one look at them after everything was chosen.
 """
 
 from __future__ import annotations
@@ -24,8 +25,9 @@ from vsfsim.data.dataset import Dataset
 
 @dataclass(frozen=True)
 class Choice:
-    """One variant. zero, half: mean root mean square error over an object's touches, after none and after its other half [task's unit]; difference: to the first
-    variant's, mean over objects, at zero and half; spread: its standard error."""
+    """One variant. zero, half: mean root mean square error over an object's touches, after none and after its other
+    half [task's unit]; difference: to the first variant's, mean over objects, at zero and half; spread: its standard
+    error."""
 
     name: str
     zero: float
@@ -34,13 +36,16 @@ class Choice:
     spread: tuple[float, float]
 
 
-def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int, seeds: int = 1, settings: Mapping[str, Any] | None = None,
+def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int,
+           seeds: int = 1, settings: Mapping[str, Any] | None = None,
            on_test: bool = False, progress: Callable[[str], None] | None = None) -> list[Choice]:
     """Score variants of SBML, and the naive Gaussian prior, by cross-validation over the training objects.
 
     Args:
-        task: what a reading is and its noise. dataset: its training split alone is read. features, noises: all pairs are tried.
-        folds: of the objects. seeds: of each training. settings: parameters of `Sbml` besides. on_test: learn on all training objects and ask the test objects, without folds.
+        task: what a reading is and its noise. dataset: its training split alone is read. features, noises: all pairs
+        are tried.
+        folds: of the objects. seeds: of each training. settings: parameters of `Sbml` besides. on_test: learn on all
+        training objects and ask the test objects, without folds.
         progress: called with what is going on.
 
     Raises:
@@ -49,13 +54,15 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     learned = dataset.names(task.protocol.train)
     folds = min(folds, len(learned))
     if folds < 2:
-        raise MethodError(f"bench features: {len(learned)} training objects and {folds} folds; at least two of each are needed.")
+        raise MethodError(f"bench features: {len(learned)} training objects and {folds} folds; at least two of each "
+                          f"are needed.")
     asked = dataset.names(task.protocol.test) if on_test else []
     if on_test and len(asked) < 2:
         raise MethodError(f"bench features: {len(asked)} test object; an error of a difference needs at least two.")
     names = [*learned, *asked]
     # Each round leaves some objects out of the learning and asks them.
-    rounds = [list(range(len(learned), len(names)))] if on_test else [list(range(fold, len(names), folds)) for fold in range(folds)]
+    rounds = [list(range(len(learned), len(names)))] if on_test else [list(range(fold, len(names), folds))
+                                                                      for fold in range(folds)]
     views = [dataset.blind().load(name) for name in names]
     specimens, recordings = [specimen(view, task) for view in views], [record(view, task) for view in views]
     # Particles, rows and features are those of the object, whatever is learned from them: made once for all variants.
@@ -63,12 +70,16 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     variants: list[tuple[str, Callable[[int], object]]] = [("gaussian", lambda seed: GaussianAverage())]
     for feature in features:
         for noise in noises:
-            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature, n=noise: build_method(Sbml, parameters_of(Sbml, {**(settings or {}), "features": f, "noise_std": n, "seed": seed}))))
+            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature,
+                             n=noise: build_method(Sbml, parameters_of(Sbml,
+                                                                       {**(settings or {}), "features": f,
+                                                                        "noise_std": n, "seed": seed}))))
     errors = np.zeros((len(variants), len(views), 2))
     for k, (name, make) in enumerate(variants):
         for fold, out in enumerate(rounds):
             if progress is not None:
-                progress(f"{name}, {len(names) - len(out)} objects to learn from, {len(out)} to ask, {fold + 1} of {len(rounds)}")
+                progress(f"{name}, {len(names) - len(out)} objects to learn from, {len(out)} to ask, {fold + 1} of "
+                         f"{len(rounds)}")
             for seed in range(seeds):
                 method = make(seed)
                 if isinstance(method, Sbml):
@@ -79,15 +90,19 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     errors = errors[:, sorted(i for out in rounds for i in out)]
     first = errors[1] if len(variants) > 1 else errors[0]
     count = np.sqrt(errors.shape[1])
-    return [Choice(name, *(float(x) for x in e.mean(axis=0)), tuple(float(x) for x in (e - first).mean(axis=0)), tuple(float(x) for x in (e - first).std(axis=0, ddof=1) / count)) for (name, _), e in zip(variants, errors)]
+    return [Choice(name, *(float(x) for x in e.mean(axis=0)), tuple(float(x) for x in (e - first).mean(axis=0)),
+                   tuple(float(x) for x in (e - first).std(axis=0, ddof=1) / count)) for (name, _),
+            e in zip(variants, errors)]
 
 
 def table(rows: Sequence[Choice], unit: str, *, on_test: bool = False) -> str:
     """For a terminal."""
     title = f"error on {'test objects' if on_test else 'training objects left out'} [{unit}]"
     width = max(len(title), *(len(row.name) for row in rows))
-    lines = [f"{title:<{width}}  0 touches  half of them    paired difference to the first sbml, and its standard error"]
-    lines += [f"{row.name:<{width}}  {row.zero:9.3f}  {row.half:12.3f}    {row.difference[0]:+.3f} ± {row.spread[0]:.3f}, {row.difference[1]:+.3f} ± {row.spread[1]:.3f}" for row in rows]
+    lines = [f"{title:<{width}}  0 touches  half of them    paired difference to the first sbml, and its "
+             f"standard error"]
+    lines += [f"{row.name:<{width}}  {row.zero:9.3f}  {row.half:12.3f}    {row.difference[0]:+.3f} ± "
+              f"{row.spread[0]:.3f}, {row.difference[1]:+.3f} ± {row.spread[1]:.3f}" for row in rows]
     return "\n".join(lines)
 
 

@@ -1,9 +1,11 @@
-"""The point VSF, the neural VSF and its fast variant on one buried rope: F1 of its mask, time, size on disk (`vsfsim measure methods --fields`).
+"""The point VSF, the neural VSF and its fast variant on one buried rope: F1 of its mask, time, size on disk
+(`vsfsim measure methods --fields`).
 
-The case is that of Neural VSF section IV-D in size: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope lies in a soft half-space; forces are those
-of the continuous VSF itself with 5 mN of noise a component (see `palpation`). F1 as in its table I: seen from above at pixels of 3 mm, a pixel
-is stiff where the rope lies under it within the pressed depth; a method's pixel is the largest stiffness in its column, cut at the threshold that
-is best for the method.
+The case is that of Neural VSF section IV-D in size: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope
+lies in a soft half-space; forces are those of the continuous VSF itself with 5 mN of noise a component (see
+`palpation`). F1 as in its table I: seen from above at pixels of 3 mm, a pixel is stiff where the rope lies under it
+within the pressed depth; a method's pixel is the largest stiffness in its column, cut at the threshold that is best for
+the method.
 """
 
 from __future__ import annotations
@@ -36,13 +38,15 @@ _EXTENT, _DEPTH, _NOISE = (0.11, 0.07), 0.012, 0.005
 _PIXEL = 0.003
 _ON_CPU = {"batch": 300, "samples": 32}
 """Of the neural VSF on a CPU: a tenth of the paper's work an iteration, which alone is some seconds of a core."""
-# What the point model cannot place (a particle's own size) is some times the sensor's noise [N]. The prior: soft ground, give or take 20 times that.
+# What the point model cannot place (a particle's own size) is some times the sensor's noise [N]. The prior: soft
+# ground, give or take 20 times that.
 _MODEL_NOISE, _WIDTH = 0.02, 20.0
 
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One method. f1: of the mask [-]. seconds: of the fit [s], without `stick` for points; simulated: with it [s]. kilobytes: on disk [kB].
+    """One method. f1: of the mask [-]. seconds: of the fit [s], without `stick` for points; simulated: with it [s].
+    kilobytes: on disk [kB].
     mib: of memory on the device, or of the process beyond what it held before [MiB]. settings: in words."""
 
     name: str
@@ -63,37 +67,46 @@ def check_device(device: str) -> None:
     try:
         torch.zeros(1, device=device)
     except (RuntimeError, AssertionError) as error:
-        raise VsfError(f"--device is '{device}', which torch cannot use here ({str(error).splitlines()[0]}); choose cpu, or a machine with such a device.") from error
+        raise VsfError(f"--device is '{device}', which torch cannot use here ({str(error).splitlines()[0]}); choose "
+                       f"cpu, or a machine with such a device.") from error
 
 
 def case(*, scale: float = 1.0, fresh: bool = False) -> tuple[list[DenseTouch], Callable[[np.ndarray], np.ndarray]]:
-    """Touches of the case and its true stiffness density [N/m^4]; ``scale`` < 1 takes that share of the touches. The settings of our field were chosen on
-    the first rope; ``fresh`` is another, under other touches."""
-    field = layer_with_inclusion(radius=0.006, top=-0.003, path=(lambda x: 0.015 * np.cos(60.0 * x) - 0.25 * x) if fresh else None)
+    """Touches of the case and its true stiffness density [N/m^4]; ``scale`` < 1 takes that share of the touches. The
+    settings of our field were chosen on the first rope; ``fresh`` is another, under other touches."""
+    field = layer_with_inclusion(radius=0.006, top=-0.003, path=(lambda x: 0.015 * np.cos(60.0 * x) - 0.25 * x)
+                                 if fresh else None)
     out: list[DenseTouch] = []
     for seed, (touches, frames) in enumerate(FRAMES, start=100 if fresh else 0):
-        out += palpate(field, touches=max(1, round(scale * touches)), frames=frames, extent=_EXTENT, depth=_DEPTH, noise=_NOISE, seed=seed)
+        out += palpate(field, touches=max(1, round(scale * touches)), frames=frames, extent=_EXTENT, depth=_DEPTH,
+                       noise=_NOISE, seed=seed)
     return out, field
 
 
-def compare(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate, points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
+def compare(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
+            points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
             grid_iterations: int = 250, progress: Callable[[str], None] | None = None) -> list[FieldRow]:
     """Fit every method to the case.
 
     Args:
-        device: torch's, of the fields. iterations: of the neural VSF; None: 2,000, or 400 on a CPU. On a CPU its batches are smaller, too, see `_ON_CPU`.
-        rate: of its training, the paper's. points: of the point VSFs. scale: of the case, 1 for the paper's. fresh: a rope that no setting was chosen on. grid_iterations: of ours.
+        device: torch's, of the fields. iterations: of the neural VSF; None: 2,000, or 400 on a CPU. On a CPU its
+        batches are smaller, too, see `_ON_CPU`.
+        rate: of its training, the paper's. points: of the point VSFs. scale: of the case, 1 for the paper's. fresh: a
+        rope that no setting was chosen on. grid_iterations: of ours.
         progress: called with what is going on.
     """
     tell = progress or (lambda _: None)
     touches, field = case(scale=scale, fresh=fresh)
-    neural = Fitting(iterations=iterations or 2000, rate=rate) if torch.device(device).type != "cpu" else Fitting(iterations=iterations or 400, rate=rate, **_ON_CPU)
+    neural = Fitting(iterations=iterations or 2000,
+                     rate=rate) if torch.device(device).type != "cpu" else Fitting(iterations=iterations or 400,
+                                                                                   rate=rate, **_ON_CPU)
     pixels = _Pixels.of(touches, field)
     rows: list[FieldRow] = []
     for count in points:
         rows += _points(count, touches, pixels, tell)
     for name, kind, settings, more in (("neural VSF", "nerf", neural, {}),
-                                       ("grid VSF (ours)", "grid", Fitting(iterations=grid_iterations, samples=24, rate=0.1), {"cell": 0.004})):
+                                       ("grid VSF (ours)", "grid",
+                                        Fitting(iterations=grid_iterations, samples=24, rate=0.1), {"cell": 0.004})):
         tell(f"{name}, {settings.iterations} iterations on {device}")
         _warm(kind, touches, device)
         before = _memory(device, reset=True)
@@ -104,8 +117,10 @@ def compare(*, device: str = "cpu", iterations: int | None = None, rate: float =
         with tempfile.TemporaryDirectory() as folder:
             save_field(model, Path(folder) / "field.npz")
             size = (Path(folder) / "field.npz").stat().st_size / 1e3
-        rows.append(FieldRow(name, pixels.f1(density(model, pixels.points)), seconds, seconds, size, _memory(device) - before,
-                             f"{settings.iterations} iterations, N = {settings.samples}, B = {settings.batch}, rate {settings.rate:g}"))
+        rows.append(FieldRow(name, pixels.f1(density(model, pixels.points)), seconds, seconds, size,
+                             _memory(device) - before,
+                             f"{settings.iterations} iterations, N = {settings.samples}, B = {settings.batch}, rate "
+                             f"{settings.rate:g}"))
     return rows
 
 
@@ -117,17 +132,20 @@ def _points(count: int, touches: Sequence[DenseTouch], pixels: _Pixels, tell: Ca
     place = place[place[:, 2] < 0.0]
     tell(f"point VSF, {len(place)} points")
     start, before = time.perf_counter(), _memory("cpu", reset=True)
-    w = sparse.vstack([dense_force_rows(stick(place, t.vertices, t.triangles), len(place), t.triangles, t.vertices.shape[1]) for t in touches]).tocsr()
+    w = sparse.vstack([dense_force_rows(stick(place, t.vertices, t.triangles), len(place), t.triangles,
+                                        t.vertices.shape[1]) for t in touches]).tocsr()
     simulated = time.perf_counter() - start
     z, soft, rows = np.concatenate([t.force.ravel() for t in touches]), 2e8 * spacing**3, []
     estimators = {
-        "batch": lambda: map_estimate(w, z, noise_std=_MODEL_NOISE, prior_mean=soft, prior_var=(_WIDTH * soft) ** 2).mean,
+        "batch": lambda: map_estimate(w, z, noise_std=_MODEL_NOISE, prior_mean=soft,
+                                      prior_var=(_WIDTH * soft) ** 2).mean,
         "filter": lambda: _filtered(w, z, _MODEL_NOISE, soft, _WIDTH * soft, touches[0].vertices.shape[1] * 3)}
     for name, work in estimators.items():
         start = time.perf_counter()
         stiffness = work()
         seconds = time.perf_counter() - start
-        rows.append(FieldRow(f"point VSF, {name}", pixels.f1_of_points(place, stiffness), seconds, seconds + simulated, _npz_size(place, stiffness),
+        rows.append(FieldRow(f"point VSF, {name}", pixels.f1_of_points(place, stiffness), seconds, seconds + simulated,
+                             _npz_size(place, stiffness),
                              _memory("cpu") - before, f"{len(place)} points"))
     return rows
 
@@ -136,11 +154,13 @@ def table(rows: Sequence[FieldRow], title: str = "a rope under a soft layer") ->
     """For a terminal."""
     width = max(len(title), *(len(row.name) for row in rows))
     lines = [f"{title:<{width}}  {'F1':>5}  {'seconds':>8} {'and motion':>10}  {'kB':>6} {'MiB':>6}"]
-    lines += [f"{row.name:<{width}}  {row.f1:5.3f}  {row.seconds:8.2f} {row.simulated:10.2f}  {row.kilobytes:6.0f} {row.mib:6.0f}  {row.settings}" for row in rows]
+    lines += [f"{row.name:<{width}}  {row.f1:5.3f}  {row.seconds:8.2f} {row.simulated:10.2f}  {row.kilobytes:6.0f} "
+              f"{row.mib:6.0f}  {row.settings}" for row in rows]
     by = {row.name: row for row in rows}
     if "neural VSF" in by and "grid VSF (ours)" in by:
         paper, ours = by["neural VSF"], by["grid VSF (ours)"]
-        lines.append(f"ours against the neural VSF: {paper.seconds / max(ours.seconds, 1e-9):.0f} times as fast, F1 {ours.f1:.3f} against {paper.f1:.3f}")
+        lines.append(f"ours against the neural VSF: {paper.seconds / max(ours.seconds, 1e-9):.0f} times as fast, F1 "
+                     f"{ours.f1:.3f} against {paper.f1:.3f}")
     return "\n".join(lines)
 
 
@@ -148,7 +168,8 @@ def table(rows: Sequence[FieldRow], title: str = "a rope under a soft layer") ->
 class _Pixels:
     """Query points of the mask.
 
-    points: that some vertex came by (q, 3) [m]. pixel: of each (q,) [-]. stiff: whether the rope lies under a pixel (p,) [-].
+    points: that some vertex came by (q, 3) [m]. pixel: of each (q,) [-]. stiff: whether the rope lies under a pixel
+    (p,) [-].
     """
 
     points: np.ndarray
@@ -160,7 +181,8 @@ class _Pixels:
         axes = [np.arange(low + 0.5 * _PIXEL, high, _PIXEL) for low, high in BOUNDS[:, :2].T]
         plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         depth = -np.arange(0.0005, _DEPTH, 0.001)
-        columns = np.concatenate([np.repeat(plane[:, None], len(depth), axis=1), np.broadcast_to(depth[:, None], (len(plane), len(depth), 1))], axis=2)
+        columns = np.concatenate([np.repeat(plane[:, None], len(depth), axis=1),
+                                  np.broadcast_to(depth[:, None], (len(plane), len(depth), 1))], axis=2)
         points = columns.reshape(-1, 3)
         swept = np.concatenate([t.vertices.reshape(-1, 3) for t in touches])
         swept = swept[swept[:, 2] < 0.0]

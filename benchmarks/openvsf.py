@@ -1,7 +1,9 @@
-"""A palpation as openvsf records one: an arm presses a Punyo into springs at known points, and every reading follows from f = -K u.
+"""A palpation as openvsf records one: an arm presses a Punyo into springs at known points, and every reading follows
+from f = -K u.
 
-The workload of `vsfsim measure methods` with a real arm's joint angles and the Punyo's dome in place of the bench's own, so that openvsf and our estimators can be
-asked for the same stiffnesses from the same numbers. Not physics: the dome is rigid, the object is the model that is estimated.
+The workload of `vsfsim measure methods` with a real arm's joint angles and the Punyo's dome in place of the bench's
+own, so that openvsf and our estimators can be asked for the same stiffnesses from the same numbers. Not physics: the
+dome is rigid, the object is the model that is estimated.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ _DRAWS = 20  # of a touch that the arm cannot make
 
 @dataclass(frozen=True)
 class Palpation:
-    """points: of the springs, world (n, 3) [m]. stiffness: theirs (n,) [N/m]. bubble: the sensor. q: joint angles of every touch (T, 7) [rad].
+    """points: of the springs, world (n, 3) [m]. stiffness: theirs (n,) [N/m]. bubble: the sensor. q: joint angles of
+    every touch (T, 7) [rad].
     poses: of the bubble's body in the world (T, 4, 4) [m] a touch. unreachable: draws that the arm could not make."""
 
     points: np.ndarray
@@ -48,14 +51,17 @@ class Palpation:
     unreachable: int
 
     @classmethod
-    def of(cls, particles: int, touches: int, frames: int, *, seed: int = 0, progress: Callable[[str], None] | None = None) -> Palpation:
-        """About ``particles`` springs in the bench's volume under ``touches`` presses of ``frames`` frames, the first `TARE` free of contact.
+    def of(cls, particles: int, touches: int, frames: int, *, seed: int = 0,
+           progress: Callable[[str], None] | None = None) -> Palpation:
+        """About ``particles`` springs in the bench's volume under ``touches`` presses of ``frames`` frames, the first
+        `TARE` free of contact.
 
         Raises:
             VsfError: a size below 1, fewer than two frames after the tare's, or a touch that no draw makes reachable.
         """
         if frames < TARE + 2:
-            raise VsfError(f"openvsf: {frames} frames a touch; give at least {TARE + 2}, of which the first {TARE} are the tare's.")
+            raise VsfError(f"openvsf: {frames} frames a touch; give at least {TARE + 2}, of which the first {TARE} are "
+                           f"the tare's.")
         points, spacing = volume_points(particles, touches, frames)
         arm = load_arm(punyo=True)
         body = arm.links.index("punyo")
@@ -71,11 +77,13 @@ class Palpation:
                 except Unreachable:
                     missed += 1
             else:
-                raise VsfError(f"openvsf: touch {touch} cannot be made by the arm in {_DRAWS} draws; try another seed than {seed}.")
+                raise VsfError(f"openvsf: touch {touch} cannot be made by the arm in {_DRAWS} draws; try another seed "
+                               f"than {seed}.")
             poses.append(arm.postures(q[-1]).links[:, body])
         rest = load_arm(punyo=True, tool="flange").postures(np.zeros((1, gen3.JOINTS)))
         mount = np.linalg.inv(rest.tool[0]) @ rest.links[0, body]
-        return cls(points + _PLACE, layer_with_inclusion()(points) * spacing**3, punyo(mount), tuple(q), tuple(poses), missed)
+        return cls(points + _PLACE, layer_with_inclusion()(points) * spacing**3, punyo(mount), tuple(q), tuple(poses),
+                   missed)
 
     def recorded(self, seed: int = 0) -> tuple[list[Recorded], Workload]:
         """Every touch as it is read, with noise; and the same readings as the bench's workload."""
@@ -85,7 +93,8 @@ class Palpation:
         n, count = len(self.points), len(self.bubble.vertices)
         for q, poses in zip(self.q, self.poses, strict=True):
             turn = poses[:, :3, :3]
-            contacts = stick(self.points, np.einsum("tij,nj->tni", turn, self.bubble.vertices) + poses[:, None, :3, 3], dome)
+            contacts = stick(self.points, np.einsum("tij,nj->tni", turn, self.bubble.vertices) + poses[:, None, :3, 3],
+                             dome)
             dense = dense_force_rows(contacts, n, dome, count)
             into = pressure_rows(contacts.displacements(), n, turn[:, :, 2], area=self.bubble.area)
             world, pressure = (dense @ self.stiffness).reshape(len(q), count, 3), into @ self.stiffness
@@ -97,24 +106,29 @@ class Palpation:
             forces.append(dense)
         # The bench counts in newtons: a pressure times the area.
         w, area = sparse.vstack(pressures).tocsr(), self.bubble.area
-        z = np.concatenate([np.einsum("tij,tnj->tni", poses[:, :3, :3], touch.force).ravel() for touch, poses in zip(out, self.poses, strict=True)])
+        z = np.concatenate([np.einsum("tij,tnj->tni", poses[:, :3, :3], touch.force).ravel() for touch,
+                            poses in zip(out, self.poses, strict=True)])
         frames = len(self.q[0])
-        return out, Workload(area * w, area * np.concatenate([t.pressure for t in out]), np.repeat(np.arange(len(out)), frames),
+        return out, Workload(area * w, area * np.concatenate([t.pressure for t in out]),
+                             np.repeat(np.arange(len(out)), frames),
                              sparse.vstack(forces).tocsr(), z, 3 * count, frames)
 
 
 def export(folder: Path, particles: int, touches: int, frames: int, *, urdf: Path | None = None, seed: int = 0,
            progress: Callable[[str], None] | None = None) -> tuple[Workload, list[str]]:
-    """Write a palpation for openvsf (`vsfsim.data.openvsf`): the same readings for our estimators, and what the user still has to do.
+    """Write a palpation for openvsf (`vsfsim.data.openvsf`): the same readings for our estimators, and what the user
+    still has to do.
 
     Raises:
-        VsfError: sizes that are too small. DatasetError: the folder is not empty or cannot be written, or the URDF is none of the arm.
+        VsfError: sizes that are too small. DatasetError: the folder is not empty or cannot be written, or the URDF is
+        none of the arm.
     """
     check_target(folder, urdf)  # before minutes of joint angles
     palpation = Palpation.of(particles, touches, frames, seed=seed, progress=progress)
     recorded, load = palpation.recorded(seed)
     area = palpation.bubble.area
-    to_do = write_openvsf(folder, recorded, palpation.bubble, Model(palpation.points, palpation.stiffness, MEAN, STD, NOISE, NOISE / area, TARE), urdf=urdf)
+    to_do = write_openvsf(folder, recorded, palpation.bubble,
+                          Model(palpation.points, palpation.stiffness, MEAN, STD, NOISE, NOISE / area, TARE), urdf=urdf)
     if palpation.unreachable:
         to_do.append(f"{palpation.unreachable} draws of a touch were out of the arm's reach and were drawn again.")
     return load, to_do
@@ -145,11 +159,13 @@ def _press(arm: Arm, rng: np.random.Generator, frames: int) -> np.ndarray:
     place = _PLACE + np.append(rng.uniform(-0.5, 0.5, 2) * _EXTENT, 0.0)
     lean = rng.uniform(-_TILT, _TILT, 2)
     c, s = np.cos(lean), np.sin(lean)
-    turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+    turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]],
+                                                                                [0, s[0], c[0]]])
     down = turn @ np.array([0.0, 0.0, -1.0])
     # the tool's z goes down; its x is the rim's long axis
     x = turn @ np.array([0.0, 1.0, 0.0])
-    way = np.concatenate([-np.linspace(_APART + 0.005 * (TARE - 1), _APART, TARE), np.linspace(-0.002, _DEPTH, frames - TARE)])
+    way = np.concatenate([-np.linspace(_APART + 0.005 * (TARE - 1), _APART, TARE),
+                          np.linspace(-0.002, _DEPTH, frames - TARE)])
     poses = np.tile(np.eye(4), (len(way), 1, 1))
     poses[:, :3, :3], poses[:, :3, 3] = np.stack([x, np.cross(down, x), down], axis=1), place + way[:, None] * down
     return follow(arm, poses, table=None)

@@ -1,8 +1,10 @@
 """SBML's offline training at the paper's size: `vsfsim measure methods --sbml`.
 
-One training object of 10,000 readings and 20,000 particles (200 presses of 50 frames), features of 384 numbers and the paper's network. Printed are the time to reduce
-the readings, which is done once, and that of a step: eq. 15 and its gradient through the network to Adam. A training of the paper's kind is objects x epochs such
-steps. Presses are straight ones of a ball: a particle in its way is pushed along the press as far as the ball's surface has come past it.
+One training object of 10,000 readings and 20,000 particles (200 presses of 50 frames), features of 384 numbers and the
+paper's network. Printed are the time to reduce
+the readings, which is done once, and that of a step: eq. 15 and its gradient through the network to Adam. A training of
+the paper's kind is objects x epochs such steps. Presses are straight ones of a ball: a particle in its way is pushed
+along the press as far as the ball's surface has come past it.
 """
 
 from __future__ import annotations
@@ -35,9 +37,9 @@ _STEPS, _ENOUGH = 5, 20.0
 
 @dataclass(frozen=True)
 class TrainingCost:
-    """readings, particles: of one object; touched: particles that some reading moves. reduce: seconds of the reduction [s]. step: of one training step, the
-    fastest of some [s]. mib: peak memory on the device, or of the process beyond what it held before the reduction [MiB]. value: NLL a reading at the first and the last
-    step, in nats [-]."""
+    """readings, particles: of one object; touched: particles that some reading moves. reduce: seconds of the reduction
+    [s]. step: of one training step, the fastest of some [s]. mib: peak memory on the device, or of the process beyond
+    what it held before the reduction [MiB]. value: NLL a reading at the first and the last step, in nats [-]."""
 
     readings: int
     particles: int
@@ -49,17 +51,22 @@ class TrainingCost:
     value: tuple[float, float]
 
 
-def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
-    """Force sums W (m, n) [m] of straight presses all over a 16 x 12 x 1.5 cm volume, readings z (m,) [N] and the press of each (m,).
+def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tuple[sparse.csr_matrix, np.ndarray,
+                                                                                   np.ndarray]:
+    """Force sums W (m, n) [m] of straight presses all over a 16 x 12 x 1.5 cm volume, readings z (m,) [N] and the press
+    of each (m,).
 
     Raises:
         VsfError: a size below 1, or fewer than two frames.
     """
     if min(particles, presses) < 1 or frames < 2:
-        raise VsfError(f"bench methods --sbml: {particles} particles, {presses} touches, {frames} frames; give at least 1, 1 and 2.")
+        raise VsfError(f"bench methods --sbml: {particles} particles, {presses} touches, {frames} frames; give at "
+                       f"least 1, 1 and 2.")
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
-    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08, 0.06)] + [np.arange(-0.015 + 0.5 * spacing, 0.0, spacing)]
+    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08,
+                                                                         0.06)] + [np.arange(-0.015 + 0.5 * spacing,
+                                                                                             0.0, spacing)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     truth = _MEAN * np.exp(rng.normal(0.0, 1.0, len(points)))
     travel, blocks = np.linspace(0.0, _DEPTH, frames + 1)[1:], []
@@ -68,13 +75,15 @@ def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tup
         # The way of the ball until its surface is at the particle.
         clear = _BALL - np.sqrt(np.maximum(_BALL**2 - away**2, 0.0)) - points[:, 2]
         under = np.flatnonzero((away < _BALL) & (clear < _DEPTH))
-        blocks.append(sparse.csr_matrix((np.maximum(travel[:, None] - clear[under], 0.0).ravel(), np.tile(under, frames), np.arange(frames + 1) * len(under)),
+        blocks.append(sparse.csr_matrix((np.maximum(travel[:, None] - clear[under], 0.0).ravel(),
+                                         np.tile(under, frames), np.arange(frames + 1) * len(under)),
                                         shape=(frames, len(points))))
     w = sparse.vstack(blocks).tocsr()
     return w, w @ truth + _NOISE * rng.standard_normal(w.shape[0]), np.repeat(np.arange(presses), frames)
 
 
-def measure(particles: int, presses: int, frames: int, *, device: str = "cpu", progress: Callable[[str], None] | None = None) -> TrainingCost:
+def measure(particles: int, presses: int, frames: int, *, device: str = "cpu",
+            progress: Callable[[str], None] | None = None) -> TrainingCost:
     """Time one object's share of a training.
 
     Args:
@@ -115,9 +124,11 @@ def measure(particles: int, presses: int, frames: int, *, device: str = "cpu", p
 def table(cost: TrainingCost) -> str:
     """For a terminal."""
     whole = OBJECTS * (cost.reduce + EPOCHS * cost.step)
-    return (f"SBML, eq. 15 through the network, {cost.readings:,} readings x {cost.particles:,} particles ({cost.touched:,} touched), {FEATURES} features, on {cost.device}\n"
+    return (f"SBML, eq. 15 through the network, {cost.readings:,} readings x {cost.particles:,} particles "
+            f"({cost.touched:,} touched), {FEATURES} features, on {cost.device}\n"
             f"  reduction, once an object    {cost.reduce:8.2f} s\n"
-            f"  a step (an object's epoch)   {cost.step:8.3f} s, {cost.mib:.0f} MiB, NLL a reading {cost.value[0]:.3f} -> {cost.value[1]:.3f}\n"
+            f"  a step (an object's epoch)   {cost.step:8.3f} s, {cost.mib:.0f} MiB, NLL a reading {cost.value[0]:.3f} "
+            f"-> {cost.value[1]:.3f}\n"
             f"  {OBJECTS} objects, {EPOCHS} epochs        {whole / 60.0:8.1f} min, estimated from the two")
 
 

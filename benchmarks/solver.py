@@ -1,8 +1,8 @@
 """What the solver costs and how far off it is: `vsfsim measure solver`.
 
-Two measurements. *One touch*: the reference presses S1 and S2 at every tier and precision, the second touch of the object (mesh, factor and
-columns of the inverse are there), its force against the reference and the CPU time of a load step with its parts. *A batch*: touches of one
-object that advance together, 40 frames each, touches per second.
+Two measurements. *One touch*: the reference presses S1 and S2 at every tier and precision, the second touch of the
+object (mesh, factor and columns of the inverse are there), its force against the reference and the CPU time of a load
+step with its parts. *A batch*: touches of one object that advance together, 40 frames each, touches per second.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from vsfsim.press.probe import direction, tip
 from vsfsim.robot.path import press_path, touch_path
 
 REFERENCES = {"indent-homogeneous": ("S1", 9.70, 0.004), "indent": ("S2", 14.48, 0.01)}
-"""Scene: case, force at full depth [N] and its relative error (hexahedra and conforming quadratic tetrahedra, extrapolated)."""
+"""Scene: case, force at full depth [N] and its relative error (hexahedra and conforming quadratic tetrahedra,
+extrapolated)."""
 
 TIERS = tuple(tiers.TIERS)
 """Names that `--tier` takes."""
@@ -42,9 +43,11 @@ Progress = Callable[[str], None]
 class OneTouch:
     """One press of one object, the second one.
 
-    case, tier, precision, device: what was run. tets, unknowns: number of them [-]. force: at full depth, along the press [N]. error: of it
-    against the reference [-]. step_seconds: CPU time of a load step [s]. newton, cg, back_solves, tangents, products: numbers a step [-].
-    back_solve_ms, tangent_ms, product_ms: of one [ms]. residual, balance: the worst of the press [-]. factor_seconds: once an object [s].
+    case, tier, precision, device: what was run. tets, unknowns: number of them [-]. force: at full depth, along the
+    press [N]. error: of it against the reference [-]. step_seconds: CPU time of a load step [s]. newton, cg,
+    back_solves, tangents, products: numbers a step [-].
+    back_solve_ms, tangent_ms, product_ms: of one [ms]. residual, balance: the worst of the press [-]. factor_seconds:
+    once an object [s].
     """
 
     case: str
@@ -73,9 +76,11 @@ class OneTouch:
 class Batch:
     """Many touches of one object together.
 
-    tier, device: what was run. touches, frames, unknowns: number of them [-]. seconds: of the whole batch [s]. per_second: touches [1/s].
-    newton, cg: iterations of a frame, on average [-]. converged: share of the frames [-]. parts: spent in each part of the solver [s], from
-    another run (the clock waits for the device). difference: largest difference of a force from the CPU's over the largest force [-], or None.
+    tier, device: what was run. touches, frames, unknowns: number of them [-]. seconds: of the whole batch [s].
+    per_second: touches [1/s].
+    newton, cg: iterations of a frame, on average [-]. converged: share of the frames [-]. parts: spent in each part of
+    the solver [s], from another run (the clock waits for the device). difference: largest difference of a force from
+    the CPU's over the largest force [-], or None.
     """
 
     tier: str
@@ -101,7 +106,8 @@ def _model(scene: Scene, tier: str) -> Model:
 
 
 def _solver(scene: Scene, model: Model, tier: str, device: str, precision: str) -> Solver:
-    return Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
+    return Solver(model, scene.probe, device=device, precision=precision, options=tiers.options(tier),
+                  linear=not tiers.TIERS[tier].nonlinear)
 
 
 def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "float64") -> OneTouch:
@@ -125,7 +131,8 @@ def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "fl
         return calls / steps, 1e3 * seconds / max(calls, 1)
 
     solves, tangents, products = each("back-solves"), each("tangents"), each("products")
-    return OneTouch(case, tier, precision, device, len(model.mesh.tets), 3 * len(model.mesh.points), force, force / reference - 1.0, spent / steps,
+    return OneTouch(case, tier, precision, device, len(model.mesh.tets), 3 * len(model.mesh.points), force,
+                    force / reference - 1.0, spent / steps,
                     float(frames.iterations.mean()), float(frames.cg_iterations.mean()), *solves, *tangents, *products,
                     float(frames.residual.max()), float(frames.force_balance.max()), model.factor.seconds)
 
@@ -141,8 +148,10 @@ def batch_poses(scene: Scene, touches: int) -> np.ndarray:
     return np.stack(out, axis=1)
 
 
-def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-homogeneous", compare: bool = True) -> Batch:
-    """Many touches of one object at ``tier``, run twice: once to warm up, once for the time; then once more for its parts.
+def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-homogeneous",
+          compare: bool = True) -> Batch:
+    """Many touches of one object at ``tier``, run twice: once to warm up, once for the time; then once more for its
+    parts.
 
     ``compare``: also run the first few on the CPU, if ``device`` is another.
     """
@@ -167,17 +176,21 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
         few = min(_SAME, touches)
         host = _solver(scene, model, tier, "cpu", "float64").run(poses[:, :few])
         difference = float(np.abs(frames.force[:, :few] - host.force).max() / np.abs(host.force).max())
-    return Batch(tier, device, touches, len(poses), 3 * len(model.mesh.points), seconds, touches / seconds, float(frames.iterations.mean()),
+    return Batch(tier, device, touches, len(poses), 3 * len(model.mesh.points), seconds, touches / seconds,
+                 float(frames.iterations.mean()),
                  float(frames.cg_iterations.mean()), float(frames.converged.mean()), parts, difference)
 
 
-def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, touches: int | None = None, compare: bool = True,
+def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, touches: int | None = None,
+          compare: bool = True,
           progress: Progress = lambda _: None) -> dict[str, Any]:
     """All of it.
 
     Args:
-        device: Warp device. tiers_asked: which, or None for linear to fem-fine. touches: of a batch; None for 4 on a CPU and,
-            on a GPU, 256 (nonlinear) or 4,096 (linear: it has less to do for each). compare: a GPU's batch with the CPU's forces.
+        device: Warp device. tiers_asked: which, or None for linear to fem-fine. touches: of a batch; None for 4 on a
+        CPU and,
+            on a GPU, 256 (nonlinear) or 4,096 (linear: it has less to do for each). compare: a GPU's batch with the
+            CPU's forces.
 
     Returns:
         Lists "one_touch" and "batch" of plain dictionaries, fields as `OneTouch` and `Batch`.
@@ -202,7 +215,8 @@ def table(result: dict[str, Any]) -> str:
            f"{'case':5}{'tier':11}{'precision':10}{'tets':>6}{'unknowns':>9}{'force N':>9}{'error':>8}{'s/step':>8}{'Newton':>7}{'CG':>6}"
            f"{'solves x ms':>13}{'tangents x ms':>15}{'products x ms':>15}{'residual':>10}{'balance':>9}{'factor s':>9}"]
     for r in result["one_touch"]:
-        parts = "".join(f"{r[f'{p}s']:>{w}.1f} x {r[f'{p}_ms']:4.1f}" for p, w in (("back_solve", 6), ("tangent", 8), ("product", 8)))
+        parts = "".join(f"{r[f'{p}s']:>{w}.1f} x {r[f'{p}_ms']:4.1f}" for p,
+                        w in (("back_solve", 6), ("tangent", 8), ("product", 8)))
         out.append(f"{r['case']:5}{r['tier']:11}{r['precision']:10}{r['tets']:6}{r['unknowns']:9}{r['force']:9.3f}{100 * r['error']:+7.1f}%"
                    f"{r['step_seconds']:8.3f}{r['newton']:7.1f}{r['cg']:6.1f}{parts}{r['residual']:10.0e}{r['balance']:9.0e}{r['factor_seconds']:9.2f}")
     out += ["", "touches of one object together, 40 frames each (4 free, 20 in to 5 mm, 4 hold, 12 out):",
@@ -211,5 +225,6 @@ def table(result: dict[str, Any]) -> str:
         off = "-" if r["difference"] is None else f"{r['difference']:.0e}"
         out.append(f"{r['tier']:11}{r['device']:9}{r['touches']:8}{r['unknowns']:9}{r['seconds']:9.2f}{r['per_second']:11.2f}{r['newton']:8.2f}"
                    f"{r['cg']:6.1f}{100 * r['converged']:9.1f}%{off:>12}")
-        out.append("    of which (a run with the clock on) " + ", ".join(f"{k} {v:.2f} s" for k, v in r["parts"].items()))
+        out.append("    of which (a run with the clock on) " + ", ".join(f"{k} {v:.2f} s" for k,
+                                                                         v in r["parts"].items()))
     return "\n".join(out)

@@ -22,7 +22,8 @@ def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, g
     """
     rank = rank.copy()
     # the cells at each vertex: corners in the order of their vertices, each worth an eighth of a cell
-    around = np.split(np.argsort(hexes, axis=None, kind="stable") // 8, np.cumsum(np.bincount(hexes.ravel(), minlength=len(vertices)))[:-1])
+    around = np.split(np.argsort(hexes, axis=None, kind="stable") // 8,
+                      np.cumsum(np.bincount(hexes.ravel(), minlength=len(vertices)))[:-1])
     tets, owner = split_hexes(hexes, rank)
     score = np.full(len(hexes), np.inf)
     np.minimum.at(score, owner, smallest_sine(vertices, tets))

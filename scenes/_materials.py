@@ -38,26 +38,32 @@ class MaterialClass:
 CLASSES: dict[str, MaterialClass] = {
     "foam": MaterialClass((3e4, 1e5), ((0.72, 0.66, 0.12), (0.80, 0.42, 0.38), (0.55, 0.70, 0.78), (0.75, 0.73, 0.68)),
                           "noise", (0.006, 0.012), (0.10, 0.25)),
-    "padding": MaterialClass((2e4, 1e5), ((0.30, 0.31, 0.33), (0.10, 0.11, 0.13), (0.52, 0.50, 0.46), (0.16, 0.22, 0.34)),
+    "padding": MaterialClass((2e4, 1e5), ((0.30, 0.31, 0.33), (0.10, 0.11, 0.13), (0.52, 0.50, 0.46),
+                                          (0.16, 0.22, 0.34)),
                              "weave", (0.004, 0.007), (0.15, 0.30)),
-    "mesh": MaterialClass((4e5, 1.5e6), ((0.10, 0.30, 0.62), (0.62, 0.10, 0.12), (0.14, 0.48, 0.22), (0.36, 0.37, 0.40)),
+    "mesh": MaterialClass((4e5, 1.5e6), ((0.10, 0.30, 0.62), (0.62, 0.10, 0.12), (0.14, 0.48, 0.22),
+                                         (0.36, 0.37, 0.40)),
                           "weave", (0.003, 0.006), (0.35, 0.60)),
     "nylon": MaterialClass((8e5, 3e6), ((0.05, 0.08, 0.22), (0.08, 0.08, 0.09), (0.42, 0.16, 0.05), (0.20, 0.22, 0.12)),
                            "stripes", (0.004, 0.009), (0.20, 0.40)),
     "suede": MaterialClass((6e5, 2e6), ((0.36, 0.22, 0.11), (0.26, 0.25, 0.24), (0.45, 0.32, 0.18), (0.12, 0.16, 0.26)),
                            "noise", (0.012, 0.025), (0.20, 0.35)),
-    "leather": MaterialClass((1.5e6, 5e6), ((0.22, 0.08, 0.03), (0.05, 0.04, 0.04), (0.38, 0.17, 0.06), (0.68, 0.66, 0.62)),
+    "leather": MaterialClass((1.5e6, 5e6), ((0.22, 0.08, 0.03), (0.05, 0.04, 0.04), (0.38, 0.17, 0.06),
+                                            (0.68, 0.66, 0.62)),
                              "grain", (0.004, 0.010), (0.15, 0.35)),
-    "rubber": MaterialClass((1e6, 1e7), ((0.04, 0.04, 0.045), (0.12, 0.11, 0.11), (0.40, 0.20, 0.07), (0.72, 0.71, 0.66)),
+    "rubber": MaterialClass((1e6, 1e7), ((0.04, 0.04, 0.045), (0.12, 0.11, 0.11), (0.40, 0.20, 0.07),
+                                         (0.72, 0.71, 0.66)),
                             "plain", (0.010, 0.020), (0.00, 0.06)),
-    "plastic": MaterialClass((3e6, 1e7), ((0.78, 0.78, 0.80), (0.70, 0.08, 0.06), (0.06, 0.20, 0.55), (0.03, 0.03, 0.03)),
+    "plastic": MaterialClass((3e6, 1e7), ((0.78, 0.78, 0.80), (0.70, 0.08, 0.06), (0.06, 0.20, 0.55),
+                                          (0.03, 0.03, 0.03)),
                              "plain", (0.010, 0.020), (0.00, 0.03)),
 }
 
 
-# A shoe is sold in many colours, and all of one shoe has about one: in these classes the colour says nothing of the material, and the texture does. The
-# softer, the coarser its relief, as from a loose knit to moulded plastic.
-COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20), (0.74, 0.60, 0.14),
+# A shoe is sold in many colours, and all of one shoe has about one: in these classes the colour says nothing of the
+# material, and the texture does. The softer, the coarser its relief, as from a loose knit to moulded plastic.
+COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20),
+              (0.74, 0.60, 0.14),
               (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
 SOLE_MATERIAL = "ribbed-rubber"
 TEXTURED: dict[str, MaterialClass] = {
@@ -68,11 +74,13 @@ TEXTURED: dict[str, MaterialClass] = {
     "plastic": MaterialClass((4e6, 1e7), COLOURWAYS, "plain", (0.010, 0.020), (0.00, 0.02)),
     SOLE_MATERIAL: MaterialClass((2e6, 1e7), COLOURWAYS, "stripes", (0.016, 0.024), (0.20, 0.30)),
 }
-# The same looks, but five grades of stiffness, each twice the one before and no more than a fifth wide to either side: forces of a fingertip's press
-# then span some 20 to 1, as those of the papers' shoes do, where `TEXTURED` makes it 250 to 1.
+# The same looks, but five grades of stiffness, each twice the one before and no more than a fifth wide to either side:
+# forces of a fingertip's press then span some 20 to 1, as those of the papers' shoes do, where `TEXTURED` makes it 250
+# to 1.
 GRADED: dict[str, MaterialClass] = {
     **{name: replace(TEXTURED[name], young_modulus=(0.84 * middle, 1.19 * middle))
-       for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5), ("plastic", 1.92e6))},
+       for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5),
+                            ("plastic", 1.92e6))},
     SOLE_MATERIAL: replace(TEXTURED[SOLE_MATERIAL], young_modulus=(2e6, 3e6)),
 }
 
@@ -85,7 +93,8 @@ def draw_modulus(name: str, rng: np.random.Generator, *, table: Mapping[str, Mat
 
 def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float, rng: np.random.Generator, *,
                     table: Mapping[str, MaterialClass] = CLASSES) -> Appearance:
-    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely. Of another table than `CLASSES`, see `_one_colour`.
+    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely. Of another
+    table than `CLASSES`, see `_one_colour`.
 
     Args:
         names: material class of each region, R of them.
@@ -114,7 +123,8 @@ def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative
     return Appearance(np.array(albedo), tuple(texture), np.array(scale), np.array(contrast))
 
 
-def _one_colour(names: Sequence[str], informative: float, rng: np.random.Generator, table: Mapping[str, MaterialClass]) -> Appearance:
+def _one_colour(names: Sequence[str], informative: float, rng: np.random.Generator,
+                table: Mapping[str, MaterialClass]) -> Appearance:
     """One colour for all regions, give or take a tenth, and the texture of each one's material, but not surely."""
     every, colour = tuple(table), np.array(COLOURWAYS[int(rng.integers(len(COLOURWAYS)))])
     albedo, texture, scale, contrast = [], [], [], []

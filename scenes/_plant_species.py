@@ -1,6 +1,7 @@
 """Species-like presets of plants and the allowed range of every parameter: the table to extend with a new plant.
 
-Sizes, densities and materials are chosen to differ as artificial and potted plants do; they are not measured on any species.
+Sizes, densities and materials are chosen to differ as artificial and potted plants do; they are not measured on any
+species.
 """
 
 from __future__ import annotations
@@ -19,8 +20,10 @@ TRUNK, BRANCH, PETIOLE, LEAF = range(4)
 
 @dataclass(frozen=True)
 class Level:
-    """Axes that grow on those of the level before. count: on each. start, end: where on it, fractions of its length. angle: from its direction [rad].
-    length, radius: fractions of the parent's. taper: radius at the tip over that at the base. droop: downward bend a metre [1/m], negative: upwards."""
+    """Axes that grow on those of the level before. count: on each. start, end: where on it, fractions of its length.
+    angle: from its direction [rad].
+    length, radius: fractions of the parent's. taper: radius at the tip over that at the base. droop: downward bend a
+    metre [1/m], negative: upwards."""
 
     count: int
     start: float
@@ -34,8 +37,10 @@ class Level:
 
 @dataclass(frozen=True)
 class Leaves:
-    """Leaves of an axis of the last level. count: on each. start: from where on, a fraction. angle: from the axis [rad].
-    petiole: (length, radius) [m], length 0 for none. blade: (length, width, thickness) [m]. droop: of the blade [1/m]."""
+    """Leaves of an axis of the last level. count: on each. start: from where on, a fraction. angle: from the axis
+    [rad].
+    petiole: (length, radius) [m], length 0 for none. blade: (length, width, thickness) [m]. droop: of the blade
+    [1/m]."""
 
     count: int
     start: float
@@ -47,9 +52,12 @@ class Leaves:
 
 @dataclass(frozen=True)
 class Species:
-    """A kind of plant. height: of the stems [m]. stems: from the soil. spread: of their feet [m]. lean: of the stems [rad]. radius: at the foot [m]. taper: radius at the tip over that at the foot.
-    droop: downward bend a metre [1/m]. levels, leaves: what grows. wood: Young's modulus of stems, lowest and highest [Pa], log-uniform between. shoot: of branches [Pa]. petiole: of petioles [Pa].
-    leaf: of blades [Pa]. bark: usual colour, linear RGB, 0..1. foliage: usual colour, linear RGB, 0..1. texture: of the bark. pot: (radius, height) [m]."""
+    """A kind of plant. height: of the stems [m]. stems: from the soil. spread: of their feet [m]. lean: of the stems
+    [rad]. radius: at the foot [m]. taper: radius at the tip over that at the foot.
+    droop: downward bend a metre [1/m]. levels, leaves: what grows. wood: Young's modulus of stems, lowest and highest
+    [Pa], log-uniform between. shoot: of branches [Pa]. petiole: of petioles [Pa].
+    leaf: of blades [Pa]. bark: usual colour, linear RGB, 0..1. foliage: usual colour, linear RGB, 0..1. texture: of the
+    bark. pot: (radius, height) [m]."""
 
     height: float
     stems: int
@@ -71,42 +79,61 @@ class Species:
 
 
 _BROWN, _GREY, _TAN, _CANE = (0.19, 0.10, 0.05), (0.25, 0.23, 0.20), (0.38, 0.27, 0.15), (0.34, 0.36, 0.12)
-_DARK, _MID, _LIGHT, _OLIVE, _BLUE = (0.04, 0.16, 0.03), (0.08, 0.28, 0.05), (0.20, 0.42, 0.08), (0.22, 0.27, 0.14), (0.08, 0.22, 0.14)
+_DARK, _MID, _LIGHT, _OLIVE, _BLUE = (0.04, 0.16, 0.03), (0.08, 0.28, 0.05), (0.20, 0.42,
+                                                                              0.08), (0.22, 0.27, 0.14), (0.08, 0.22,
+                                                                                                          0.14)
 
 SPECIES: dict[str, Species] = {
-    "orange-tree": Species(0.55, 1, 0.0, 0.05, 0.009, 0.5, 0.0, (Level(6, 0.4, 1.0, 0.9, 0.45, 0.6), Level(2, 0.4, 1.0, 0.8, 0.5, 0.6)),
-                           Leaves(3, 0.3, 0.9, (0.015, 0.0010), (0.07, 0.035, 0.0004)), (2e9, 1e10), (5e8, 3e9), (1e7, 1e8), (3e6, 3e7), _BROWN, _DARK, "grain", (0.09, 0.14)),
-    "olive": Species(0.60, 1, 0.0, 0.15, 0.010, 0.4, 0.0, (Level(7, 0.35, 1.0, 0.8, 0.5, 0.45), Level(2, 0.3, 0.9, 0.6, 0.45, 0.6)),
-                     Leaves(4, 0.2, 0.7, (0.006, 0.0007), (0.05, 0.011, 0.0005)), (3e9, 1e10), (8e8, 5e9), (2e7, 1e8), (1e7, 5e7), _GREY, _OLIVE, "grain", (0.08, 0.12)),
+    "orange-tree": Species(0.55, 1, 0.0, 0.05, 0.009, 0.5, 0.0,
+                           (Level(6, 0.4, 1.0, 0.9, 0.45, 0.6), Level(2, 0.4, 1.0, 0.8, 0.5, 0.6)),
+                           Leaves(3, 0.3, 0.9, (0.015, 0.0010), (0.07, 0.035, 0.0004)), (2e9, 1e10), (5e8, 3e9),
+                           (1e7, 1e8), (3e6, 3e7), _BROWN, _DARK, "grain", (0.09, 0.14)),
+    "olive": Species(0.60, 1, 0.0, 0.15, 0.010, 0.4, 0.0, (Level(7, 0.35, 1.0, 0.8, 0.5, 0.45),
+                                                           Level(2, 0.3, 0.9, 0.6, 0.45, 0.6)),
+                     Leaves(4, 0.2, 0.7, (0.006, 0.0007), (0.05, 0.011, 0.0005)), (3e9, 1e10), (8e8, 5e9), (2e7, 1e8),
+                     (1e7, 5e7), _GREY, _OLIVE, "grain", (0.08, 0.12)),
     "weeping-fig": Species(0.70, 1, 0.0, 0.05, 0.008, 0.4, 0.0, (Level(8, 0.3, 1.0, 1.0, 0.45, 0.5, 0.4, 3.0),),
-                           Leaves(5, 0.25, 0.7, (0.02, 0.0008), (0.07, 0.03, 0.0003), 5.0), (1e9, 6e9), (1e8, 1e9), (5e6, 5e7), (2e6, 2e7), _TAN, _MID, "stripes", (0.10, 0.15)),
+                           Leaves(5, 0.25, 0.7, (0.02, 0.0008), (0.07, 0.03, 0.0003), 5.0), (1e9, 6e9), (1e8, 1e9),
+                           (5e6, 5e7), (2e6, 2e7), _TAN, _MID, "stripes", (0.10, 0.15)),
     "rubber-plant": Species(0.60, 1, 0.0, 0.04, 0.008, 0.6, 0.0, (),
-                            Leaves(13, 0.2, 0.9, (0.05, 0.0022), (0.19, 0.10, 0.0009), 3.0), (5e8, 3e9), (3e8, 1e9), (2e7, 1e8), (1e7, 6e7), _BROWN, _DARK, "grain", (0.10, 0.16)),
+                            Leaves(13, 0.2, 0.9, (0.05, 0.0022), (0.19, 0.10, 0.0009), 3.0), (5e8, 3e9), (3e8, 1e9),
+                            (2e7, 1e8), (1e7, 6e7), _BROWN, _DARK, "grain", (0.10, 0.16)),
     "monstera": Species(0.12, 1, 0.0, 0.05, 0.013, 0.8, 0.0, (Level(9, 0.2, 1.0, 0.7, 3.2, 0.36, 0.6, 2.0),),
-                        Leaves(1, 1.0, 0.7, (0.02, 0.0025), (0.20, 0.18, 0.0008), 4.0), (3e8, 1e9), (1e8, 6e8), (1e7, 6e7), (5e6, 3e7), _CANE, _MID, "plain", (0.11, 0.16)),
+                        Leaves(1, 1.0, 0.7, (0.02, 0.0025), (0.20, 0.18, 0.0008), 4.0), (3e8, 1e9), (1e8, 6e8),
+                        (1e7, 6e7), (5e6, 3e7), _CANE, _MID, "plain", (0.11, 0.16)),
     "dracaena": Species(0.50, 1, 0.0, 0.06, 0.013, 0.8, 0.0, (),
-                        Leaves(26, 0.72, 0.8, (0.0, 0.0), (0.27, 0.028, 0.0010), 4.0), (8e8, 4e9), (5e8, 2e9), (5e7, 1e8), (2e7, 9e7), _TAN, _MID, "stripes", (0.10, 0.15)),
+                        Leaves(26, 0.72, 0.8, (0.0, 0.0), (0.27, 0.028, 0.0010), 4.0), (8e8, 4e9), (5e8, 2e9),
+                        (5e7, 1e8), (2e7, 9e7), _TAN, _MID, "stripes", (0.10, 0.15)),
     "areca-palm": Species(0.20, 4, 0.03, 0.25, 0.006, 0.8, 0.0, (Level(2, 0.7, 1.0, 0.35, 2.2, 0.6, 0.4, 2.5),),
-                          Leaves(8, 0.25, 0.8, (0.004, 0.0009), (0.14, 0.016, 0.0004), 3.0), (5e8, 3e9), (2e8, 1e9), (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "stripes", (0.11, 0.16)),
+                          Leaves(8, 0.25, 0.8, (0.004, 0.0009), (0.14, 0.016, 0.0004), 3.0), (5e8, 3e9), (2e8, 1e9),
+                          (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "stripes", (0.11, 0.16)),
     "snake-plant": Species(0.02, 10, 0.045, 0.18, 0.012, 0.9, 0.0, (),
-                           Leaves(1, 1.0, 0.02, (0.0, 0.0), (0.40, 0.05, 0.0035), 0.3), (3e8, 1e9), (3e8, 1e9), (1e8, 2e8), (3e7, 2e8), _CANE, _BLUE, "stripes", (0.10, 0.14)),
+                           Leaves(1, 1.0, 0.02, (0.0, 0.0), (0.40, 0.05, 0.0035), 0.3), (3e8, 1e9), (3e8, 1e9),
+                           (1e8, 2e8), (3e7, 2e8), _CANE, _BLUE, "stripes", (0.10, 0.14)),
     "bamboo": Species(0.90, 4, 0.03, 0.10, 0.006, 0.6, 0.0, (Level(4, 0.35, 1.0, 0.7, 0.22, 0.4, 0.5, 1.0),),
-                      Leaves(4, 0.3, 0.6, (0.004, 0.0007), (0.09, 0.012, 0.0003), 3.0), (4e9, 1e10), (1e9, 4e9), (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "plain", (0.10, 0.16)),
+                      Leaves(4, 0.3, 0.6, (0.004, 0.0007), (0.09, 0.012, 0.0003), 3.0), (4e9, 1e10), (1e9, 4e9),
+                      (1e7, 1e8), (5e6, 5e7), _CANE, _LIGHT, "plain", (0.10, 0.16)),
     "umbrella-tree": Species(0.45, 2, 0.02, 0.15, 0.008, 0.6, 0.0, (Level(6, 0.4, 1.0, 0.9, 0.5, 0.35, 0.7, 1.5),),
-                             Leaves(6, 0.98, 1.1, (0.012, 0.0009), (0.09, 0.035, 0.0005), 2.0), (5e8, 3e9), (1e8, 8e8), (1e7, 6e7), (5e6, 4e7), _GREY, _MID, "noise", (0.10, 0.14)),
+                             Leaves(6, 0.98, 1.1, (0.012, 0.0009), (0.09, 0.035, 0.0005), 2.0), (5e8, 3e9), (1e8, 8e8),
+                             (1e7, 6e7), (5e6, 4e7), _GREY, _MID, "noise", (0.10, 0.14)),
     "rosemary": Species(0.34, 10, 0.05, 0.35, 0.0032, 0.4, 0.0, (Level(2, 0.3, 0.8, 0.5, 0.5, 0.7),),
-                        Leaves(5, 0.2, 0.7, (0.0, 0.0), (0.026, 0.004, 0.0006), 0.0), (1e9, 6e9), (3e8, 2e9), (5e7, 1e8), (2e7, 9e7), _BROWN, _BLUE, "grain", (0.09, 0.12)),
-    "bonsai-pine": Species(0.28, 1, 0.0, 0.3, 0.016, 0.35, 0.0, (Level(6, 0.35, 1.0, 1.2, 0.6, 0.4, 0.5, -1.5), Level(3, 0.4, 1.0, 0.6, 0.4, 0.5)),
-                           Leaves(5, 0.6, 0.8, (0.0, 0.0), (0.035, 0.004, 0.0007), 0.0), (3e9, 1e10), (1e9, 5e9), (5e7, 1e8), (3e7, 1e8), _BROWN, _DARK, "grain", (0.12, 0.09)),
+                        Leaves(5, 0.2, 0.7, (0.0, 0.0), (0.026, 0.004, 0.0006), 0.0), (1e9, 6e9), (3e8, 2e9),
+                        (5e7, 1e8), (2e7, 9e7), _BROWN, _BLUE, "grain", (0.09, 0.12)),
+    "bonsai-pine": Species(0.28, 1, 0.0, 0.3, 0.016, 0.35, 0.0,
+                           (Level(6, 0.35, 1.0, 1.2, 0.6, 0.4, 0.5, -1.5), Level(3, 0.4, 1.0, 0.6, 0.4, 0.5)),
+                           Leaves(5, 0.6, 0.8, (0.0, 0.0), (0.035, 0.004, 0.0007), 0.0), (3e9, 1e10), (1e9, 5e9),
+                           (5e7, 1e8), (3e7, 1e8), _BROWN, _DARK, "grain", (0.12, 0.09)),
 }
 
 
 @dataclass(frozen=True)
 class PlantOptions:
-    """What a scene may ask of a plant. species: key of `SPECIES`; "random": one of them with every size drawn within a factor of 1.5; or "by-object": the
-    first for object 0 of a dataset, the second for object 1 and so on. scale: of all lengths [-]. variation: every size of a species is
-    drawn within this fraction of its own. leaf_share: fraction of the leaves that grow. max_segments: leaves are left out until the plant has no more. appearance_informative: probability that a part
-    looks as stiff as it is. leaves: False for a bare plant. modulus_factor: of all moduli [-]. segment: length of wood's segments [m]."""
+    """What a scene may ask of a plant. species: key of `SPECIES`; "random": one of them with every size drawn within a
+    factor of 1.5; or "by-object": the first for object 0 of a dataset, the second for object 1 and so on. scale: of all
+    lengths [-]. variation: every size of a species is drawn within this fraction of its own. leaf_share: fraction of
+    the leaves that grow. max_segments: leaves are left out until the plant has no more. appearance_informative:
+    probability that a part looks as stiff as it is. leaves: False for a bare plant. modulus_factor: of all moduli [-].
+    segment: length of wood's segments [m]."""
 
     species: str
     scale: float
@@ -136,14 +163,17 @@ def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
     if not isinstance(leaves, bool):
         raise SceneError(f"{where}: leaves is {leaves!r}; it must be true or false.")
     number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
-        ("scale", 1.0, 0.2, 2.0), ("variation", 0.15, 0.0, 0.5), ("leaf_share", 1.0, 0.0, 1.0), ("max_segments", 500, 3, 2000),
+        ("scale", 1.0, 0.2, 2.0), ("variation", 0.15, 0.0, 0.5), ("leaf_share", 1.0, 0.0,
+                                                                  1.0), ("max_segments", 500, 3, 2000),
         ("appearance_informative", 0.8, 0.0, 1.0), ("modulus_factor", 1.0, 1e-6, 1e3), ("segment", 0.02, 0.002, 0.1))}
-    return PlantOptions(species, number["scale"], number["variation"], number["leaf_share"], int(number["max_segments"]), number["appearance_informative"], leaves,
+    return PlantOptions(species, number["scale"], number["variation"], number["leaf_share"],
+                        int(number["max_segments"]), number["appearance_informative"], leaves,
                         number["modulus_factor"], number["segment"])
 
 
 def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple[str, Species]:
-    """The species to grow as object ``number``, its sizes drawn, and its name. The number of draws does not depend on the outcome."""
+    """The species to grow as object ``number``, its sizes drawn, and its name. The number of draws does not depend on
+    the outcome."""
     names = tuple(SPECIES)
     pick, wild = int(rng.integers(len(names))), options.species == "random"
     name = names[pick] if wild else names[number % len(names)] if options.species == "by-object" else options.species
@@ -151,12 +181,15 @@ def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple
     spread = np.log(1.5) if wild else np.log1p(options.variation)
     f = np.exp(spread * rng.uniform(-1.0, 1.0, 8))
     s = options.scale
-    levels = tuple(replace(level, count=max(1, round(level.count * f[0])), angle=level.angle * f[1] ** 0.5, length=level.length * f[2]) for level in kind.levels)
+    levels = tuple(replace(level, count=max(1, round(level.count * f[0])), angle=level.angle * f[1] ** 0.5,
+                           length=level.length * f[2]) for level in kind.levels)
     length, radius = kind.leaves.petiole
     blade = kind.leaves.blade
-    leaves = replace(kind.leaves, count=max(1, round(kind.leaves.count * f[3])), petiole=(s * length * f[4], s * radius),
+    leaves = replace(kind.leaves, count=max(1, round(kind.leaves.count * f[3])),
+                     petiole=(s * length * f[4], s * radius),
                      blade=(s * blade[0] * f[5], s * blade[1] * f[5], s * blade[2]))
-    kind = replace(kind, height=s * kind.height * f[6], spread=s * kind.spread, radius=s * kind.radius * f[7], levels=levels, leaves=leaves, pot=(s * kind.pot[0], s * kind.pot[1]))
+    kind = replace(kind, height=s * kind.height * f[6], spread=s * kind.spread, radius=s * kind.radius * f[7],
+                   levels=levels, leaves=leaves, pot=(s * kind.pot[0], s * kind.pot[1]))
     return name, kind
 
 

@@ -85,8 +85,10 @@ class ShoeOptions:
 
     variation: form values the scene does not give are drawn within this fraction of the style's.
     appearance_informative: probability that a region looks like what it is made of.
-    materials: "style", the style's own, whose colours and textures tell them; or "any", the parts but the sole of mostly one class of
-    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it; or "graded", the same with the moduli of `_materials.GRADED`.
+    materials: "style", the style's own, whose colours and textures tell them; or "any", the parts but the sole of
+    mostly one class of
+    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it; or "graded", the same with the
+    moduli of `_materials.GRADED`.
     """
 
     style: str
@@ -96,7 +98,8 @@ class ShoeOptions:
     materials: str
 
 
-def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, where: str) -> tuple[ShoeForm, ShoeOptions]:
+def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,
+                    where: str) -> tuple[ShoeForm, ShoeOptions]:
     """Check the scene's parameters and draw the ones it leaves open.
 
     Raises:
@@ -128,7 +131,8 @@ def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator, whe
 def _number(parameters: Mapping[str, Any], key: str, default: float, low: float, high: float, where: str) -> float:
     value = parameters.get(key, default)
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g} (lengths in metres).")
+        raise SceneError(f"{where}: {key} is {value!r}; it must be a number from {low:g} to {high:g} (lengths "
+                         f"in metres).")
     return float(value)
 
 

@@ -1,7 +1,8 @@
 """Potted plants: stems, branches of tapering radius, petioles and leaf blades, as a tree of beams.
 
-`grow` makes the tree (`vsfsim.core.plant.Plant`). An axis is a chain of segments that turns a little at every one; the axes of the next level, or the leaves, stand around it by the golden
-angle. Young's modulus is drawn for every axis within its species' range for wood (stems), shoots (branches), petioles or leaves, and varies along it.
+`grow` makes the tree (`vsfsim.core.plant.Plant`). An axis is a chain of segments that turns a little at every one; the
+axes of the next level, or the leaves, stand around it by the golden angle. Young's modulus is drawn for every axis
+within its species' range for wood (stems), shoots (branches), petioles or leaves, and varies along it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     """A plant in its pot on z = 0, its foot over the origin.
 
     Args:
-        parameters: fields of `_plant_species.PlantOptions`. rng: stream of form, moduli and look, in this order. where: file and section, for the messages.
+        parameters: fields of `_plant_species.PlantOptions`. rng: stream of form, moduli and look, in this order. where:
+        file and section, for the messages.
         number: of the object in its dataset, from 0.
 
     Raises:
@@ -53,10 +55,13 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     n = len(garden.nodes)
     look = _look(garden, kind, options.appearance_informative, rng)
     return Plant(
-        np.array(garden.nodes), np.array(garden.parent), np.array(garden.radius), np.array(garden.half_width), np.array(garden.normal),
-        np.array(garden.modulus) * options.modulus_factor, np.where(np.array(garden.region) == LEAF, _LEAF_DENSITY, _WOOD_DENSITY), np.array(garden.region), REGIONS,
+        np.array(garden.nodes), np.array(garden.parent), np.array(garden.radius), np.array(garden.half_width),
+                 np.array(garden.normal),
+        np.array(garden.modulus) * options.modulus_factor, np.where(np.array(garden.region) == LEAF, _LEAF_DENSITY,
+                                                                    _WOOD_DENSITY), np.array(garden.region), REGIONS,
         look=np.array(garden.axis), appearance=look, pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
-        notes=(f"{name}: {n - 1} segments, {sum(r == LEAF for r in garden.region[1:])} of them of leaves, {garden.nodes_top():.2f} m high.",))
+        notes=(f"{name}: {n - 1} segments, {sum(r == LEAF for r in garden.region[1:])} of them of leaves, "
+               f"{garden.nodes_top():.2f} m high.",))
 
 
 class _Garden:
@@ -83,8 +88,11 @@ class _Garden:
             way = math.cos(lean) * np.array([0.0, 0.0, 1.0]) + math.sin(lean) * out
             root = 0
             if kind.spread > 0.0:  # stems side by side hang on the same clamp by a stiff piece in the soil
-                root = self._node(0, self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out + [0.0, 0.0, 0.002], max(kind.radius, 0.01), TRUNK, 1e10, self._new_axis(TRUNK, 1e10))
-            stems.append(self._axis_of(root, way, kind.height * self.rng.uniform(0.85, 1.1), kind.radius, kind.taper, kind.droop, TRUNK, kind.wood))
+                root = self._node(0,
+                                  self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out
+                                  + [0.0, 0.0, 0.002], max(kind.radius, 0.01), TRUNK, 1e10, self._new_axis(TRUNK, 1e10))
+            stems.append(self._axis_of(root, way, kind.height * self.rng.uniform(0.85, 1.1), kind.radius, kind.taper,
+                                       kind.droop, TRUNK, kind.wood))
         bearers = stems
         for level in kind.levels:
             bearers = [child for axis in bearers for child in self._branches(axis, level)]
@@ -95,7 +103,8 @@ class _Garden:
         self.axes.append((region, math.log(modulus)))
         return len(self.axes) - 1
 
-    def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int, half_width: float = 0.0, normal: np.ndarray | None = None) -> int:
+    def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int,
+              half_width: float = 0.0, normal: np.ndarray | None = None) -> int:
         self.nodes.append(place)
         self.parent.append(parent)
         self.radius.append(radius)
@@ -109,7 +118,8 @@ class _Garden:
     def _draw(self, span: tuple[float, float]) -> float:
         return math.exp(self.rng.uniform(math.log(span[0]), math.log(span[1])))
 
-    def _axis_of(self, start: int, way: np.ndarray, length: float, radius: float, taper: float, droop: float, region: int, span: tuple[float, float], *, step: float | None = None) -> list[int]:
+    def _axis_of(self, start: int, way: np.ndarray, length: float, radius: float, taper: float, droop: float,
+                 region: int, span: tuple[float, float], *, step: float | None = None) -> list[int]:
         """A chain of round segments from node ``start``; its nodes, the start first."""
         count = max(1, round(length / (step or self.options.segment)))
         modulus = self._draw(span)
@@ -136,7 +146,10 @@ class _Garden:
             joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))]
             way = self._around(joint, turn + k * _GOLDEN, level.angle * self.rng.uniform(0.8, 1.2))
             # the higher a branch starts, the shorter it is
-            out.append(self._axis_of(joint, way, level.length * length * self.rng.uniform(0.8, 1.2) * (1.2 - 0.5 * place), level.radius * self.radius[joint], level.taper, level.droop, BRANCH, self.kind.shoot))
+            out.append(self._axis_of(joint, way,
+                                     level.length * length * self.rng.uniform(0.8, 1.2) * (1.2 - 0.5 * place),
+                                     level.radius * self.radius[joint], level.taper, level.droop, BRANCH,
+                                     self.kind.shoot))
         return out
 
     def _around(self, node: int, azimuth: float, angle: float) -> np.ndarray:
@@ -163,7 +176,8 @@ class _Garden:
             way = self._around(joint, turns[s // leaves.count] + k * _GOLDEN, leaves.angle * self.rng.uniform(0.8, 1.2))
             at = joint
             if leaves.petiole[0] > 0.0:
-                at = self._axis_of(joint, way, leaves.petiole[0], leaves.petiole[1], 0.9, 0.0, PETIOLE, self.kind.petiole, step=0.025)[-1]
+                at = self._axis_of(joint, way, leaves.petiole[0], leaves.petiole[1], 0.9, 0.0, PETIOLE,
+                                   self.kind.petiole, step=0.025)[-1]
             self._blade(at, way, leaves, blade_parts)
 
     def _blade(self, at: int, way: np.ndarray, leaves: Leaves, parts: int) -> None:
@@ -181,11 +195,13 @@ class _Garden:
                 normal = np.cross(way, np.array([1.0, 0.0, 0.0]))
             normal /= np.linalg.norm(normal)
             shape = math.sin(math.pi * (0.12 + 0.76 * (k + 0.5) / parts))
-            at = self._node(at, place, 0.5 * thickness, LEAF, modulus * math.exp(_ALONG * self.rng.normal()), axis, 0.5 * width * shape, normal)
+            at = self._node(at, place, 0.5 * thickness, LEAF, modulus * math.exp(_ALONG * self.rng.normal()), axis,
+                            0.5 * width * shape, normal)
 
 
 def _look(garden: _Garden, kind: Species, informative: float, rng: np.random.Generator) -> Appearance:
-    """The look of every axis: the stiffer, the browner and darker, as often as ``informative`` says; else as if it had another modulus."""
+    """The look of every axis: the stiffer, the browner and darker, as often as ``informative`` says; else as if it had
+    another modulus."""
     spans = {TRUNK: kind.wood, BRANCH: kind.shoot, PETIOLE: kind.petiole, LEAF: kind.leaf}
     albedo, texture, scale, contrast = [], [], [], []
     for region, log_modulus in garden.axes:
@@ -194,7 +210,8 @@ def _look(garden: _Garden, kind: Species, informative: float, rng: np.random.Gen
         other, keeps, chance = rng.uniform(), rng.uniform() < informative, rng.normal(0.0, 0.08, 3)
         seen = place if keeps else other
         bark, green = np.array(kind.bark), np.array(kind.foliage)
-        base = {TRUNK: bark, BRANCH: (0.35 + 0.65 * seen) * bark + (0.65 - 0.65 * seen) * green, PETIOLE: 0.6 * green + 0.4 * np.array([0.45, 0.35, 0.12]), LEAF: green}[region]
+        base = {TRUNK: bark, BRANCH: (0.35 + 0.65 * seen) * bark + (0.65 - 0.65 * seen) * green,
+                PETIOLE: 0.6 * green + 0.4 * np.array([0.45, 0.35, 0.12]), LEAF: green}[region]
         albedo.append(np.clip(base * math.exp(-_BRIGHTNESS * (2.0 * seen - 1.0)) * np.exp(chance), 0.01, 0.95))
         texture.append(kind.texture if region in (TRUNK, BRANCH) else ("plain" if region == PETIOLE else "noise"))
         scale.append(rng.uniform(0.004, 0.012))

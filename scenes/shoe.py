@@ -40,8 +40,9 @@ _PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
 _HEEL_COUNTER_END, _TOE_CAP_START, _TONGUE_LENGTH, _TONGUE_WIDTH = 0.17, 0.80, 0.22, 0.36
 # How far walls lean in towards the collar, as a fraction of the half width.
 _LEAN = 0.10
-# A cell is at most this many walls long: a flat panel of such cells bends within 2 % of plate theory, and no usual wall (5.7 mm and
-# more) is affected at the coarsest tier. A curved wall wants more: its bending dies away over sqrt(radius * wall).
+# A cell is at most this many walls long: a flat panel of such cells bends within 2 % of plate theory, and no usual wall
+# (5.7 mm and more) is affected at the coarsest tier. A curved wall wants more: its bending dies away over sqrt(radius *
+# wall).
 _SLENDER = 3.0
 # Share of the parts of a shoe "of any material" that are of another one than the rest.
 _OTHER_PART = 0.2
@@ -53,7 +54,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     Args:
         parameters: fields of `ShoeForm` and `ShoeOptions`; what is missing is drawn around the style's values.
         rng: stream of form, moduli and look (in this order).
-        resolution: size of a cell along the surface [m], 3 walls at most; walls are one cell thick, the sole one or two.
+        resolution: size of a cell along the surface [m], 3 walls at most; walls are one cell thick, the sole one or
+        two.
         where: file and section, for the messages.
 
     Raises:
@@ -76,9 +78,10 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
                  (f"{options.style}, {options.side}: {made_of}.",))
 
 
-def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator, *, table: Mapping[str, MaterialClass] = CLASSES) -> tuple[np.ndarray, list[str]]:
-    """Young's modulus [Pa] and class of ``table`` of every region; without ``materials`` all parts but the sole are of one class, now and
-    then a part of another."""
+def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator, *,
+            table: Mapping[str, MaterialClass] = CLASSES) -> tuple[np.ndarray, list[str]]:
+    """Young's modulus [Pa] and class of ``table`` of every region; without ``materials`` all parts but the sole are of
+    one class, now and then a part of another."""
     upper = tuple(name for name in table if name != SOLE_MATERIAL)
     most = upper[int(rng.integers(len(upper)))] if not materials else ""
     classes, values = [], []
@@ -179,7 +182,8 @@ def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int
     return points
 
 
-def _surface(form: ShoeForm, profile: _Profile, u: np.ndarray, v: np.ndarray, w: np.ndarray, grow: np.ndarray) -> np.ndarray:
+def _surface(form: ShoeForm, profile: _Profile, u: np.ndarray, v: np.ndarray, w: np.ndarray,
+             grow: np.ndarray) -> np.ndarray:
     """The shoe's outside, moved out by ``grow`` [m]; v in -1..1 across, w in 0..1 from the sole up."""
     heel_end, toe_start = 0.55 * form.heel_width, form.length - 0.62 * form.width
     heel_cap, toe_cap = heel_end + grow, form.length - toe_start + grow
@@ -208,14 +212,19 @@ class _Profile:
         waist = 0.94 * 0.5 * (heel + ball)
         toe = form.toe_height
         o = form.opening
-        self.half_width = _spline(form.length, ((0.0, heel), (0.16, heel), (0.42, waist), (0.68, ball), (0.85, 0.97 * ball), (1.0, 0.88 * ball)))
+        self.half_width = _spline(form.length, ((0.0, heel), (0.16, heel), (0.42, waist), (0.68, ball),
+                                                (0.85, 0.97 * ball), (1.0, 0.88 * ball)))
         self.top = _spline(form.length, (
             (0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height), (0.20, form.collar_height),
             (0.5 * (0.2 + o), 0.45 * form.collar_height + 0.55 * form.throat_height), (o, form.throat_height),
-            (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe), (1.0, 0.92 * toe)))
-        self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore), (1.0, form.sole_fore)))
-        self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0), (1.0, 0.0)))
-        self.spring = _spline(form.length, ((0.0, 0.0), (0.70, 0.0), (0.85, 0.30 * form.toe_spring), (1.0, form.toe_spring)))
+            (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe),
+                                         (1.0, 0.92 * toe)))
+        self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore),
+                                          (1.0, form.sole_fore)))
+        self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0),
+                                            (1.0, 0.0)))
+        self.spring = _spline(form.length, ((0.0, 0.0), (0.70, 0.0), (0.85, 0.30 * form.toe_spring),
+                                            (1.0, form.toe_spring)))
 
 
 def _spline(length: float, knots: tuple[tuple[float, float], ...]) -> Callable[[np.ndarray], np.ndarray]:

@@ -1,4 +1,5 @@
-"""What tests share: the device they run on, the command line in this process, and blocks ready for the solver; and how many processes they take."""
+"""What tests share: the device they run on, the command line in this process, and blocks ready for the solver; and how
+many processes they take."""
 
 import os
 import subprocess
@@ -21,13 +22,16 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
-    """The whole suite on a CPU runs in a process a core, a file of tests in one of them (pytest-xdist); parts of it, and ``-n 0``, in this one."""
+    """The whole suite on a CPU runs in a process a core, a file of tests in one of them (pytest-xdist); parts of it,
+    and ``-n 0``, in this one."""
     options = config.option
-    # LEAD: a worker must never make workers: 254 processes were running at 22:06, all killed. Check `ps aux | grep -c xdist` while you try this.
+    # LEAD: a worker must never make workers: 254 processes were running at 22:06, all killed. Check `ps aux | grep -c
+    # xdist` while you try this.
     if "PYTEST_XDIST_WORKER" in os.environ or hasattr(config, "workerinput"):
         return
     whole = config.args_source == config.ArgsSource.TESTPATHS and not options.collectonly and not options.usepdb
-    if "PYTEST_XDIST_WORKER" not in os.environ and whole and options.device == "cpu" and config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no":
+    if ("PYTEST_XDIST_WORKER" not in os.environ and whole and options.device == "cpu"
+        and config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"):
         count = min(len(os.sched_getaffinity(0)), WORKERS)
         if count > 1:
             options.numprocesses, options.dist = count, "loadfile"
@@ -35,7 +39,8 @@ def pytest_cmdline_main(config):
 
 @pytest.fixture
 def vsfsim(capfd, monkeypatch):
-    """Runs `vsfsim WORDS` in folder ``cwd``, in this process: what a process of its own would have given, without its start of three seconds.
+    """Runs `vsfsim WORDS` in folder ``cwd``, in this process: what a process of its own would have given, without its
+    start of three seconds.
 
     That the command works as one, too, is what `test_cli.py` and each of the longer runs hold.
     """
@@ -66,7 +71,8 @@ def device(request):
 def block():
     """Makes a model of a box: block(size, resolution, young_modulus=..., ...).
 
-    young_modulus: [Pa], or a function of the Gauss points (m, 4, 3) [m]. ticks: grid lines along x, y, z [m] instead of an even mesh.
+    young_modulus: [Pa], or a function of the Gauss points (m, 4, 3) [m]. ticks: grid lines along x, y, z [m] instead of
+    an even mesh.
     Further keywords go to `build_model`.
     """
     from vsfsim.core.hexes import split_hexes
@@ -81,7 +87,8 @@ def block():
             shape = tuple(len(t) for t in ticks)
             vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
             number = np.arange(len(vertices))
-            tets, _ = split_hexes(grid_hexes(number.reshape(shape)), np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
+            tets, _ = split_hexes(grid_hexes(number.reshape(shape)),
+                                  np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
         solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
         at = gauss_points(solid)
         values = young_modulus(at) if callable(young_modulus) else np.full(at.shape[:2], float(young_modulus))
@@ -93,7 +100,8 @@ def block():
 
 @pytest.fixture(scope="session")
 def line():
-    """Makes poses (T, 1, 4, 4) of a probe at given positions (T, 3) [m], turned towards ``axis``: line(positions, probe, axis)."""
+    """Makes poses (T, 1, 4, 4) of a probe at given positions (T, 3) [m], turned towards ``axis``: line(positions,
+    probe, axis)."""
     from vsfsim.robot.path import turn_to
 
     def make(positions, probe, axis=(0.0, 0.0, -1.0)):
@@ -108,7 +116,8 @@ def line():
 
 @pytest.fixture(scope="session")
 def graded():
-    """Makes ticks [m] from 0 to ``length`` that grow geometrically: graded(first, equal, growth, length), ``equal`` steps of ``first`` [m] to begin with."""
+    """Makes ticks [m] from 0 to ``length`` that grow geometrically: graded(first, equal, growth, length), ``equal``
+    steps of ``first`` [m] to begin with."""
 
     def make(first, equal, growth, length):
         steps = [first] * equal

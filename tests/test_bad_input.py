@@ -1,4 +1,5 @@
-"""Wrong input through the command line: one paragraph, exit code 2, nothing half-written; `--debug` shows the traceback."""
+"""Wrong input through the command line: one paragraph, exit code 2, nothing half-written; `--debug` shows the
+traceback."""
 
 import os
 import re
@@ -57,7 +58,8 @@ EVALUATE = ("evaluate", "--method", "toy_methods:Constant", "--task", "toy-v1.to
 
 
 def run(*words, cwd, **options):
-    """`vsfsim WORDS` in folder ``cwd``, as a process of its own; most tests take the fixture ``vsfsim``, which gives the same sooner."""
+    """`vsfsim WORDS` in folder ``cwd``, as a process of its own; most tests take the fixture ``vsfsim``, which gives
+    the same sooner."""
     env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(HERE / "bench")}
     return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
                           capture_output=True, text=True, cwd=cwd, env=env, stdin=subprocess.DEVNULL, **options)
@@ -81,7 +83,8 @@ def assert_refused(out, message):
 def toy(tmp_path, monkeypatch):
     """A mock dataset and a task on it."""
     views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
+                    splits={"train": 1, "test": 2},
                     device="cpu", tier="vsf", precision="float64", renderer="warp")
     with DatasetWriter(tmp_path / "toy", recipe, [view.name for view in views]) as writer:
         for view in views:
@@ -93,18 +96,26 @@ def toy(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("words", "old", "new", "message"), [
-    (PRESS, "young_modulus", "young_modulos", "box.toml [object]: unknown key 'young_modulos'. Did you mean 'young_modulus'?"),
+    (PRESS, "young_modulus", "young_modulos",
+     "box.toml [object]: unknown key 'young_modulos'. Did you mean 'young_modulus'?"),
     (GENERATE, "[touches]", "[tuoches]", "unknown key 'tuoches'. Did you mean 'touches'?"),
-    (PRESS, "young_modulus = 1e5", "young_modulus = -1e5", "box.toml [object]: young_modulus is -100000.0; a Young's modulus is a positive number of pascals"),
+    (PRESS, "young_modulus = 1e5", "young_modulus = -1e5",
+     "box.toml [object]: young_modulus is -100000.0; a Young's modulus is a positive number of pascals"),
     (GENERATE, "young_modulus = 1e5", "young_modulus = { uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
-    (PRESS, "young_modulus = 1e5", "young_modulus = { base = 1e5, inclusions = [{ sphere = [0, 0, 0, 0.01], value = -1.0 }] }", "inclusions[0]: value is -1.0"),
+    (PRESS, "young_modulus = 1e5",
+     "young_modulus = { base = 1e5, inclusions = [{ sphere = [0, 0, 0, 0.01], value = -1.0 }] }",
+     "inclusions[0]: value is -1.0"),
     (PRESS, *MESH, "volume"),
     ((*GENERATE, "--workers", "1"), *MESH, "volume"),
     (PRESS, MESH[0], 'mesh = "none.obj"', "none.obj"),
-    (PRESS, "shape = { sphere = 0.02 }", 'shape = { mesh = "none.stl" }', "[touches]: the touches of a dataset are made with one simple probe"),
-    (PRESS, "from = [0.0, 0.0, 0.05]", "path = [[0, 0, 0.05], [0, 0, 0.04]]", "box.toml [press]: there is a path, and to; give either path"),
-    (PRESS, "frames = 2", "frames = 2\nrotation = [0, 0, 90]", "box.toml [press]: rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
-    (PRESS, "tier = \"linear\"", "friction = -0.1", "box.toml [object]: friction is -0.1; it must be a number from 0 to 10."),
+    (PRESS, "shape = { sphere = 0.02 }", 'shape = { mesh = "none.stl" }',
+     "[touches]: the touches of a dataset are made with one simple probe"),
+    (PRESS, "from = [0.0, 0.0, 0.05]", "path = [[0, 0, 0.05], [0, 0, 0.04]]",
+     "box.toml [press]: there is a path, and to; give either path"),
+    (PRESS, "frames = 2", "frames = 2\nrotation = [0, 0, 90]",
+     "box.toml [press]: rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
+    (PRESS, "tier = \"linear\"", "friction = -0.1",
+     "box.toml [object]: friction is -0.1; it must be a number from 0 to 10."),
     (PRESS, 'tier = "linear"', 'tier = "fine"', "tier is 'fine'. Did you mean 'fem-fine'?"),
     (PRESS, "= 1e5", "== 1e5", "box.toml' is not valid TOML"),
 ])
@@ -118,8 +129,11 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, ol
 
 
 @pytest.mark.parametrize(("probe", "message"), [
-    ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"), ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
-    ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"), ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
+    ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"),
+                                                ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
+    ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"),
+                                                ('{ mesh = "flat.obj", scale = 100 }',
+                                                 "its bounding box is 10 m long after a scale of 100"),
     ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
 ])
 def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
@@ -132,18 +146,23 @@ def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vs
 
 
 @pytest.mark.parametrize(("words", "message"), [
-    (("evaluate", "--method", "point-vfs", "--task", "toy-v1.toml", "--dataset", "toy"), "unknown method 'point-vfs'. Did you mean 'point-vsf'?"),
+    (("evaluate", "--method", "point-vfs", "--task", "toy-v1.toml", "--dataset", "toy"),
+     "unknown method 'point-vfs'. Did you mean 'point-vsf'?"),
     (("check", "guassian"), "unknown method 'guassian'. Did you mean 'gaussian'?"),
-    (("evaluate", "--method", "nowhere:Mine", "--task", "toy-v1.toml", "--dataset", "toy"), "method 'nowhere:Mine' cannot be loaded: ModuleNotFoundError"),
+    (("evaluate", "--method", "nowhere:Mine", "--task", "toy-v1.toml", "--dataset", "toy"),
+     "method 'nowhere:Mine' cannot be loaded: ModuleNotFoundError"),
     ((*EVALUATE, "--out", "toy-v1.toml/x.json"), "'toy-v1.toml' is no folder"),
     (("press", "indnt"), "unknown scene 'indnt'. Did you mean 'indent'?"),
-    (("press", "indent", "--tier", "linear"), "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
+    (("press", "indent", "--tier", "linear"),
+     "the scene needs bulging, which tier 'linear' cannot show; use 'fem-coarse' or above"),
     (("press", "indent", "--plot", "nowhere/x.png"), "there is no folder 'nowhere'"),
-    (("press", "indent", "--picture", "nowhere/x.png"), "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
+    (("press", "indent", "--picture", "nowhere/x.png"),
+     "--picture is 'nowhere/x.png', but there is no folder 'nowhere'"),
     (("press", "indent", "--save", "x.h5"), "--save is 'x.h5'; it must end in .npz"),
     (("press", "indent", "--precision", "float16"), "--precision is 'float16'. Did you mean 'float64'?"),
     (("generate", "indent"), "there is no [touches]"),
-    (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"), "--renderer is 'pyrendr'. Did you mean 'pyrender'?"),
+    (("generate", "shoes-mini", "--renderer", "pyrendr", "--out", "out"),
+     "--renderer is 'pyrendr'. Did you mean 'pyrender'?"),
     (("inspect", "toy", "--out", "nowhere/x.png"), "there is no folder 'nowhere'"),
     (("leaderboard", "nowhere.json", "--task", "toy-v1.toml"), "nowhere.json does not exist"),
 ])
@@ -171,13 +190,15 @@ def test_verify_names_the_damaged_file_and_the_cure(vsfsim, toy):
     content[len(content) // 2] ^= 4
     path.write_bytes(bytes(content))
     out = vsfsim("verify", "toy", cwd=toy)
-    assert out.returncode == 2 and "mock-0001-v0.h5: was changed after it was written" in out.stdout and "vsfsim generate" in out.stdout
+    assert (out.returncode == 2 and "mock-0001-v0.h5: was changed after it was written" in out.stdout
+            and "vsfsim generate" in out.stdout)
 
 
 def test_the_folder_of_another_scene_is_refused_and_left_alone(vsfsim, toy):
     (toy / "box.toml").write_text(BOX)
     before = contents(toy)
-    assert_refused(vsfsim("generate", "box.toml", "--out", "toy", cwd=toy), "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
+    assert_refused(vsfsim("generate", "box.toml", "--out", "toy", cwd=toy),
+                   "folder toy holds another dataset: scene 'mock' there, 'box' asked for")
     assert contents(toy) == before
 
 
@@ -186,7 +207,8 @@ def test_a_folder_of_something_else_is_refused_and_left_alone(vsfsim, tmp_path):
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "me.png").write_bytes(b"x")
     before = contents(tmp_path)
-    assert_refused(vsfsim("generate", "box.toml", "--out", "photos", cwd=tmp_path), "folder photos is not empty and holds no dataset (me.png)")
+    assert_refused(vsfsim("generate", "box.toml", "--out", "photos", cwd=tmp_path),
+                   "folder photos is not empty and holds no dataset (me.png)")
     assert contents(tmp_path) == before
 
 
@@ -195,7 +217,8 @@ def test_a_full_disk_under_a_result(toy):
     # a file-size limit fails a write as a quota does, on any machine and without rights
     out = run(*EVALUATE, cwd=toy, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500)))
     assert_refused(out, "results/toy-v1/toy_methods.Constant.json cannot be written")
-    assert {k: v for k, v in contents(toy).items() if v is not None} == {k: v for k, v in before.items() if v is not None}
+    assert {k: v for k, v in contents(toy).items() if v is not None} == {k: v for k,
+                                                                         v in before.items() if v is not None}
 
 
 def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp_path):
@@ -203,13 +226,16 @@ def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp
     mount = [unshare or "unshare", "-m" if os.geteuid() == 0 else "-rm", "sh", "-c"]
     disk = tmp_path / "disk"
     disk.mkdir()
-    if unshare is None or subprocess.run([*mount, f"mount -t tmpfs -o size=100k none {disk}"], capture_output=True).returncode:
+    if unshare is None or subprocess.run([*mount, f"mount -t tmpfs -o size=100k none {disk}"],
+                                         capture_output=True).returncode:
         pytest.skip("a small disk cannot be mounted here (no unshare, or no right to)")
     (tmp_path / "box.toml").write_text(BOX)
     # the mount is gone when its shell ends, so what was left on the small disk is copied out before
-    command = f'{sys.executable} -P -c "from vsfsim.cli.main import main; main()" generate box.toml --out disk/d --workers 1'
+    command = (f'{sys.executable} -P -c "from vsfsim.cli.main import main; main()" generate box.toml --out disk/d '
+               f'--workers 1')
     script = f"mount -t tmpfs -o size=100k none {disk} && {command}; code=$?; cp -r disk/d kept; exit $code"
-    out = subprocess.run([*mount, script], capture_output=True, text=True, cwd=tmp_path, stdin=subprocess.DEVNULL, env={**os.environ, "OMP_NUM_THREADS": "1"})
+    out = subprocess.run([*mount, script], capture_output=True, text=True, cwd=tmp_path, stdin=subprocess.DEVNULL,
+                         env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert_refused(out, "box-0001-v0.h5 cannot be written: No space left on device")
     kept = tmp_path / "kept"
     assert sorted(p.name for p in kept.iterdir()) == ["box-0000-v0.h5", "dataset.part.json"], "whole files only"

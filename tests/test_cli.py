@@ -38,9 +38,12 @@ finally:
 
 @pytest.mark.parametrize(("words", "message"), [
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
-    (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-mini-v1"), "unknown method 'gausian'. Did you mean 'gaussian'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-mini-v1"), "unknown task 'fewshot-shoe-mini-v1'. Did you mean 'fewshot-shoes-mini-v1'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1", "--set", "spcing=1"), "no parameter 'spcing'. Did you mean 'spacing'?"),
+    (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-mini-v1"),
+     "unknown method 'gausian'. Did you mean 'gaussian'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-mini-v1"),
+     "unknown task 'fewshot-shoe-mini-v1'. Did you mean 'fewshot-shoes-mini-v1'?"),
+    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1", "--set", "spcing=1"),
+     "no parameter 'spcing'. Did you mean 'spacing'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1"), "vsfsim generate shoes-mini --objects"),
     (("verify", "nowhere"), "nowhere holds no dataset"),
     (("check", "gausian"), "Did you mean 'gaussian'?"),
@@ -61,7 +64,8 @@ def test_debug_shows_the_traceback_before_and_after_the_command(words, tmp_path)
 
 
 def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):
-    code = "import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; from vsfsim.cli.main import main; main()"
+    code = ("import sys; sys.argv = ['vsfsim', 'methods']; import vsfsim.core.shelf as s; s.methods = lambda: 1 / 0; "
+            "from vsfsim.cli.main import main; main()")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert out.returncode == 1 and "ZeroDivisionError" in out.stderr and "this is a bug in vsfsim" in out.stderr
 
@@ -77,7 +81,8 @@ def test_a_method_in_the_current_folder_is_found(tmp_path):
     (tmp_path / "mine.py").write_text("from toy_methods import Constant as Mine\n")
     (tmp_path / "toy_methods.py").write_text((Path(__file__).parent / "bench" / "toy_methods.py").read_text())
     # -P: like the console script, Python itself does not look into the current folder.
-    out = subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "check", "mine:Mine"], capture_output=True, text=True, cwd=tmp_path)
+    out = subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "check", "mine:Mine"],
+                         capture_output=True, text=True, cwd=tmp_path)
     assert out.returncode == 0 and "mine:Mine conforms" in out.stdout, out.stderr
     (tmp_path / "broken.py").write_text("1 / 0")
     out = run("check", "broken:X", cwd=tmp_path)

@@ -15,7 +15,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py"), "baselines": ("*.py",), "leaderboard": ("**/*.json", "**/*.md", "*.py")}
+FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py"), "baselines": ("*.py",),
+           "leaderboard": ("**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}
 
 LOOK = """
@@ -42,7 +43,8 @@ print(json.dumps({
 def wheel(tmp_path_factory) -> Path:
     setuptools = importlib.metadata.version("setuptools")
     if int(setuptools.split(".")[0]) < 77:
-        pytest.skip(f"setuptools {setuptools} cannot read pyproject.toml's licence (77 can); `pip install -c constraints.txt setuptools`")
+        pytest.skip(f"setuptools {setuptools} cannot read pyproject.toml's licence (77 can); `pip install -c "
+                    f"constraints.txt setuptools`")
     tree = tmp_path_factory.mktemp("tree")
     for name in ("vsfsim", *FOLDERS):
         shutil.copytree(ROOT / name, tree / name, ignore=shutil.ignore_patterns("__pycache__"))
@@ -52,7 +54,8 @@ def wheel(tmp_path_factory) -> Path:
     made_up.mkdir()
     (made_up / "somebody.json").write_text("{}")
     out = tmp_path_factory.mktemp("wheel")
-    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index", "-w", str(out), str(tree)],
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--no-build-isolation", "--no-index", "-w",
+                    str(out), str(tree)],
                    check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     (path,) = out.glob("*.whl")
     return path
@@ -61,7 +64,8 @@ def wheel(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory) -> Path:
     target = tmp_path_factory.mktemp("site")
-    subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(target), str(wheel)],
+    subprocess.run([sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-index", "--target", str(target),
+                    str(wheel)],
                    check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     return target
 
@@ -82,10 +86,12 @@ def test_the_wheel_holds_vsfsim_and_nothing_beside_it(wheel):
     assert {top for top in tops if not top.endswith(".dist-info")} == {"vsfsim"} and len(tops) == 2
     want = {p.relative_to(ROOT).as_posix() for p in (ROOT / "vsfsim").rglob("*.py")}
     for folder, patterns in FOLDERS.items():
-        want |= {"vsfsim/" + p.relative_to(ROOT).as_posix() for pattern in patterns for p in (ROOT / folder).glob(pattern)}
+        want |= {"vsfsim/" + p.relative_to(ROOT).as_posix() for pattern in patterns
+                 for p in (ROOT / folder).glob(pattern)}
     want.add("vsfsim/leaderboard/made-up-v1/somebody.json")
     assert {name for name in names if name.startswith("vsfsim/")} == want
-    for must in ("vsfsim/scenes/shoes-mini.toml", "vsfsim/scenes/shoe.py", "vsfsim/tasks/fewshot-shoes-mini-v1.toml", "vsfsim/baselines/gaussian.py"):
+    for must in ("vsfsim/scenes/shoes-mini.toml", "vsfsim/scenes/shoe.py", "vsfsim/tasks/fewshot-shoes-mini-v1.toml",
+                 "vsfsim/baselines/gaussian.py"):
         assert must in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
@@ -116,7 +122,8 @@ def test_an_editable_install_sees_the_live_folders(tmp_path):
         pytest.skip("vsfsim is not installed with `pip install -e .` here")
     seen = look(tmp_path)
     assert Path(seen["package"]) == ROOT / "vsfsim"
-    assert {name: Path(folder).resolve() for name, folder in seen["folders"].items()} == {name: ROOT / name for name in FOLDERS}
+    assert {name: Path(folder).resolve() for name,
+            folder in seen["folders"].items()} == {name: ROOT / name for name in FOLDERS}
     assert set(seen["methods"]) >= METHODS
 
 

@@ -26,7 +26,8 @@ from = [0.0, 0.0, FROM]
 to = [0.0, 0.0, TO]
 frames = FRAMES
 """
-BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01", start=0.04, stop=0.037, frames=2)
+BOX = dict(shape="box = [0.06, 0.06, 0.03]", size=0.012, tier="fem-coarse", probe="sphere = 0.01", start=0.04,
+           stop=0.037, frames=2)
 
 
 @pytest.fixture
@@ -36,7 +37,8 @@ def press(vsfsim, tmp_path, monkeypatch):
 
     def run(*words, **scene):
         text, given = scene.pop("text", SCENE), {**BOX, **scene}
-        for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"), ("TO", "stop"), ("FRAMES", "frames")):
+        for word, key in (("SHAPE", "shape"), ("SIZE", "size"), ("TIER", "tier"), ("PROBE", "probe"), ("FROM", "start"),
+                          ("TO", "stop"), ("FRAMES", "frames")):
             text = text.replace(word, str(given[key]))
         (tmp_path / "s.toml").write_text(text)
         return vsfsim("press", "s.toml", *words, cwd=tmp_path)
@@ -51,15 +53,18 @@ def pressed(out):
     force, reaction = np.array(result["force"]), np.array(result["reaction"])
     assert all(result["converged"]) and result["depth"] == sorted(result["depth"])
     # the tolerance of tier fem-coarse, on the sum of unbalanced nodal forces
-    assert np.linalg.norm(force - reaction, axis=1) == pytest.approx(0.0, abs=2e-3 * np.linalg.norm(force, axis=1).max())
+    assert np.linalg.norm(force - reaction, axis=1) == pytest.approx(0.0,
+                                                                     abs=2e-3 * np.linalg.norm(force, axis=1).max())
     assert (np.diff([0.0, *force[:, 2]]) > 0.0).all()
     return result
 
 
 @pytest.mark.parametrize(("probe", "half", "low", "high"), [
-    # bounds from rigid punches on a half-space, E* = 5e4 / (1 - 0.45^2) = 6.3e4 Pa, at 3 mm (Johnson 1985, ch. 3 and 4): sphere 1.4 N;
-    # flat punch of radius a 2 a E* d = 4.5 N for the cylinder and 4.6 N for the box. The block is only 30 mm thick: up to twice as stiff.
-    ("sphere = 0.01", 0.01, 1.2, 2.8), ("capsule = [0.008, 0.01]", 0.013, 1.1, 2.5), ("cylinder = [0.012, 0.02]", 0.01, 4.3, 9.0),
+    # bounds from rigid punches on a half-space, E* = 5e4 / (1 - 0.45^2) = 6.3e4 Pa, at 3 mm (Johnson 1985, ch. 3 and
+    # 4): sphere 1.4 N; flat punch of radius a 2 a E* d = 4.5 N for the cylinder and 4.6 N for the box. The block is
+    # only 30 mm thick: up to twice as stiff.
+    ("sphere = 0.01", 0.01, 1.2, 2.8), ("capsule = [0.008, 0.01]", 0.013, 1.1, 2.5),
+                                                            ("cylinder = [0.012, 0.02]", 0.01, 4.3, 9.0),
     ("box = [0.02, 0.024, 0.02]", 0.01, 4.3, 9.2),
     # a plate on the whole block: free sides E A e = 18 N to confined sides, M = 3.8 E
     ("plane = true", 0.0, 18.0, 68.0),
@@ -81,37 +86,45 @@ def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
     notes = " ".join(result["notes"])
     assert "read as millimetres" in notes and "Not watertight" in notes and 'fixed = "bottom" holds the lowest 5 %' in notes
     assert "tip" not in notes and (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
-    # Hertz for two spheres, R = 7.5 mm: 4/3 E* sqrt(R) d^1.5 = 1.2 N; the dome rests on its base, so it is somewhat softer or stiffer
+    # Hertz for two spheres, R = 7.5 mm: 4/3 E* sqrt(R) d^1.5 = 1.2 N; the dome rests on its base, so it is somewhat
+    # softer or stiffer
     assert 0.6 < result["force"][-1][2] < 2.4
 
 
 def test_a_probe_that_misses_is_said_and_one_inside_is_refused(press):
-    assert "note: The probe never touches the body: it would meet it after 20.0 mm, and goes 10.0 mm." in press(tier="linear", start=0.06, stop=0.05).stdout
+    assert ("note: The probe never touches the body: it would meet it after 20.0 mm, and "
+            "goes 10.0 mm." in press(tier="linear", start=0.06, stop=0.05).stdout)
     assert "note: The probe starts 2.0 mm inside the body" in press(tier="linear", start=0.038, stop=0.037).stdout
     out = press(tier="linear", probe="sphere = 0.005", start=0.015, stop=0.012)
-    assert out.returncode == 2 and out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the whole probe inside the body")
+    assert out.returncode == 2 and out.stderr.startswith("error: s.toml [press]: from = [0.0, 0.0, 0.015] puts the "
+                                                         "whole probe inside the body")
     assert out.stdout == "" and "Traceback" not in out.stderr
 
 
 def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path):
     trimesh.creation.capsule(radius=8.0, height=14.0).export(tmp_path / "tip.stl")
-    scene = '[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape = { mesh = "tip.stl", scale = 0.001 }\n'
+    scene = ('[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape '
+             '= { mesh = "tip.stl", scale = 0.001 }\n')
     out = press("--picture", "p.png", "--save", "s.npz", text=scene)
     assert out.returncode == 0, out.stderr
-    assert "All 10 frames converged." in out.stdout and "of an element" in out.stdout and "No [press] is given: the probe goes from above, at the middle" in out.stdout
+    assert ("All 10 frames converged." in out.stdout and "of an element" in out.stdout
+            and "No [press] is given: the probe goes from above, at the middle" in out.stdout)
     assert "the centre of its bounding box is the probe's origin; distance grid of" in out.stdout
     assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
     with np.load(tmp_path / "s.npz") as data:
         assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
-        assert data["contact_force"].shape == (10, len(data["surface_nodes"]), 3) and data["displacement"].shape == (10, len(data["points"]), 3)
+        assert data["contact_force"].shape == (10, len(data["surface_nodes"]),
+                                               3) and data["displacement"].shape == (10, len(data["points"]), 3)
         # the force on the probe is what the surface pushes back with, to the tier's tolerance
-        assert data["contact_force"].sum(axis=1) == pytest.approx(-data["force"], abs=1e-4 * np.abs(data["force"]).max())
+        assert data["contact_force"].sum(axis=1) == pytest.approx(-data["force"],
+                                                                  abs=1e-4 * np.abs(data["force"]).max())
 
 
 def test_refinement_prints_the_meshes_and_says_what_they_are_worth(press):
     out = press("--refine", "3", "--json", "-", tier="linear", size=0.015)
     found = json.loads(out.stdout)["refinement"]
-    assert out.returncode == 0 and len(found["meshes"]) == len(found["force"]) == 3 and np.all(np.diff(found["edge"]) < 0.0)
+    assert (out.returncode == 0 and len(found["meshes"]) == len(found["force"]) == 3
+            and np.all(np.diff(found["edge"]) < 0.0))
     assert found["force"] == pytest.approx([np.linalg.norm(m["force"][-1]) for m in found["meshes"]])
     assert found["error"] > 0.0 and ("Observed order" in found["statement"] or "No order" in found["statement"])
     # the mesh's own error is far under what a wrong force would be: Hertz is 1.4 N, see above
@@ -128,31 +141,42 @@ def test_a_mesh_of_a_ball_presses_as_the_ball_does(press, tmp_path):
 
 def small_turn(turn):
     """The vector of rotations so small that their skew part is it."""
-    return 0.5 * np.stack([turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0], turn[..., 1, 0] - turn[..., 0, 1]], axis=-1)
+    return 0.5 * np.stack([turn[..., 2, 1] - turn[..., 1, 2], turn[..., 0, 2] - turn[..., 2, 0],
+                           turn[..., 1, 0] - turn[..., 0, 1]], axis=-1)
 
 
 def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
-    """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot, picture and file beside it."""
+    """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot,
+    picture and file beside it."""
     text = find_scene("plants-short-mini").read_text()
-    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"), ("free = 5, in = 40, hold = 1, out = 8", "free = 1, in = 16, hold = 1, out = 2"),
+    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
+                     ("free = 5, in = 40, hold = 1, out = 8", "free = 1, in = 16, hold = 1, out = 2"),
                      ("width = 480\nheight = 432", "width = 120\nheight = 108")):
         assert old in text
         text = text.replace(old, new)
     (tmp_path / "s.toml").write_text(text)
     run = CliRunner()
-    out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot", str(tmp_path / "p.png"), "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "2"])
+    out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot", str(tmp_path / "p.png"),
+                           "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "2"])
     assert out.exit_code == 0, out.output
     found, saved = json.loads(out.stdout), np.load(tmp_path / "s.npz")
     force, reaction, torque = (np.array(found[key]) for key in ("force", "reaction", "torque"))
-    assert all(found["converged"]) and np.linalg.norm(force, axis=1).max() > 0.5 and np.abs(force - reaction).max() < 1e-3 * np.abs(force).max()
-    # the torque of a joint is the work of all wrenches while it turns by a little: central differences of the capsules' poses
-    arm, t = load_arm(base=np.array([[1.0, 0, 0, -0.62], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])), int(np.linalg.norm(force, axis=1).argmax())
+    assert all(found["converged"]) and np.linalg.norm(force,
+                                                      axis=1).max() > 0.5 and np.abs(force
+                                                                                     - reaction).max() < 1e-3 * np.abs(force).max()
+    # the torque of a joint is the work of all wrenches while it turns by a little: central differences of the capsules'
+    # poses
+    arm, t = load_arm(base=np.array([[1.0, 0, 0, -0.62], [0, 1, 0, 0], [0, 0, 1, 0],
+                                     [0, 0, 0, 1]])), int(np.linalg.norm(force, axis=1).argmax())
     before, after = (arm.body_poses(saved["q"][t] + sign * 1e-5 * np.eye(7)) for sign in (-1, 1))
     spin = small_turn(after[..., :3, :3] @ np.swapaxes(before[..., :3, :3], -1, -2))
-    work = ((after - before)[..., :3, 3] * saved["body_force"][t] + spin * saved["body_moment"][t]).sum(axis=(1, 2)) / 2e-5
+    work = ((after - before)[..., :3, 3] * saved["body_force"][t] + spin
+            * saved["body_moment"][t]).sum(axis=(1, 2)) / 2e-5
     assert torque[t] == pytest.approx(work, abs=1e-6)
     assert torque.shape == (20, 7) and np.abs(torque).max() > 0.05 and (np.diff(found["depth"][1:17]) > 0.0).all()
-    assert saved["node_position"].shape[0] == 20 and np.abs(saved["node_position"][17] - saved["node_rest"]).max() > 1e-3  # it bends
+    # it bends
+    assert saved["node_position"].shape[0] == 20 and np.abs(saved["node_position"][17]
+                                                            - saved["node_rest"]).max() > 1e-3
     assert all((tmp_path / name).stat().st_size > 2000 for name in ("p.png", "q.png"))
     refused = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--refine", "3"])
     assert isinstance(refused.exception, VsfsimError) and "leave --refine out" in str(refused.exception)

@@ -25,7 +25,8 @@ def named(name, language):
 
 
 def vsfsim(*words, cwd):
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words], capture_output=True, text=True, cwd=cwd)
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *words],
+                          capture_output=True, text=True, cwd=cwd)
 
 
 def commands():
@@ -90,7 +91,11 @@ def test_the_example_of_bodies_and_paths_is_a_scene(tmp_path):
     from vsfsim.core.scene import parse_scene
 
     (block,) = [b for b in blocks(README, "toml") if "obstacles" in b]
-    text = block.replace("[object]", "[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5").replace("[[probe.parts]]", "[probe]\nshape = { sphere = 0.02 }\n[[probe.parts]]")
+    text = block.replace("[object]",
+                         "[object]\nshape = "
+                         "{ box = [0.1, 0.1, 0.05] }\nyoung_modulus = 1e5").replace("[[probe.parts]]",
+                                                                                    "[probe]\nshape = "
+                                                                                    "{ sphere = 0.02 }\n[[probe.parts]]")
     scene = parse_scene(text, tmp_path / "s.toml").sample(0)
     assert len(scene.bodies) == 3 and scene.frictions == (0.5, 0.5, 0.5) and scene.press.frames == (5, 10)
 

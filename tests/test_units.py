@@ -1,7 +1,7 @@
 """Every physical field says its unit and shape where it is declared (design.md, house rule 2).
 
-The HDF5 fields have their own test beside the schema, `tests/data/test_schema.py`; here are the dataclasses of the layers that
-hold physical quantities. A docstring speaks of a field as ``name: ...`` or ``one, two: ...``.
+The HDF5 fields have their own test beside the schema, `tests/data/test_schema.py`; here are the dataclasses of the
+layers that hold physical quantities. A docstring speaks of a field as ``name: ...`` or ``one, two: ...``.
 """
 
 import ast
@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsim/sensing", "vsfsim/vsf", "vsfsim/generate", "scenes")
+LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsim/sensing", "vsfsim/vsf",
+          "vsfsim/generate", "scenes")
 
 SHAPE = re.compile(r"\(\w[\w\s+]*,")  # (n,), (T, 3), (3 n,), (T + 1,)
 DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "see `")
@@ -25,7 +26,8 @@ def undocumented(text: str) -> list[str]:
         if not isinstance(node, ast.ClassDef) or not any("dataclass" in ast.unparse(d) for d in node.decorator_list):
             continue
         doc = " ".join((ast.get_docstring(node) or "").split())
-        fields = [f for f in node.body if isinstance(f, ast.AnnAssign) and isinstance(f.target, ast.Name) and not f.target.id.startswith("_")]
+        fields = [f for f in node.body if isinstance(f, ast.AnnAssign) and isinstance(f.target, ast.Name)
+                  and not f.target.id.startswith("_")]
         word = "(?:" + "|".join(f.target.id for f in fields) + ")" if fields else "(?!)"
         begin = rf"{word}(?:, {word})*:(?= )"  # of the entry of one field, or of some together
         # what stands before the first field holds for all of them: "All (T, B).", "Lengths in metres."
@@ -40,7 +42,8 @@ def undocumented(text: str) -> list[str]:
                 out.append(f"{node.name}.{name}: not in the docstring")
             elif array and not SHAPE.search(entry[1] + head):
                 out.append(f"{node.name}.{name}: no shape in '{entry[1]}'")
-            elif number and "[" not in entry[1] and "metres" not in head and not any(word in f" {entry[1]} " for word in DIMENSIONLESS):
+            elif (number and "[" not in entry[1] and "metres" not in head
+                  and not any(word in f" {entry[1]} " for word in DIMENSIONLESS)):
                 out.append(f"{node.name}.{name}: no unit in '{entry[1]}'")
     return out
 
@@ -61,5 +64,6 @@ def test_fields_say_unit_and_shape(layer):
     ("A body, see (the paper). points: nodes. mass: [kg].", ["Body.points: no shape in 'nodes.'"]),
 ])
 def test_a_field_without_one_is_found(doc, found):
-    text = f'@dataclass(frozen=True)\nclass Body:\n    """{doc}"""\n    points: np.ndarray\n    mass: float\n    name: str = ""\n'
+    text = (f'@dataclass(frozen=True)\nclass Body:\n    """{doc}"""\n    points: np.ndarray\n    mass: float\n    '
+            f'name: str = ""\n')
     assert undocumented(text) == found

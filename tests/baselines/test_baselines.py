@@ -1,4 +1,5 @@
-"""The baselines on the mock object, whose forces obey their model: they conform, they learn, and their prior is what it claims."""
+"""The baselines on the mock object, whose forces obey their model: they conform, they learn, and their prior is what it
+claims."""
 
 import dataclasses
 
@@ -50,7 +51,8 @@ def test_touches_teach(method, train, subject):
     fitted = method(noise_std=0.15)  # the mock is exactly of the model's kind: only the sensor errs
     fitted.meta_fit(train)
     errors = [error(fitted, view, recording, range(k)) for k in (0, 3, 13)]
-    # Thirteen touches cover the 4 cm square that is touched; the mock is exactly of the model's kind, on a shifted grid.
+    # Thirteen touches cover the 4 cm square that is touched; the mock is exactly of the model's kind, on a shifted
+    # grid.
     assert errors[2] < 0.25 * errors[0], errors
     assert errors[2] < errors[1], errors
 
@@ -72,7 +74,8 @@ def test_the_prior_is_the_spread_of_the_training_springs(train):
     assert 24.0 < mean < 720.0
     assert zero._prior == (0.0, variance)
     twice = GaussianAverage()
-    twice.meta_fit([dataclasses.replace(s, touches=tuple(dataclasses.replace(r, value=2.0 * r.value) for r in s.touches)) for s in train])
+    twice.meta_fit([dataclasses.replace(s, touches=tuple(dataclasses.replace(r, value=2.0 * r.value)
+                                                         for r in s.touches)) for s in train])
     assert twice._prior[0] == pytest.approx(2.0 * mean, rel=0.05), "forces twice as large are springs twice as stiff"
 
 
@@ -130,7 +133,8 @@ def test_the_filter_takes_frames_one_by_one_and_one_frame_as_the_batch_does(subj
     np.testing.assert_allclose(online.stiffness(points).std, batch.stiffness(points).std, rtol=1e-6)
     for method in (batch, online):
         method.adapt(view, recording.readings[:4])
-    assert np.abs(online._posterior.stiffness - batch._posterior.stiffness).max() > 0.0  # it forgets what a frame correlates
+    # it forgets what a frame correlates
+    assert np.abs(online._posterior.stiffness - batch._posterior.stiffness).max() > 0.0
     asked = recording.readings[5].action
     assert np.isfinite(online.predict([asked])[0]).all() and (online.predict_std([asked])[0] >= 1.0).all()
     broken = dataclasses.replace(one, value=np.full_like(one.value, np.nan))

@@ -22,7 +22,8 @@ QUICK = {"iterations": 120, "batch": 400, "samples": 6}
 
 def pressed(observation="pressure"):
     """Touches of a dome on a ground that is stiff where x > 0."""
-    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5, extent=(0.05, 0.04), rings=4, tilt=0.0)
+    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5,
+                     extent=(0.05, 0.04), rings=4, tilt=0.0)
     points, triangles = cap(rings=4)
     probe = Dome.of(points * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.015], triangles)
     readings = []
@@ -32,11 +33,13 @@ def pressed(observation="pressure"):
         poses[:, :3, 3] = vertices[:, 0] + [0.0, 0.0, 0.015]  # the apex is the first vertex, the rim 15 mm above it
         action = Action(np.arange(5.0), poses, np.array([0.0, 0.0, -1.0]), probe, observation, 1)
         total = t.force.sum(axis=1)[:, 2:]
-        readings.append(Reading(action, total / (7.18e-3 if observation == "pressure" else 1.0), np.ones(5, bool), Surface(vertices, t.force)))
+        readings.append(Reading(action, total / (7.18e-3 if observation == "pressure" else 1.0), np.ones(5, bool),
+                                Surface(vertices, t.force)))
     return readings
 
 
-@pytest.mark.parametrize(("build", "skin"), [(PointVsf, False), (DenseVsf, True), (lambda: GridVsf(**QUICK), False), (lambda: GridVsf(**QUICK), True)])
+@pytest.mark.parametrize(("build", "skin"), [(PointVsf, False), (DenseVsf, True), (lambda: GridVsf(**QUICK), False),
+                                             (lambda: GridVsf(**QUICK), True)])
 def test_a_stiff_half_is_felt(build, skin):
     view, readings = mock_view(0).view, pressed()
     given = readings if skin else [Reading(r.action, r.value, r.valid) for r in readings]
@@ -52,10 +55,13 @@ def test_a_stiff_half_is_felt(build, skin):
 
 
 def test_without_its_skin_a_field_is_fitted_to_the_total():
-    """`skin=False` and readings without a surface are one and the same; with it the forces on the vertices are looked at."""
+    """`skin=False` and readings without a surface are one and the same; with it the forces on the vertices are looked
+    at."""
     view, readings = mock_view(0).view, pressed()
     quick, answers = {**QUICK, "iterations": 10}, []
-    for method, given in ((GridVsf(**quick, skin=False), readings), (GridVsf(**quick), [Reading(r.action, r.value, r.valid) for r in readings]), (GridVsf(**quick), readings)):
+    for method, given in ((GridVsf(**quick, skin=False), readings),
+                          (GridVsf(**quick), [Reading(r.action, r.value, r.valid) for r in readings]),
+                          (GridVsf(**quick), readings)):
         method.adapt(view, given[:4])
         answers.append(method.predict([readings[8].action])[0])
     np.testing.assert_array_equal(answers[0], answers[1])
@@ -80,7 +86,8 @@ def test_failure_is_clear_on_a_bubble(name, felt):
     train, view, readings = felt
     method = build_method(find_method(name), METHODS[name])
     method.meta_fit(train)
-    silent = [dataclasses.replace(r, value=0.0 * r.value, surface=Surface(r.surface.vertices, 0.0 * r.surface.force)) for r in readings[:2]]
+    silent = [dataclasses.replace(r, value=0.0 * r.value, surface=Surface(r.surface.vertices, 0.0 * r.surface.force))
+              for r in readings[:2]]
     lost = dataclasses.replace(readings[0], value=np.full_like(readings[0].value, np.nan), valid=np.zeros(5, bool))
     for support in ([], silent, [lost], readings[:1]):
         method.adapt(view, support)
@@ -93,7 +100,9 @@ def test_failure_is_clear_on_a_bubble(name, felt):
         with pytest.raises(MethodError, match="not finite in a frame that has others"):
             method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, torn))])
         with pytest.raises(MethodError, match=r"both must be \(T, N, 3\)"):
-            method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices[:, :-1], readings[0].surface.force))])
+            method.adapt(view, [dataclasses.replace(readings[0],
+                                                    surface=Surface(readings[0].surface.vertices[:, :-1],
+                                                                    readings[0].surface.force))])
     strange = dataclasses.replace(readings[9].action, observation="joint-torque", size=7)
     if not name.startswith("imaml"):
         method.adapt(view, [])

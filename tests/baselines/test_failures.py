@@ -1,4 +1,5 @@
-"""What every method does where there is nothing to go on: an answer that is defined, or an error that says what to do."""
+"""What every method does where there is nothing to go on: an answer that is defined, or an error that says what to
+do."""
 
 import dataclasses
 
@@ -13,10 +14,13 @@ from vsfsim.core.chain import Chain, ChainCapsule
 from vsfsim.core.errors import MethodError, VsfsimError
 
 METHODS = {
-    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "dense-vsf": {}, "sbml": {"epochs": 1}, "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
-    "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1}, "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
+    "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "dense-vsf": {}, "sbml": {"epochs": 1},
+           "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+    "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+           "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
     "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}}
-ARM = Chain(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), ((0.0, 0.0, 0.2),) * 8, ((1.0, 0.0, 0.0, 0.0),) * 8, (-1, *range(7)),
+ARM = Chain(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), ((0.0, 0.0, 0.2),) * 8,
+            ((1.0, 0.0, 0.0, 0.0),) * 8, (-1, *range(7)),
             tuple(ChainCapsule(k, (0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 0.03) for k in range(8)))
 PARTICLES = ("gaussian", "gaussian-zero", "point-vsf", "dense-vsf", "sbml")
 
@@ -40,7 +44,8 @@ def test_no_touch_and_silent_touches_have_an_answer(name, world):
     train, view, recording = world
     method = fitted(name, train)
     silent = [dataclasses.replace(r, value=np.zeros_like(r.value)) for r in recording.readings[:3]]
-    lost = [dataclasses.replace(r, value=np.full_like(r.value, np.nan), valid=np.zeros_like(r.valid)) for r in recording.readings[:2]]
+    lost = [dataclasses.replace(r, value=np.full_like(r.value, np.nan), valid=np.zeros_like(r.valid))
+            for r in recording.readings[:2]]
     for support in ([], silent, lost):
         method.adapt(view, support)
         assert np.isfinite(method.predict([recording.readings[4].action])[0]).all()
@@ -78,7 +83,8 @@ def test_an_object_of_one_particle(name, world):
 def test_a_sensor_that_a_method_does_not_know_is_named(name, world):
     train, view, recording = world
     method = fitted(name, train)
-    strange = dataclasses.replace(recording.readings[0], action=dataclasses.replace(recording.readings[0].action, observation="temperature"))
+    strange = dataclasses.replace(recording.readings[0], action=dataclasses.replace(recording.readings[0].action,
+                                                                                    observation="temperature"))
     with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
         method.adapt(view, [strange])
     with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
@@ -104,7 +110,8 @@ def test_a_field_needs_forces_with_and_without_touches(name, world):
 def test_contact_points_are_of_forces(world):
     train, view, recording = world
     method = fitted("contact-points", train)
-    method.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, observation="temperature")) for r in recording.readings[:3]])
+    method.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, observation="temperature"))
+                        for r in recording.readings[:3]])
     with pytest.raises(MethodError, match="readings are 'temperature'"):
         method.locate(np.eye(3), np.array([[0, 1, 2]]))
 
@@ -114,7 +121,8 @@ def test_a_view_that_shows_nothing_is_said(name, world):
     train, view, recording = world
     method = fitted(name, train)
     empty = dataclasses.replace(view, mask=np.zeros_like(view.mask))
-    hole = dataclasses.replace(view, depth=np.where(np.arange(view.depth.shape[1]) % 7 == 0, 0.0, view.depth).astype(view.depth.dtype))
+    hole = dataclasses.replace(view, depth=np.where(np.arange(view.depth.shape[1]) % 7 == 0, 0.0,
+                                                    view.depth).astype(view.depth.dtype))
     blind = name in ("imaml", "contact-points")  # they predict forces without looking
     for broken, words in ((empty, "mask is empty"), (hole, "depth is 0 or not a number")):
         if blind or (name == "imaml-vision" and broken is hole):

@@ -1,4 +1,5 @@
-"""The continuous VSF and the contact points as methods: on mock objects, on a sensor with a surface, and where they must refuse or fall back."""
+"""The continuous VSF and the contact points as methods: on mock objects, on a sensor with a surface, and where they
+must refuse or fall back."""
 
 import dataclasses
 
@@ -35,7 +36,8 @@ def seen():
     return view, record(view, load_task("fewshot-shoes-mini-v1"))
 
 
-@pytest.mark.parametrize("name, values", [("grid-vsf", QUICK), ("neural-vsf", {**QUICK, "iterations": 2}), ("contact-points", {})])
+@pytest.mark.parametrize("name, values", [("grid-vsf", QUICK), ("neural-vsf", {**QUICK, "iterations": 2}),
+                                          ("contact-points", {})])
 def test_it_conforms(name, values):
     failed = [f for f in check(name, parameters=values) if f.outcome == "failed"]
     assert not failed, failed
@@ -45,7 +47,8 @@ def test_the_grid_tells_stiff_from_soft_by_totals(seen):
     view, recording = seen
     method = GridVsf(iterations=60, batch=400, samples=12, rate=0.3)
     method.adapt(view.view, recording.readings[:9])
-    points = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, 9), np.linspace(-0.02, 0.02, 9), [0.024, 0.026, 0.028], indexing="ij"), axis=-1).reshape(-1, 3)
+    points = np.stack(np.meshgrid(np.linspace(-0.02, 0.02, 9), np.linspace(-0.02, 0.02, 9), [0.024, 0.026, 0.028],
+                                  indexing="ij"), axis=-1).reshape(-1, 3)
     stiffness = method.stiffness(points).mean
     # The truth is 5; touches come from the middle 4 cm, and a ball of 15 mm feels both halves.
     assert stiffness[points[:, 0] > 0.004].mean() > 1.8 * stiffness[points[:, 0] < -0.004].mean()
@@ -68,7 +71,8 @@ def test_fewer_octaves_make_a_smoother_field(seen):
 def test_forces_on_a_surface_are_used_where_there_are_any():
     view = mock_view(0).view
     top = 0.03
-    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5, extent=(0.04, 0.04), rings=4)
+    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5,
+                      extent=(0.04, 0.04), rings=4)
     readings = []
     for t in touches:
         vertices = t.vertices + [0.0, 0.0, top]
@@ -89,8 +93,10 @@ def test_forces_on_a_surface_are_used_where_there_are_any():
 
 
 def pressed(noise=0.0, touches=8):
-    """Touches of a soft dome on a ground that is stiff where x > 0, as a sensor with a skin reads them, and their total force."""
-    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5, extent=(0.04, 0.04), rings=4, noise=noise)
+    """Touches of a soft dome on a ground that is stiff where x > 0, as a sensor with a skin reads them, and their total
+    force."""
+    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5,
+                     extent=(0.04, 0.04), rings=4, noise=noise)
     readings = []
     for t in ground:
         vertices = t.vertices + [0.0, 0.0, 0.03]
@@ -111,12 +117,15 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     rows, values = [], []
     for r in readings:
         touch = skin_touch(r)
-        rows.append(dense_force_rows(stick(model.particles, touch.vertices, touch.triangles), len(model.particles), touch.triangles, touch.vertices.shape[1]))
+        rows.append(dense_force_rows(stick(model.particles, touch.vertices, touch.triangles), len(model.particles),
+                                     touch.triangles, touch.vertices.shape[1]))
         values.append(r.surface.force.ravel())
-    whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02, prior_mean=0.0, prior_var=1000.0**2)
+    whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02, prior_mean=0.0,
+                         prior_var=1000.0**2)
     # The few rows say what the many do, but for directions under 1e-6 of the strongest, which are left out.
     np.testing.assert_allclose(method._posterior.stiffness, whole.mean, atol=1e-5 * whole.mean.max())
-    assert method._posterior.rows.shape[0] < 0.2 * sum(len(z) for z in values), "at most as many a touch as particles it moved"
+    assert method._posterior.rows.shape[0] < 0.2 * sum(len(z)
+                                                       for z in values), "at most as many a touch as particles it moved"
     plain = PointVsf()
     plain.adapt(view, readings)
     assert plain._posterior.rows.shape[0] == sum(len(r.value) for r in readings)
@@ -125,7 +134,9 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     method.adapt(view, part)
     assert np.isfinite(method.predict([readings[0].action])[0]).all()
     lost = np.where(np.arange(5)[:, None, None] == 3, np.nan, readings[0].surface.vertices)
-    method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost, np.where(np.isnan(lost), np.nan, readings[0].surface.force)))])
+    method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost,
+                                                                         np.where(np.isnan(lost), np.nan,
+                                                                                  readings[0].surface.force)))])
     blind = dataclasses.replace(readings[0], surface=Surface(np.full_like(lost, np.nan), lost))
     method.adapt(view, [blind])
     assert method._posterior.rows.shape[0] == 0, "a skin that was never seen says nothing"
@@ -136,20 +147,25 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
 
 def test_a_pressure_is_a_force_over_the_base():
     view, readings = mock_view(0).view, pressed()
-    as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action, observation="force-magnitude")) for r in readings]
-    as_pressure = [dataclasses.replace(r, value=r.value / BASE_AREA, action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
+    as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action,
+                                                                                observation="force-magnitude"))
+                for r in readings]
+    as_pressure = [dataclasses.replace(r, value=r.value / BASE_AREA,
+                                       action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
     vertices, triangles = dome(radius=0.03, height=0.015, rings=4)
     bubble = Dome.of(vertices * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.015], triangles[:, ::-1])
     field = GridVsf(iterations=30, batch=500, samples=8)
     field.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, probe=bubble)) for r in as_pressure])
     peak = as_pressure[0].value.max()
-    assert 0.2 * peak < field.predict([dataclasses.replace(as_pressure[0].action, probe=bubble)])[0].max() < 5.0 * peak, "of the right size, in pascals"
+    assert 0.2 * peak < field.predict([dataclasses.replace(as_pressure[0].action,
+                                                           probe=bubble)])[0].max() < 5.0 * peak, "of the right size, in pascals"
     force, pressure = PointVsf(), PointVsf()
     force.adapt(view, as_force)
     pressure.adapt(view, as_pressure)
     np.testing.assert_allclose(force._posterior.stiffness, pressure._posterior.stiffness, rtol=1e-6, atol=1e-9)
     for name in ("predict", "predict_std"):
-        np.testing.assert_allclose(getattr(pressure, name)([as_pressure[0].action])[0], getattr(force, name)([as_force[0].action])[0] / BASE_AREA, rtol=1e-6)
+        np.testing.assert_allclose(getattr(pressure, name)([as_pressure[0].action])[0],
+                                   getattr(force, name)([as_force[0].action])[0] / BASE_AREA, rtol=1e-6)
 
 
 def test_failures_are_clear_or_have_a_defined_answer(seen):
@@ -159,7 +175,8 @@ def test_failures_are_clear_or_have_a_defined_answer(seen):
     for method in (GridVsf(**QUICK), NeuralVsf(**{**QUICK, "iterations": 2}), ContactPoints()):
         method.adapt(view.view, silent)
         assert not any(p.any() for p in method.predict([recording.readings[4].action]))
-        assert method.locate(*Hidden((Inclusion("sphere", (0, 0, 0, 0.01), 1e6),), np.eye(3), np.zeros(3)).known_object()[:2]).shape == (4, 4)
+        assert method.locate(*Hidden((Inclusion("sphere", (0, 0, 0, 0.01), 1e6),), np.eye(3),
+                                     np.zeros(3)).known_object()[:2]).shape == (4, 4)
         with pytest.raises(MethodError, match="touch 0 of the support has a reading that is not finite"):
             method.adapt(view.view, [broken])
     empty = dataclasses.replace(view.view, mask=np.zeros_like(view.view.mask))
@@ -176,8 +193,10 @@ def test_failures_are_clear_or_have_a_defined_answer(seen):
 
 @pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])
 def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
-    parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x, y in ((0.035, -0.02), (-0.025, 0.02)))
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]]) @ (np.diag([1.0, -1.0, -1.0]) if over else np.eye(3))
+    parts = tuple(Inclusion("capsule", (-0.025, -0.02, 0.02, x, y, 0.02, 0.008), 1e7) for x,
+                  y in ((0.035, -0.02), (-0.025, 0.02)))
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0],
+                     [0, 0, 1.0]]) @ (np.diag([1.0, -1.0, -1.0]) if over else np.eye(3))
     there = Hidden(parts, turn, np.array([0.02, -0.01, 0.04 if over else 0.0]))
     vertices, triangles, truth = there.known_object()
     x = np.arange(-0.07, 0.07, 0.003)
@@ -186,13 +205,16 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
     under = there.inside(points * [1, 1, 0] + [0, 0, 0.02])
     stiffness = np.where(under, 50.0, 15.0) * np.random.default_rng(0).uniform(0.6, 1.4, len(points))
     view = mock_view(0).view
-    view = dataclasses.replace(view, mask=np.ones_like(view.mask), depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
+    view = dataclasses.replace(view, mask=np.ones_like(view.mask),
+                               depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
                                intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
     found = pose_scores(locate(vertices, triangles, points, stiffness, view, Locating(refine=200, turned=True)), truth)
     assert found["translation_error"] < 4.0 and found["rotation_error"] < 8.0
     if not over:
         return
-    hard = pose_scores(locate(vertices, triangles, points, under.astype(float), view, Locating(refine=200, turned=True)), truth)
+    hard = pose_scores(locate(vertices, triangles, points, under.astype(float), view,
+                              Locating(refine=200, turned=True)), truth)
     assert hard["translation_error"] < 4.0 and hard["rotation_error"] < 8.0
     # Where all is of one stiffness the object stands in the middle of what is seen.
-    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, Locating())[:3, 3], view.points().mean(axis=0))
+    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, Locating())[:3, 3],
+                               view.points().mean(axis=0))

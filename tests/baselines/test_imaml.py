@@ -17,7 +17,8 @@ torch.set_num_threads(1)
 
 def batch(seed, tasks=2, rows=6, token=3):
     g = torch.Generator().manual_seed(seed)
-    x, y = torch.randn(tasks, rows, 2, generator=g, dtype=torch.float64), torch.randn(tasks, rows, 1, generator=g, dtype=torch.float64)
+    x, y = torch.randn(tasks, rows, 2, generator=g,
+                       dtype=torch.float64), torch.randn(tasks, rows, 1, generator=g, dtype=torch.float64)
     weight = torch.ones(tasks, rows, dtype=torch.float64)
     weight[1, 4:] = 0.0
     return Batch(x, torch.ones(tasks, token, dtype=torch.float64), y, weight)
@@ -28,7 +29,8 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
     network = Network(2, 1, token=token, hidden=(5,), encoder=(4, 2))
     theta = network.start(torch.Generator().manual_seed(0))
     support, query = batch(1, token=token), batch(2, token=token)
-    solve = {"rate": 0.2, "steps": 70, "regularisation": 2.0}  # each step leaves under 0.6 of the error: 1e-15 in the end
+    # each step leaves under 0.6 of the error: 1e-15 in the end
+    solve = {"rate": 0.2, "steps": 70, "regularisation": 2.0}
 
     def query_loss(parameters):
         return network.loss(adapt(network, parameters, support, **solve), query)
@@ -43,7 +45,8 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
         step[at] = 1e-5
         ends = [query_loss([p + sign * step if i == index else p for i, p in enumerate(theta)]) for sign in (1, -1)]
         # Central differences of a function that is smooth but for ReLU kinks, of which none is within 1e-5.
-        torch.testing.assert_close(gradient[index][(slice(None), *at)], (ends[0] - ends[1]) / 2e-5, rtol=1e-4, atol=1e-8)
+        torch.testing.assert_close(gradient[index][(slice(None), *at)], (ends[0] - ends[1]) / 2e-5, rtol=1e-4,
+                                   atol=1e-8)
 
 
 @pytest.mark.parametrize("token", [0, 3])
@@ -106,8 +109,8 @@ def test_it_learns_and_adapts():
         answer = method.predict([recording.readings[i].action for i in range(14, 20)])
         return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, range(14, 20))])))
 
-    # A larger outer rate than the paper's, and fewer inner steps, to see in 60 steps what takes it 400. What it answers before the first touch
-    # still swings from step to step; what it makes of touches does not.
+    # A larger outer rate than the paper's, and fewer inner steps, to see in 60 steps what takes it 400. What it answers
+    # before the first touch still swings from step to step; what it makes of touches does not.
     quick = {"outer_rate": 3e-3, "inner_rate": 0.01, "inner_steps": 6, "cg_steps": 3}
     raw, trained = Imaml(epochs=0, **quick), Imaml(epochs=60, **quick)
     for method in (raw, trained):

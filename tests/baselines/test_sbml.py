@@ -1,4 +1,5 @@
-"""SBML on the mock object: it conforms, its features carry stiffness over to objects never touched, and it refuses clearly."""
+"""SBML on the mock object: it conforms, its features carry stiffness over to objects never touched, and it refuses
+clearly."""
 
 import dataclasses
 
@@ -58,7 +59,8 @@ def test_vision_tells_the_stiff_half_before_any_touch(fitted, train, task):
 
 
 def test_vision_helps_the_shape_of_the_answer(fitted, train, task):
-    # The level of a mock object is drawn anew and no picture shows it; so the zero-shot answers may be scaled once an object.
+    # The level of a mock object is drawn anew and no picture shows it; so the zero-shot answers may be scaled once an
+    # object.
     naive = GaussianAverage(noise_std=0.15)
     naive.meta_fit(train)
     ratio = []
@@ -90,7 +92,10 @@ def test_one_prior_over_two_families(train, task):
     other = parse_task(MOCK_TASK.replace("normal-force", "force-magnitude"), "mock")
 
     def bright(view):
-        return dataclasses.replace(view, view=dataclasses.replace(view.view, rgb=np.minimum(view.view.rgb.astype(int) + 90 * view.view.mask[..., None], 255).astype(np.uint8)))
+        return dataclasses.replace(view, view=dataclasses.replace(view.view,
+                                                                  rgb=np.minimum(view.view.rgb.astype(int) + 90
+                                                                                 * view.view.mask[..., None],
+                                                                                 255).astype(np.uint8)))
 
     family = [specimen(bright(mock_view(20 + i, split="train", touches=10, stiffness=10.0)), other) for i in range(5)]
     unified = Sbml(**{**FAST, "epochs": 150})
@@ -128,7 +133,8 @@ def test_refusals(fitted, train, task):
     missed = [dataclasses.replace(s, touches=(s.touches[-1],)) for s in train]  # the last touch of a mock misses it
     with pytest.raises(VsfsimError, match="cannot learn a prior: 5 training objects with 0 touched"):
         Sbml().meta_fit(missed)
-    silent = [dataclasses.replace(s, touches=tuple(dataclasses.replace(t, value=0.0 * t.value) for t in s.touches)) for s in train]
+    silent = [dataclasses.replace(s, touches=tuple(dataclasses.replace(t, value=0.0 * t.value) for t in s.touches))
+              for s in train]
     with pytest.raises(VsfsimError, match="cannot learn a prior"):
         Sbml().meta_fit(silent)
     reading = record(mock_view(5), task).readings[0]
@@ -151,6 +157,7 @@ def test_noise_in_proportion_to_a_touch(task):
         method.meta_fit([specimen(mock_view(i, split="train", touches=4), task) for i in range(2)])
         method.adapt(view.view, [])
         stds.append((method.predict([readings[0].action])[0].max(), method.predict_std([readings[0].action])[0].min()))
-    assert stds[0][1] >= 2.0 and stds[1][1] >= np.hypot(2.0, 0.5 * stds[1][0]), "no reading is foretold better than the model is"
+    assert stds[0][1] >= 2.0 and stds[1][1] >= np.hypot(2.0, 0.5
+                                                        * stds[1][0]), "no reading is foretold better than the model is"
     with pytest.raises(VsfsimError, match="noise_share -1"):
         Sbml(noise_share=-1.0)

@@ -39,7 +39,8 @@ def toy_views():
 
 @pytest.fixture(scope="session")
 def toy_dataset(tmp_path_factory, toy_views):
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
+                    splits={"train": 1, "test": 2},
                     device="cpu", tier="vsf", precision="float64", renderer="warp")
     with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in toy_views]) as writer:
         for view in toy_views:

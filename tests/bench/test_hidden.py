@@ -28,7 +28,8 @@ base = 1e5
 [object.young_modulus.inclusions]
 choice = [ [ { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 }, { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 } ] ]
 """
-RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2}, device="cpu", tier="vsf",
+RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+                device="cpu", tier="vsf",
                 precision="float64", renderer="warp")
 
 
@@ -61,7 +62,8 @@ class Answers:
         return [np.zeros((len(t.time), 1)) for t in touches]
 
     def stiffness(self, points):
-        return Estimate(np.max([h.inside(points) for h in KNOWN], axis=0) * 1.0 + 1.0 if not self.blur else np.ones(len(points)), np.zeros(len(points)))
+        return Estimate(np.max([h.inside(points) for h in KNOWN], axis=0) * 1.0 + 1.0 if not self.blur
+                        else np.ones(len(points)), np.zeros(len(points)))
 
     def locate(self, vertices, triangles):
         assert len(vertices) > 20 and triangles.max() == len(vertices) - 1
@@ -83,7 +85,8 @@ def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
     right, flat = mask.scores(mask.stiff[mask.pixel].astype(float)), mask.scores(np.ones(len(mask.points)))
     assert right == {"mask_f1": 1.0, "mask_precision": 1.0, "mask_recall": 1.0}
     share = mask.stiff.mean()
-    assert flat["mask_recall"] == 1.0 and flat["mask_precision"] == pytest.approx(share) and flat["mask_f1"] == pytest.approx(2 * share / (1 + share))
+    assert (flat["mask_recall"] == 1.0 and flat["mask_precision"] == pytest.approx(share)
+            and flat["mask_f1"] == pytest.approx(2 * share / (1 + share)))
 
 
 def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path, monkeypatch):
@@ -109,11 +112,13 @@ def test_a_pose_is_scored(dataset, task_text):
     right = evaluate(f"{__name__}:Answers", task, dataset, seeds=1).scores
     wrong = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": 1.0}, seeds=1).scores
     between = pose_scores(POSES[0], Hidden.of(dataset.recipe, views[1]).known_object()[2])
-    assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"] / 2) and right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
+    assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"]
+                                                                / 2) and right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
     assert wrong["rotation_error"]["all"].mean == pytest.approx((180.0 + abs(180.0 - between["rotation_error"])) / 2)
     with pytest.raises(MethodError, match="must be a rigid"):
         evaluate(f"{__name__}:Crooked", task, dataset, seeds=1)
-    assert "rotation_error" not in evaluate("toy_methods:Constant", task, dataset, parameters={"value": 1.0}, seeds=1).scores
+    assert "rotation_error" not in evaluate("toy_methods:Constant", task, dataset, parameters={"value": 1.0},
+                                            seeds=1).scores
 
 
 class Crooked(Answers):
@@ -124,7 +129,8 @@ class Crooked(Answers):
 def test_pose_errors_by_hand():
     turned = np.eye(4)
     turned[:3, :3], turned[:3, 3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]], [0.003, 0.004, 0.0]
-    assert pose_scores(np.eye(4), turned) == {"translation_error": pytest.approx(5.0), "rotation_error": pytest.approx(90.0)}
+    assert pose_scores(np.eye(4), turned) == {"translation_error": pytest.approx(5.0),
+                                              "rotation_error": pytest.approx(90.0)}
 
 
 @pytest.mark.parametrize("kind, numbers, volume", [
@@ -141,6 +147,8 @@ def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume
 
 
 def test_a_scene_without_inclusions_is_refused(dataset):
-    plain = dataclasses.replace(RECIPE, scene_text=SCENE[:SCENE.index("[object.young")].replace("[object]", "[object]\nyoung_modulus = 1e5"))
+    plain = dataclasses.replace(RECIPE,
+                                scene_text=SCENE[:SCENE.index("[object.young")].replace("[object]",
+                                                                                        "[object]\nyoung_modulus = 1e5"))
     with pytest.raises(TaskError, match="no inclusions"):
         Hidden.of(plain, dataset.load(dataset.names("test")[0]))

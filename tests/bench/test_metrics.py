@@ -33,7 +33,8 @@ def test_spearman_agrees_with_scipy_with_ties():
 
 def test_stiffness_scores_allow_one_scale_and_punish_zero():
     truth = np.array([1.0, 10.0, 100.0, 1000.0, 1000.0])
-    assert stiffness_scores(3.7 * truth, truth) == pytest.approx({"stiffness_spearman": 1.0, "stiffness_log10": 0.0, "stiffness_f1": 1.0})
+    assert stiffness_scores(3.7 * truth, truth) == pytest.approx({"stiffness_spearman": 1.0, "stiffness_log10": 0.0,
+                                                                  "stiffness_f1": 1.0})
     scores = stiffness_scores(np.array([0.0, 10.0, 100.0, 1000.0, 1000.0]), truth)
     assert scores["stiffness_log10"] == pytest.approx(1.0 / 5)  # one point of five is a decade too soft
     assert stiffness_scores(np.zeros(5), truth) is None
@@ -51,15 +52,18 @@ def test_stiff_points_are_the_upper_of_two_classes_and_f1_is_the_best_there_is()
 
 
 def test_uncertainty_by_hand():
-    one = touch_uncertainty(np.array([[1.0], [4.0], [7.0]]), np.array([[2.0], [2.0], [np.nan]]), np.array([[0.0], [0.0], [0.0]]), np.array([True, True, False]))
+    one = touch_uncertainty(np.array([[1.0], [4.0], [7.0]]), np.array([[2.0], [2.0], [np.nan]]),
+                            np.array([[0.0], [0.0], [0.0]]), np.array([True, True, False]))
     assert one["n"] == 2 and (one["in50"], one["in90"]) == (1, 1)
     log = np.log(2.0) + 0.5 * np.log(2 * np.pi)
-    assert reading_uncertainty([one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log, "coverage50": 0.5, "coverage90": 0.5})
+    assert reading_uncertainty([one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log, "coverage50": 0.5,
+                                                        "coverage90": 0.5})
     # A calibrated std: the shares are what they are called, and any other std costs likelihood.
     rng = np.random.default_rng(0)
     std = rng.uniform(0.5, 5.0, (20_000, 1))
     error, valid = std * rng.standard_normal((20_000, 1)), np.ones(20_000, bool)
-    right, bold, timid = (reading_uncertainty([touch_uncertainty(error, f * std, np.zeros_like(error), valid)]) for f in (1.0, 0.5, 2.0))
+    right, bold, timid = (reading_uncertainty([touch_uncertainty(error, f * std, np.zeros_like(error), valid)])
+                          for f in (1.0, 0.5, 2.0))
     assert right["coverage50"] == pytest.approx(0.5, abs=0.02) and right["coverage90"] == pytest.approx(0.9, abs=0.01)
     assert right["nll"] < min(bold["nll"], timid["nll"])
 
@@ -67,9 +71,11 @@ def test_uncertainty_by_hand():
 def test_stiffness_uncertainty_allows_the_same_scale_on_mean_and_std():
     truth = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
     mean = truth + np.array([0.0, 1.0, -2.0, 0.0, 8.0])
-    first, second = (stiffness_uncertainty(f * mean, f * np.array([1.0, 2.0, 2.5, 0.5, 9.0]), truth) for f in (1.0, 1e6))
+    first, second = (stiffness_uncertainty(f * mean, f * np.array([1.0, 2.0, 2.5, 0.5, 9.0]), truth)
+                     for f in (1.0, 1e6))
     assert first == pytest.approx(second)
-    assert first["stiffness_coverage90"] == 1.0 and first["stiffness_coverage50"] == pytest.approx(3 / 5) and first["stiffness_std_spearman"] > 0.5
+    assert (first["stiffness_coverage90"] == 1.0 and first["stiffness_coverage50"] == pytest.approx(3 / 5)
+            and first["stiffness_std_spearman"] > 0.5)
     assert stiffness_uncertainty(mean, np.zeros(5), truth) is None
 
 
@@ -77,7 +83,8 @@ def test_noise_is_reproducible_tared_and_per_touch():
     force = np.zeros((10, 3))
     force[5:] = 2.0
     noise = Noise(0.0, 0.5, 0.0, 3, 0)
-    np.testing.assert_allclose(noisy_force(force, noise, object_index=0, view_index=0, touch_index=0), force, atol=1e-12)
+    np.testing.assert_allclose(noisy_force(force, noise, object_index=0, view_index=0, touch_index=0), force,
+                               atol=1e-12)
     noise = Noise(0.15, 0.0, 0.0, 0, 0)
     a, b, c = (noisy_force(force, noise, object_index=0, view_index=0, touch_index=k) for k in (0, 0, 1))
     assert np.array_equal(a, b) and not np.array_equal(a, c)

@@ -1,4 +1,5 @@
-"""The noise of a Punyo by its statistics. Bounds are multiples of the standard error of the sample, so a right sensor fails about once in 10^5 seeds."""
+"""The noise of a Punyo by its statistics. Bounds are multiples of the standard error of the sample, so a right sensor
+fails about once in 10^5 seeds."""
 
 import dataclasses
 
@@ -19,7 +20,8 @@ SIGMAS = 4.5  # of a normal: 7e-6 on both sides
 
 def punyo(**changes) -> Noise:
     """The real sensor's noise, as a task file with ``kind = "punyo"`` has it."""
-    return dataclasses.replace(Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 0, "seed": 0, **NOISE_KINDS["punyo"]}), **changes)
+    return dataclasses.replace(Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 0, "seed": 0,
+                                        **NOISE_KINDS["punyo"]}), **changes)
 
 
 def seconds(frames):
@@ -33,11 +35,14 @@ def free(frames):
 def test_a_task_file_names_the_sensor_and_may_change_a_part(task_text):
     given = 'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }'
     assert given in task_text
-    noise = parse_task(task_text.replace(given, 'noise = { kind = "punyo", pressure_std = 2.0, tare_frames = 3, seed = 0 }'), "toy-v1.toml").noise
+    noise = parse_task(task_text.replace(given,
+                                         'noise = { kind = "punyo", pressure_std = 2.0, tare_frames = 3, seed = 0 }'),
+                       "toy-v1.toml").noise
     assert noise == punyo(pressure_std=2.0, tare_frames=3)
     assert parse_task(task_text, "toy-v1.toml").noise == Noise(0.15, 0.5, 0.0, 2, 0)
     # the measured figures (bubble.md)
-    assert (punyo().pressure_std, punyo().pressure_drift * 5.0, punyo().depth_std, punyo().depth_quantum) == (5.4, -8.0, 5e-5, 1e-4)
+    assert (punyo().pressure_std, punyo().pressure_drift * 5.0, punyo().depth_std,
+            punyo().depth_quantum) == (5.4, -8.0, 5e-5, 1e-4)
     assert 0.14 <= punyo().force_std <= 0.15
     assert punyo().image_lag == 0.077 and punyo().image_lag - punyo().force_lag == pytest.approx(0.058)
 
@@ -49,7 +54,8 @@ def test_pressure_noise_is_white_with_the_measured_size():
     # the standard error of a standard deviation is s / sqrt(2 n), of a mean s / sqrt(n)
     assert out.std() == pytest.approx(5.4, abs=SIGMAS * 5.4 / np.sqrt(2 * frames))
     assert out.mean() == pytest.approx(0.0, abs=SIGMAS * 5.4 / np.sqrt(frames))
-    # white: no correlation at any lag (standard error 1 / sqrt(n)), and equal power in eight bands (each a mean of n/16 exponentials)
+    # white: no correlation at any lag (standard error 1 / sqrt(n)), and equal power in eight bands (each a mean of n/16
+    # exponentials)
     unit = (out - out.mean()) / out.std()
     for lag in (1, 2, 3, 5, 30):
         assert abs(np.mean(unit[:-lag] * unit[lag:])) < SIGMAS / np.sqrt(frames)
@@ -61,7 +67,8 @@ def test_pressure_noise_is_white_with_the_measured_size():
 def test_drift_has_its_mean_and_spread():
     touches, frames = 800, 151  # five seconds
     noise = punyo(pressure_drift_std=0.5)
-    runs = np.stack([noisy_pressure(np.zeros(frames), seconds(frames), free(frames), noise, object_index=0, view_index=0, touch_index=k) for k in range(touches)])
+    runs = np.stack([noisy_pressure(np.zeros(frames), seconds(frames), free(frames), noise, object_index=0,
+                                    view_index=0, touch_index=k) for k in range(touches)])
     rates = np.polyfit(seconds(frames), runs.T, 1)[0]
     # variance of a fitted slope: sigma^2 / sum (t - mean)^2, besides the spread itself
     fit = 5.4**2 / np.sum((seconds(frames) - seconds(frames).mean()) ** 2)
@@ -73,7 +80,8 @@ def test_drift_has_its_mean_and_spread():
 def test_a_step_relaxes_by_two_per_cent():
     time = seconds(60)
     clean = np.where(np.arange(60) < 10, 0.0, 1000.0)
-    out = noisy_pressure(clean, time, free(60), dataclasses.replace(QUIET, relaxation=0.02, relaxation_time=0.15), **WHICH)
+    out = noisy_pressure(clean, time, free(60), dataclasses.replace(QUIET, relaxation=0.02, relaxation_time=0.15),
+                         **WHICH)
     over = (out - clean)[10:]
     assert (out[:10] == 0.0).all()
     # the step takes one frame, in which a part already relaxes: r x tau/dt (1 - e^(-dt/tau)), then e^(-t/tau)
@@ -104,7 +112,8 @@ def test_lags_show_in_the_cross_correlation():
         before, at, after = value[top - 1:top + 2]
         return (shifts[top] + 0.5 * (before - after) / (before - 2 * at + after)) / 30.0
 
-    # the noise moves the top by a fraction of a millisecond over 100 s of signal; linear blending between frames by less than 1 ms
+    # the noise moves the top by a fraction of a millisecond over 100 s of signal; linear blending between frames by
+    # less than 1 ms
     assert late(force) == pytest.approx(0.019, abs=0.002)
     assert late(seen) == pytest.approx(0.077, abs=0.002)
     assert late(seen) - late(force) == pytest.approx(0.058, abs=0.002)
@@ -130,7 +139,8 @@ def test_depth_is_rounded_noisy_and_late():
     steps = skin / 1e-4
     assert np.abs(steps - np.rint(steps)).max() < 1e-4  # float32 of 0.07 m is good to 4e-9 m
     count = skin.size
-    # white noise and rounding add up: 0.05^2 + 0.1^2 / 12 (Sheppard); the residue of the two being correlated is under 1e-2 of that here
+    # white noise and rounding add up: 0.05^2 + 0.1^2 / 12 (Sheppard); the residue of the two being correlated is under
+    # 1e-2 of that here
     expected = np.hypot(5e-5, 1e-4 / np.sqrt(12))
     assert skin.std() == pytest.approx(expected, rel=SIGMAS / np.sqrt(2 * count) + 0.02)
     assert skin.mean() == pytest.approx(0.06543, abs=SIGMAS * expected / np.sqrt(count) + 2e-6)
@@ -140,7 +150,8 @@ def test_depth_is_rounded_noisy_and_late():
     assert ramp[5:, 0, 0] - late[5:, 0, 0] == pytest.approx(np.full(35, 0.03 * 0.077), abs=1e-7)
     # skin that comes into view is not blended with nothing
     comes = np.where(np.arange(10) < 5, 0.0, 0.06)[:, None, None]
-    assert set(np.round(noisy_depth(comes, seconds(10), dataclasses.replace(QUIET, image_lag=0.01), **WHICH).ravel(), 6)) == {0.0, np.float32(0.06)}
+    assert set(np.round(noisy_depth(comes, seconds(10), dataclasses.replace(QUIET, image_lag=0.01), **WHICH).ravel(),
+                        6)) == {0.0, np.float32(0.06)}
 
 
 def test_nodes_move_along_their_rays():
@@ -177,7 +188,8 @@ def test_node_forces_are_off_by_their_share_where_there_is_contact():
     # each frame's RMS is that of 300 normals: relative standard error 1 / sqrt(600)
     assert rms == pytest.approx(np.full(299, 0.2), abs=0.2 * SIGMAS / np.sqrt(600))
     assert rms.mean() == pytest.approx(0.2, abs=0.2 * SIGMAS / np.sqrt(600 * 299))
-    late = noisy_node_force(np.arange(4.0)[:, None, None] * np.ones((4, 2, 3)), seconds(4), dataclasses.replace(QUIET, image_lag=1 / 60), **WHICH)
+    late = noisy_node_force(np.arange(4.0)[:, None, None] * np.ones((4, 2, 3)), seconds(4),
+                            dataclasses.replace(QUIET, image_lag=1 / 60), **WHICH)
     assert late[:, 0, 0] == pytest.approx([0.0, 0.5, 1.5, 2.5])
     with pytest.raises(TaskError, match=r"\(T, N, 3\)"):
         noisy_node_force(force[0], seconds(300), punyo(), **WHICH)
@@ -185,7 +197,8 @@ def test_node_forces_are_off_by_their_share_where_there_is_contact():
 
 def test_streams_are_of_the_touch_and_the_sensor():
     time = seconds(50)
-    a, b, c = (noisy_pressure(np.zeros(50), time, free(50), punyo(), object_index=0, view_index=0, touch_index=k) for k in (0, 0, 1))
+    a, b, c = (noisy_pressure(np.zeros(50), time, free(50), punyo(), object_index=0, view_index=0, touch_index=k)
+               for k in (0, 0, 1))
     assert np.array_equal(a, b) and not np.array_equal(a, c)
     force = noisy_force(np.zeros((50, 3)), punyo(force_lag=0.0), **WHICH)
     other = noisy_pressure(np.zeros(50), time, free(50), punyo(pressure_drift=0.0), **WHICH)
@@ -196,11 +209,13 @@ def test_streams_are_of_the_touch_and_the_sensor():
 
 def test_a_task_may_read_the_pressure(task_text):
     task = parse_task(task_text.replace('kind = "normal-force"', 'kind = "pressure"').replace(
-        'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }', 'noise = { kind = "punyo", tare_frames = 2, seed = 0 }'), "toy-v1.toml")
+        'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }',
+                                                                                              'noise = { kind = "punyo", tare_frames = 2, seed = 0 }'), "toy-v1.toml")
     view = mock_view(1, split="test", touches=4)
     with pytest.raises(TaskError, match="no pressure"):
         record(view, task)
-    touches = [dataclasses.replace(t, rest_pressure=7400.0, pressure=7400.0 + 139.0 * t.normal_force()) for t in view.touches]
+    touches = [dataclasses.replace(t, rest_pressure=7400.0, pressure=7400.0 + 139.0 * t.normal_force())
+               for t in view.touches]
     touches[0].converged[7], touches[0].pressure[7] = False, np.nan
     recording = record(dataclasses.replace(view, touches=tuple(touches)), task)
     for touch, reading, clean in zip(touches, recording.readings, recording.clean):

@@ -23,7 +23,8 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
     back = Result.load(tmp_path / "deep" / "r.json")
     assert back == results[0]
     rows = [dict(zip(QUERY_COLUMNS, row)) for row in zip(*(back.queries[c] for c in QUERY_COLUMNS))]
-    assert scores_of(rows, back.shots, back.seeds)["rmse"] == dict(back.scores["rmse"]), "the scores follow from the raw values"
+    assert scores_of(rows, back.shots,
+                     back.seeds)["rmse"] == dict(back.scores["rmse"]), "the scores follow from the raw values"
     assert back.task_sha256 == task.sha256 and back.made_by["vsfsim"] and back.versions["numpy"] == np.__version__
     assert back.timing["adapts"] == 2 * (1 + 3 + 3 + 1)
 
@@ -50,7 +51,8 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     for name, result in zip("abc", results):
         dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
     scaled = {**results[1].readings, "ss": [1.21 * v for v in results[1].readings["ss"]]}
-    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64, readings=scaled).save(tmp_path / "d.json")
+    dataclasses.replace(results[1], method="stranger", dataset_sha256="f" * 64,
+                        readings=scaled).save(tmp_path / "d.json")
     dataclasses.replace(results[1], method="unknown", dataset_sha256="f" * 64, readings={}).save(tmp_path / "f.json")
     dataclasses.replace(results[1], method="older", task_sha256="e" * 64).save(tmp_path / "e.json")
     board = leaderboard.collect(task, [tmp_path])
@@ -58,7 +60,8 @@ def test_board_ranks_by_the_primary_metric_and_marks_other_data(results, task, t
     ranked = [row.result.method for row in board.rows if row.rank]
     assert ranked == sorted(mean, key=mean.get) and [row.rank for row in board.rows] == [1, 2, 3, None, None, None]
     text = leaderboard.text(board)
-    assert "stranger: other dataset (ffffffffffff, its readings are 10 % off), not ranked" in text and "older: other text of the task" in text
+    assert ("stranger: other dataset (ffffffffffff, its readings are 10 % off), not ranked" in text
+            and "older: other text of the task" in text)
     assert "unknown: other dataset (ffffffffffff), not ranked" in text
     assert "1.00 ± 0.10" in text and "hPa" in text and "not comparable" in text
     page = leaderboard.markdown(board)
@@ -69,7 +72,8 @@ def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results
     for name, result in zip("abc", results):
         dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
     there = {**results[1].readings, "ss": [(1.0 + 2e-6) * v for v in results[1].readings["ss"]]}
-    close = {metric: {shot: dataclasses.replace(score, per_seed=tuple((1.0 + 1e-6) * v for v in score.per_seed), mean=(1.0 + 1e-6) * score.mean) for shot, score in by_shot.items()}
+    close = {metric: {shot: dataclasses.replace(score, per_seed=tuple((1.0 + 1e-6) * v for v in score.per_seed),
+                                                mean=(1.0 + 1e-6) * score.mean) for shot, score in by_shot.items()}
              for metric, by_shot in results[1].scores.items()}
     elsewhere = dataclasses.replace(results[1], dataset_sha256="f" * 64, readings=there)
     dataclasses.replace(elsewhere, method="new").save(tmp_path / "d.json")
@@ -81,15 +85,19 @@ def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results
         ("a", True, False), ("a", True, True), ("b", True, False), ("c", True, False), ("new", True, True)]
     assert max(row.apart for row in board.rows) == pytest.approx(1e-6, rel=1e-3)
     text = leaderboard.text(board)
-    assert "new ~" in text and "~ on the same dataset made on a machine that rounds otherwise; its readings are 0.0001 % off at most" in text
+    assert ("new ~" in text and "~ on the same dataset made on a machine that rounds otherwise; its readings are "
+                                "0.0001 % off at most" in text)
 
 
 def test_how_far_readings_are_apart():
     one = {"object": ["x", "x"], "touch": [0, 3], "n": [2, 2], "ss": [9.0, 16.0]}
-    assert readings_apart({**one, "ss": [9.0, 25.0]}, one) == pytest.approx(1.0 / 5.0) and readings_apart(one, one) == 0.0
+    assert readings_apart({**one, "ss": [9.0, 25.0]},
+                          one) == pytest.approx(1.0 / 5.0) and readings_apart(one, one) == 0.0
     swapped = {"object": ["x", "x"], "touch": [3, 0], "n": [2, 2], "ss": [16.0, 9.0]}
     assert readings_apart(swapped, one) == 0.0, "by touch, not by row"
-    assert readings_apart({**one, "touch": [0, 4]}, one) is None and readings_apart({}, one) is None and readings_apart(one, {}) is None
+    assert readings_apart({**one, "touch": [0, 4]}, one) is None and readings_apart({},
+                                                                                    one) is None and readings_apart(one,
+                                                                                                                    {}) is None
 
 
 def test_readings_are_the_true_ones_of_the_query_touches(results):
@@ -101,14 +109,17 @@ def test_readings_are_the_true_ones_of_the_query_touches(results):
     # of the method that says 1 everywhere, sum (1 - v)^2 lies between (|v| -+ sqrt n)^2
     sse = dict(zip(zip(*(results[1].queries[c] for c in ("object", "touch"))), results[1].queries["sse"]))
     for name, touch, n, ss in zip(*(kept[c] for c in READING_COLUMNS)):
-        assert (ss**0.5 - n**0.5) ** 2 <= sse[name, touch] * (1 + 1e-12) and sse[name, touch] <= (ss**0.5 + n**0.5) ** 2 * (1 + 1e-12)
+        assert (ss**0.5 - n**0.5) ** 2 <= sse[name, touch] * (1 + 1e-12) and sse[name,
+                                                                                 touch] <= (ss**0.5
+                                                                                            + n**0.5) ** 2 * (1 + 1e-12)
 
 
 def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
     for name, a in zip("ab", (1, 2)):
         dataclasses.replace(results[0], method="twin", parameters={"a": a, "b": 0.5}).save(tmp_path / f"{name}.json")
     dataclasses.replace(results[1], method="alone", parameters={"a": 3}).save(tmp_path / "c.json")
-    names = [line.split("  ")[1].strip() for line in leaderboard.text(leaderboard.collect(task, [tmp_path])).splitlines() if line[:1].isdigit()]
+    names = [line.split("  ")[1].strip()
+             for line in leaderboard.text(leaderboard.collect(task, [tmp_path])).splitlines() if line[:1].isdigit()]
     assert sorted(names) == ["alone", "twin (a=1)", "twin (a=2)"]
 
 
@@ -123,7 +134,8 @@ def test_a_result_from_before_a_parameter_existed_is_the_same_row(results, task,
     dataclasses.replace(results[0], parameters={"a": 1, "way": "old"}).save(tmp_path / "b.json")
     assert [dict(row.result.parameters) for row in leaderboard.collect(task, [tmp_path]).rows] == [{"a": 1}]
     dataclasses.replace(results[0], parameters={"a": 2, "way": "old"}).save(tmp_path / "b.json")
-    assert len(leaderboard.collect(task, [tmp_path]).rows) == 2, "another value of a parameter that both know is another row"
+    assert len(leaderboard.collect(task,
+                                   [tmp_path]).rows) == 2, "another value of a parameter that both know is another row"
 
 
 def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):
@@ -153,7 +165,8 @@ def test_predictions_from_a_file_score_like_the_method_itself(results, task, toy
     np.savez(tmp_path / "p.npz", **answers)
     scored = score_predictions(tmp_path / "p.npz", task, toy_dataset, name="elsewhere")
     assert scored.scores["rmse"] == results[2].scores["rmse"]
-    for change, message in ((lambda a: a.pop(next(iter(a))), "have no '"), (lambda a: a.update(x=np.zeros(1)), "does not ask"),
+    for change, message in ((lambda a: a.pop(next(iter(a))), "have no '"),
+                            (lambda a: a.update(x=np.zeros(1)), "does not ask"),
                             (lambda a: a.update({next(iter(a)): np.full((12, 1), np.nan)}), "not finite")):
         wrong = dict(answers)
         change(wrong)

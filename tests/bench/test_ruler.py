@@ -52,9 +52,11 @@ def test_a_constant_scores_what_a_hand_computes(task, toy_dataset, toy_views):
 
 def test_an_std_is_scored_where_it_is_given(task, toy_dataset, toy_views):
     result = evaluate("toy_methods:Sure", task, toy_dataset, parameters={"value": 2.0})
-    errors = [abs(2.0 + float(f @ touch.axis)) for view in toy_views[1:] for touch in (view.touches[i] for i in divide(view, task.protocol).query) for f in touch.force]
+    errors = [abs(2.0 + float(f @ touch.axis)) for view in toy_views[1:]
+              for touch in (view.touches[i] for i in divide(view, task.protocol).query) for f in touch.force]
     want = {"nll": np.mean([0.5 * (e / 2.0) ** 2 for e in errors]) + np.log(2.0) + 0.5 * np.log(2 * np.pi),
-            "coverage50": np.mean([e <= 0.6744897501960817 * 2.0 for e in errors]), "coverage90": np.mean([e <= 1.6448536269514722 * 2.0 for e in errors])}
+            "coverage50": np.mean([e <= 0.6744897501960817 * 2.0 for e in errors]),
+            "coverage90": np.mean([e <= 1.6448536269514722 * 2.0 for e in errors])}
     for metric, value in want.items():
         for label in result.shots:
             assert result.scores[metric][label].mean == pytest.approx(value, rel=1e-12), (metric, label)
@@ -110,7 +112,8 @@ def test_unconverged_frames_are_masked_and_unusable_touches_left_out(task, toy_v
     view = dataclasses.replace(view, touches=tuple(touches))
     recording = record(view, task)
     assert list(np.flatnonzero(~recording.readings[0].valid)) == [4, 5]
-    assert np.isnan(recording.readings[0].value[4:6]).all() and np.isfinite(recording.readings[0].value[recording.readings[0].valid]).all()
+    assert (np.isnan(recording.readings[0].value[4:6]).all()
+            and np.isfinite(recording.readings[0].value[recording.readings[0].valid]).all())
     draw = divide(view, task.protocol)
     assert 1 not in draw.query and 1 not in draw.pool
     assert len(specimen(view, task).touches) == 11

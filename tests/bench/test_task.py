@@ -25,16 +25,21 @@ def test_a_task_that_is_superseded_keeps_its_identity():
     mended = load_task(load_task("inclusion-mini-v1").superseded_by)
     assert mended.name == "inclusion-mini-v2" and mended.superseded_by == ""
     without = text.replace('superseded_by = "inclusion-mini-v2"\n', "")
-    assert parse_task(text, "t").sha256 == parse_task(without, "t").sha256 != parse_task(without.replace("query = 10", "query = 9"), "t").sha256
+    assert parse_task(text, "t").sha256 == parse_task(without,
+                                                      "t").sha256 != parse_task(without.replace("query = 10",
+                                                                                                "query = 9"),
+                                                                                "t").sha256
     assert "superseded_by" not in without
 
 
 @pytest.mark.parametrize("name", list(shelf.tasks()))
 def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
-    """So `vsfsim generate SCENE --out FOLDER` is enough, with `--seed` for a second version on fresh objects; the longer command that the error prints makes the same."""
+    """So `vsfsim generate SCENE --out FOLDER` is enough, with `--seed` for a second version on fresh objects; the
+    longer command that the error prints makes the same."""
     wanted = load_task(name).dataset
     scene = load_scene(shelf.find_scene(wanted.scene))
-    recipe = make_recipe(scene, seed=wanted.seed, objects=None, views=None, touches=None, tier=None, device="cpu", precision="float64", renderer="warp")
+    recipe = make_recipe(scene, seed=wanted.seed, objects=None, views=None, touches=None, tier=None, device="cpu",
+                         precision="float64", renderer="warp")
     assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
         (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
 
@@ -65,7 +70,9 @@ def test_bad_task_files_are_refused(task_text, old, new, message):
 
 
 def test_a_missing_dataset_names_the_command_that_makes_it(task, tmp_path):
-    with pytest.raises(TaskError, match=r"vsfsim generate mock --objects 3 --views 1 --touches 12 --seed 0 --tier vsf --out .*nowhere"):
+    with pytest.raises(TaskError,
+                       match=r"vsfsim generate mock --objects 3 --views 1 --touches 12 --seed 0 --tier vsf "
+                             r"--out .*nowhere"):
         open_dataset(task, tmp_path / "nowhere")
 
 
@@ -77,7 +84,8 @@ def test_the_default_place_can_be_moved(task, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ("folder = \"toy\", scene = \"mock\", seed = 0", "folder = \"toy\", scene = \"mock\", seed = 1", "seed is 0, not 1"),
+    ("folder = \"toy\", scene = \"mock\", seed = 0", "folder = \"toy\", scene = \"mock\", seed = 1",
+     "seed is 0, not 1"),
     ("tier = \"vsf\"", "tier = \"fem\"", "tier is 'vsf', not 'fem'"),
     ("tier = \"vsf\"", "tier = \"vsf\", scene_sha256 = \"00\"", "sha256 of the scene text"),
     ("tier = \"vsf\"", "tier = \"vsf\", sha256 = \"00\"", "sha256 of the content"),

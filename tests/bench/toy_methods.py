@@ -7,7 +7,8 @@ import numpy as np
 from vsfsim.bench.method import Estimate
 
 ANSWERS = {}
-"""The oracle's back door: a test puts noise-free readings here, by the bytes of the poses. No product code knows of it."""
+"""The oracle's back door: a test puts noise-free readings here, by the bytes of the poses. No product code knows of
+it."""
 
 LOG = []
 

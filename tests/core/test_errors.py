@@ -10,5 +10,6 @@ def test_the_nearest_word_and_all_of_them():
 
 
 def test_an_unknown_key_says_where():
-    assert unknown_key("s.toml [press]", "form", ["from", "to"]) == "s.toml [press]: unknown key 'form'. Did you mean 'from'? Allowed: from, to."
+    assert unknown_key("s.toml [press]", "form",
+                       ["from", "to"]) == "s.toml [press]: unknown key 'form'. Did you mean 'from'? Allowed: from, to."
     assert issubclass(SceneError, VsfsimError) and not issubclass(VsfsimError, ValueError)

@@ -64,15 +64,18 @@ def small(more="", *, old="", new=""):
 
 def test_every_table_is_read():
     s = parse_scene(FULL, Path("there/full.toml")).sample(0)
-    assert (s.name, s.needs, s.gravity, s.source) == ("full", ("normal-force", "appearance"), (0.0, 0.0, -9.81), Path("there/full.toml"))
+    assert (s.name, s.needs, s.gravity, s.source) == ("full", ("normal-force", "appearance"), (0.0, 0.0, -9.81),
+                                                      Path("there/full.toml"))
     o = s.object
     assert isinstance(o.shape, Family) and o.shape.name == "shoe" and 0.24 <= o.shape.parameters["length"] <= 0.28
     assert (o.pose, o.yaw, o.fixed) == ((0.1, 0.2, 0.3), 0.5, (-0.1, -0.1, 0.0, 0.1, 0.1, 0.01))
     assert (o.tier, o.resolution, o.poisson_ratio, o.density, o.friction) == ("fem", 0.02, 0.3, 400.0, 0.2)
-    assert o.young_modulus.base == 1e5 and o.young_modulus.regions == {"sole": 2e6} and o.young_modulus.inclusions[0].young_modulus == 1e7
+    assert (o.young_modulus.base == 1e5 and o.young_modulus.regions == {"sole": 2e6}
+            and o.young_modulus.inclusions[0].young_modulus == 1e7)
     assert o.appearance == {"tint": 0.5} and s.probe == Capsule(0.01, 0.02)
     p, t, c, d = s.press, s.touches, s.camera, s.dataset
-    assert (p.path, p.start, p.stop, p.frames, p.hold, p.retract, p.rotation) == (((0, 0, 0.1), (0, 0, 0.09)), (0, 0, 0.1), (0, 0, 0.09), (5,), 2, 3, None)
+    assert (p.path, p.start, p.stop, p.frames, p.hold, p.retract,
+            p.rotation) == (((0, 0, 0.1), (0, 0, 0.09)), (0, 0, 0.1), (0, 0, 0.09), (5,), 2, 3, None)
     assert (t.count, t.depth, t.approach, t.force_limit, t.frames) == (7, 0.004, 0.02, 10.0, (1, 4, 2, 3))
     assert (c.width, c.height, c.fov, c.distance, c.elevation) == (64, 48, 0.7, 0.5, 0.6) and -1.0 <= c.azimuth <= 1.0
     assert (d.objects, d.views, d.splits) == (6, 2, {"train": 4, "test": 2})
@@ -82,7 +85,8 @@ def test_three_lines_are_enough():
     s = small().sample()
     assert (s.name, s.needs, s.gravity, s.probe) == ("s", ("normal-force",), (0.0, 0.0, 0.0), Sphere(0.02))
     assert s.press is s.touches is s.dataset is None
-    assert (s.object.fixed, s.object.tier, s.object.resolution, s.object.poisson_ratio, s.object.friction) == ("bottom", "auto", None, 0.45, 0.0)
+    assert (s.object.fixed, s.object.tier, s.object.resolution, s.object.poisson_ratio,
+            s.object.friction) == ("bottom", "auto", None, 0.45, 0.0)
 
 
 @pytest.mark.parametrize("name", sorted(shelf.scenes()))
@@ -112,14 +116,19 @@ def test_shipped_scenes_load(name):
     ("fixed = [-0.1, -0.1, 0.0, 0.1, 0.1, 0.01]", 'fixed = "botom"', "fixed is 'botom'. Did you mean 'bottom'?"),
     ("fixed = [-0.1, -0.1, 0.0, 0.1, 0.1, 0.01]", "fixed = [0, 1]", "fixed is [0, 1]; it must be 6 numbers."),
     ("poisson_ratio = 0.3", "poisson_ratio = 0.5", "poisson_ratio is 0.5; it must be a number from 0 to 0.4999."),
-    ("poisson_ratio = 0.3", "poisson_ratio = nan", "poisson_ratio is nan"), ("poisson_ratio = 0.3", "poisson_ratio = true", "poisson_ratio is True"),
+    ("poisson_ratio = 0.3", "poisson_ratio = nan", "poisson_ratio is nan"),
+                                                     ("poisson_ratio = 0.3", "poisson_ratio = true",
+                                                      "poisson_ratio is True"),
     ("density = 400", "density = -1", "density is -1; it must be a number from 0.001 to 30000 kg/m^3."),
-    ("resolution = 0.02", "resolution = 0", "resolution is 0; it must be a number from 1e-05 to 1 m."), ("friction = 0.2", "friction = -0.2", "friction is -0.2"),
+    ("resolution = 0.02", "resolution = 0", "resolution is 0; it must be a number from 1e-05 to 1 m."),
+                                                     ("friction = 0.2", "friction = -0.2", "friction is -0.2"),
     ("appearance = { tint = 0.5 }", "appearance = 3", "appearance is 3; it must be a table."),
     ("to = [0, 0, 0.09]", "to = [0, 0, 0.1]", "[press]: from and to are both [0.0, 0.0, 0.1]; the probe must move."),
     ("to = [0, 0, 0.09]\n", "", "[press]: to is None; it must be 3 numbers."),
-    ("frames = 5", "frames = 2.5", "[press]: frames is 2.5; it must be a whole number from 1 to 10000."), ("hold = 2", "hold = -1", "hold is -1"),
-    ("count = 7", "count = 0", "[touches]: count is 0; it must be a whole number"), ("in = 4", "in = 0", "[touches] frames: in is 0"),
+    ("frames = 5", "frames = 2.5", "[press]: frames is 2.5; it must be a whole number from 1 to 10000."),
+                                                     ("hold = 2", "hold = -1", "hold is -1"),
+    ("count = 7", "count = 0", "[touches]: count is 0; it must be a whole number"),
+                                                     ("in = 4", "in = 0", "[touches] frames: in is 0"),
     ("depth = 0.004", "depth = 4", "depth is 4; it must be a number from 1e-05 to 0.5 m."),
     ("fov = 0.7", "fov = 45", "[camera]: fov is 45; it must be a number from 0.05 to 2.8 rad."),
     ("train = 4", "train = 3", "[dataset]: splits add up to 5, but there are 6 objects; make them equal."),
@@ -143,13 +152,17 @@ def test_what_is_missing_is_named():
 
 
 def test_a_distribution_stands_wherever_a_value_may():
-    text = FULL.replace("count = 7", "count = { choice = [7, 9] }").replace("base = 1e5", "base = { loguniform = [1e4, 1e6] }")
-    text = text.replace("pose = [0.1,", "pose = [{ uniform = [-0.1, 0.1] },").replace("{ capsule = [0.01, 0.02] }", "{ choice = [{ sphere = { uniform = [0.01, 0.02] } }, { capsule = [0.01, 0.02] }] }")
+    text = FULL.replace("count = 7", "count = { choice = [7, 9] }").replace("base = 1e5",
+                                                                            "base = { loguniform = [1e4, 1e6] }")
+    text = text.replace("pose = [0.1,",
+                        "pose = [{ uniform = [-0.1, 0.1] },").replace("{ capsule = [0.01, 0.02] }",
+                                                                      "{ choice = [{ sphere = { uniform = [0.01, 0.02] } }, { capsule = [0.01, 0.02] }] }")
     drawn = [parse_scene(text, Path("d.toml")).sample(seed) for seed in range(200)]
     assert {s.touches.count for s in drawn} == {7, 9}
     base = np.array([s.object.young_modulus.base for s in drawn])
     assert base.min() >= 1e4 and base.max() <= 1e6
-    # log-uniform over two decades: the median is 1e5 +- a factor of 1.39 (two standard errors of 200 draws, 0.14 decades)
+    # log-uniform over two decades: the median is 1e5 +- a factor of 1.39 (two standard errors of 200 draws, 0.14
+    # decades)
     assert abs(np.log10(np.median(base)) - 5.0) < 0.15
     x = np.array([s.object.pose[0] for s in drawn])
     assert np.abs(x).max() <= 0.1 and np.ptp(x) > 0.19
@@ -169,12 +182,18 @@ def test_the_same_seed_draws_the_same_scene_and_zero_is_one():
 
 
 @pytest.mark.parametrize(("value", "message"), [
-    ("{ uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"), ("{ uniform = [1e5, 1e20] }", "young_modulus is 1e+20"),
-    ("{ choice = [1e5, 2e5, -3e5] }", "young_modulus is -300000.0"), ("{ choice = [1e5, { uniform = [1e5, -2e5] }] }", "it must satisfy low <= high"),
+    ("{ uniform = [-1e5, 1e5] }", "young_modulus is -100000.0"),
+                                                ("{ uniform = [1e5, 1e20] }", "young_modulus is 1e+20"),
+    ("{ choice = [1e5, 2e5, -3e5] }", "young_modulus is -300000.0"),
+                                                ("{ choice = [1e5, { uniform = [1e5, -2e5] }] }",
+                                                 "it must satisfy low <= high"),
     ("{ choice = [1e5, { uniform = [-2e5, 1e5] }] }", "young_modulus is -200000.0"),
-    ("{ uniform = [1e5] }", "give two finite numbers [low, high]"), ("{ uniform = 1e5 }", "give a list, e.g. { uniform = [0.1, 0.2] }"),
-    ("{ uniform = [2e5, 1e5] }", "it must satisfy low <= high"), ("{ loguniform = [0.0, 1e5] }", "it must satisfy 0 < low <= high"),
-    ("{ uniform = [1e5, inf] }", "two finite numbers"), ("{ uniform = [1e5, \"a\"] }", "two finite numbers"), ("{ choice = [] }", "give a list"),
+    ("{ uniform = [1e5] }", "give two finite numbers [low, high]"),
+                                                ("{ uniform = 1e5 }", "give a list, e.g. { uniform = [0.1, 0.2] }"),
+    ("{ uniform = [2e5, 1e5] }", "it must satisfy low <= high"),
+                                                ("{ loguniform = [0.0, 1e5] }", "it must satisfy 0 < low <= high"),
+    ("{ uniform = [1e5, inf] }", "two finite numbers"), ("{ uniform = [1e5, \"a\"] }", "two finite numbers"),
+                                                ("{ choice = [] }", "give a list"),
     ("{ uniform = [true, 1e5] }", "two finite numbers"),
 ])
 def test_distributions_are_checked_at_load_to_their_ends(value, message):
@@ -184,10 +203,12 @@ def test_distributions_are_checked_at_load_to_their_ends(value, message):
 
 
 def test_a_mesh_lies_beside_its_scene():
-    assert small(old="{ box = [0.1, 0.1, 0.05] }", new='{ mesh = "m/scan.obj" }').sample().object.shape == MeshFile("m/scan.obj")
+    assert small(old="{ box = [0.1, 0.1, 0.05] }",
+                 new='{ mesh = "m/scan.obj" }').sample().object.shape == MeshFile("m/scan.obj")
     text = SMALL.replace("{ box = [0.1, 0.1, 0.05] }", '{ mesh = "m/scan.obj", scale = 0.01 }')
     assert parse_scene(text, Path("/a/b/s.toml")).sample().object.shape == MeshFile("/a/b/m/scan.obj", 0.01)
-    assert parse_scene(text.replace("m/scan", "/m/scan"), Path("/a/b/s.toml")).sample().object.shape == MeshFile("/m/scan.obj", 0.01)
+    assert parse_scene(text.replace("m/scan", "/m/scan"),
+                       Path("/a/b/s.toml")).sample().object.shape == MeshFile("/m/scan.obj", 0.01)
 
 
 PRESS = "[press]\nfrom = [0, 0, 0.07]\nto = [0, 0, 0.065]\n"
@@ -220,25 +241,34 @@ def test_several_rigid_bodies():
 
 
 def test_paths():
-    s = small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = [5, 8]\nrotation = [[0, 0, 0], [0, 0, 0], [0, 0, 0.5]]\nhold = 1\n").sample()
-    assert s.press.frames == (5, 8) and s.press.inward == 13 and s.press.stop == (0.01, 0.0, 0.065) and s.press.rotation[2] == (0.0, 0.0, 0.5)
-    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = 4\n").sample().press.frames == (4, 4)
+    s = small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = [5, 8]\nrotation = [[0, 0, "
+              "0], [0, 0, 0], [0, 0, 0.5]]\nhold = 1\n").sample()
+    assert s.press.frames == (5, 8) and s.press.inward == 13 and s.press.stop == (0.01, 0.0,
+                                                                                  0.065) and s.press.rotation[2] == (0.0, 0.0, 0.5)
+    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, "
+                 "0.065]]\nframes = 4\n").sample().press.frames == (4, 4)
     assert small(PRESS + "rotation = [0.1, 0, 0]\n").sample().press.rotation == ((0.1, 0.0, 0.0),) * 2
     # a turn on the spot is a path too
-    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.07]]\nrotation = [[0, 0, 0], [0, 0, 1]]\n").sample().press.inward == 10
+    assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.07]]\nrotation = [[0, 0, 0], "
+                 "[0, 0, 1]]\n").sample().press.inward == 10
 
 
 @pytest.mark.parametrize(("text", "message"), [
     ("path = [[0, 0, 0.07], [0, 0]]", "[press]: path[1] is [0, 0]; it must be 3 numbers."),
-    ("path = [[0, 0, 0.07]]", "[press]: path is [[0, 0, 0.07]]; give 2 to 10000 points"), ("path = 3", "path is 3; give 2 to 10000 points"),
+    ("path = [[0, 0, 0.07]]", "[press]: path is [[0, 0, 0.07]]; give 2 to 10000 points"),
+                                               ("path = 3", "path is 3; give 2 to 10000 points"),
     ("path = [[0, 0, 0.07], [0, 0, 0.07]]", "path[0] and path[1] are both [0.0, 0.0, 0.07]; the probe must move."),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nto = [0, 0, 0]", "there is a path, and to; give either path"),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nframes = [1, 2]", "frames has 2 numbers, but the path has 1 parts"),
     ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nframes = [0]", "frames[0] is 0; it must be a whole number from 1 to 10000."),
-    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1]]", "rotation has 1 rotation vectors, but the path has 2 points"),
-    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1], [0, 0, nan]]", "rotation[1] is [0, 0, nan]; it must be 3 numbers."),
-    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [0, 0, 90]", "rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
-    ("from = [0, 0, 0.07]\nto = [0, 0, 0.06]\nrotation = 1.5", "rotation is 1.5; it must be 3 numbers."), ("from = [0, 0, 0.07]", "to is None; it must be 3 numbers."),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1]]",
+     "rotation has 1 rotation vectors, but the path has 2 points"),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [[0, 0, 1], [0, 0, nan]]",
+     "rotation[1] is [0, 0, nan]; it must be 3 numbers."),
+    ("path = [[0, 0, 0.07], [0, 0, 0.06]]\nrotation = [0, 0, 90]",
+     "rotation is [0.0, 0.0, 90.0], a turn of 90 rad; it is a rotation vector"),
+    ("from = [0, 0, 0.07]\nto = [0, 0, 0.06]\nrotation = 1.5", "rotation is 1.5; it must be 3 numbers."),
+                                               ("from = [0, 0, 0.07]", "to is None; it must be 3 numbers."),
 ])
 def test_paths_that_cannot_be(text, message):
     with pytest.raises(SceneError, match=re.escape(message)) as caught:
@@ -247,17 +277,28 @@ def test_paths_that_cannot_be(text, message):
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
-    ("offset = [0.03, 0.0, 0.0]\n", "", "s.toml [[probe.parts]] 1: offset is missing; give where its origin is, offset = [x, y, z] in metres, in the frame of the probe."),
-    ("pose = [0.06, 0, 0]\n", "", "s.toml [[obstacles]] 1: pose is missing; give where its origin is, pose = [x, y, z] in metres, in the world."),
-    ("pose = [0.06, 0, 0]", "pose = [0.06, 0]", "[[obstacles]] 1: pose is [0.06, 0]; it must be 3 numbers."), ("pose =", "poses =", "unknown key 'poses'. Did you mean 'pose'?"),
+    ("offset = [0.03, 0.0, 0.0]\n", "",
+     "s.toml [[probe.parts]] 1: offset is missing; give where its origin is, offset = [x, y, z] in metres, in the "
+     "frame of the probe."),
+    ("pose = [0.06, 0, 0]\n", "",
+     "s.toml [[obstacles]] 1: pose is missing; give where its origin is, pose = [x, y, z] in metres, in the world."),
+    ("pose = [0.06, 0, 0]", "pose = [0.06, 0]", "[[obstacles]] 1: pose is [0.06, 0]; it must be 3 numbers."),
+                                                     ("pose =", "poses =", "unknown key 'poses'. Did you mean 'pose'?"),
     ("friction = 0.9", "friction = -0.1", "[[probe.parts]] 2: friction is -0.1; it must be a number from 0 to 10."),
     ("friction = 0.9", 'friction = "high"', "[[probe.parts]] 2: friction is 'high'"),
-    ("rotation = [0.0, 0.0, 1.5]", "rotation = [0, 0, 180]", "[[probe.parts]] 2: rotation is [0.0, 0.0, 180.0], a turn of 180 rad"),
-    ("{ plane = true }", "{ rod = [0.1, 0.01] }", "[[obstacles]] 1: unknown shape 'rod'."), ("[[obstacles]]", "[obstacles]", "obstacles is {"),
-    ("scale = 0.001", "scale = 0", "[probe]: scale is 0; it must be a length"), ('mesh = "tip.stl"', "mesh = 3", "[probe]: mesh is 3; give the path of an OBJ"),
+    ("rotation = [0.0, 0.0, 1.5]", "rotation = [0, 0, 180]",
+     "[[probe.parts]] 2: rotation is [0.0, 0.0, 180.0], a turn of 180 rad"),
+    ("{ plane = true }", "{ rod = [0.1, 0.01] }", "[[obstacles]] 1: unknown shape 'rod'."),
+                                                     ("[[obstacles]]", "[obstacles]", "obstacles is {"),
+    ("scale = 0.001", "scale = 0", "[probe]: scale is 0; it must be a length"),
+                                                     ('mesh = "tip.stl"', "mesh = 3",
+                                                      "[probe]: mesh is 3; give the path of an OBJ"),
     ("scale = 0.001", "size = 1", "[probe] shape: unknown key 'size'."),
-    ("[[obstacles]]", "[touches]\ncount = 2\n[[obstacles]]", "[touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene has a mesh as its probe."),
-    ("[[obstacles]]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n" * 64 + "[[obstacles]]", "rigid bodies; 64 are allowed."),
+    ("[[obstacles]]", "[touches]\ncount = 2\n[[obstacles]]",
+     "[touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene "
+     "has a mesh as its probe."),
+    ("[[obstacles]]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n" * 64 + "[[obstacles]]",
+     "rigid bodies; 64 are allowed."),
 ])
 def test_bodies_that_cannot_be(old, new, message):
     assert old in BODIES

@@ -23,15 +23,18 @@ from vsfsim.core.shape import (
 
 
 @pytest.mark.parametrize(("table", "shape"), [
-    ({"box": [0.1, 0.2, 1]}, Box((0.1, 0.2, 1.0))), ({"sphere": 0.02}, Sphere(0.02)), ({"cylinder": [0.01, 0.03]}, Cylinder(0.01, 0.03)),
-    ({"rod": [0.2, 0.006]}, Rod(0.2, 0.006)), ({"mesh": "a.obj"}, MeshFile("a.obj")), ({"mesh": "a.obj", "scale": 0.01}, MeshFile("a.obj", 0.01)),
+    ({"box": [0.1, 0.2, 1]}, Box((0.1, 0.2, 1.0))), ({"sphere": 0.02}, Sphere(0.02)),
+                                              ({"cylinder": [0.01, 0.03]}, Cylinder(0.01, 0.03)),
+    ({"rod": [0.2, 0.006]}, Rod(0.2, 0.006)), ({"mesh": "a.obj"}, MeshFile("a.obj")),
+                                              ({"mesh": "a.obj", "scale": 0.01}, MeshFile("a.obj", 0.01)),
     ({"family": "shoe", "length": 0.26}, Family("shoe", {"length": 0.26})),
 ])
 def test_object_shapes(table, shape):
     assert parse_object_shape(table, "x") == shape
 
 
-@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.05), Cylinder(0.01, 0.03), Box((0.1, 0.2, 0.3)), Plane()])
+@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.05), Cylinder(0.01, 0.03), Box((0.1, 0.2, 0.3)),
+                                   Plane()])
 def test_a_probe_survives_its_table(shape):
     assert parse_probe_shape(probe_table(shape), "x") == shape
 
@@ -43,10 +46,13 @@ def test_a_probe_survives_its_table(shape):
     ({"box": [0.1, 0.1, 0.1], "sphere": 1.0}, "a shape has one kind, this one has 2: box, sphere."),
     ({"box": [0.1, 0.1]}, "box is [0.1, 0.1]; give [x, y, z] in metres."),
     ({"box": [0.1, 0.1, 0.0]}, "box z is 0.0; it must be a length in metres, greater than 0"),
-    ({"sphere": -0.1}, "sphere radius is -0.1"), ({"sphere": True}, "sphere radius is True"), ({"sphere": "big"}, "sphere radius is 'big'"),
+    ({"sphere": -0.1}, "sphere radius is -0.1"), ({"sphere": True}, "sphere radius is True"),
+                                                ({"sphere": "big"}, "sphere radius is 'big'"),
     ({"sphere": float("nan")}, "sphere radius is nan"), ({"sphere": float("inf")}, "sphere radius is inf"),
-    ({"cylinder": 0.1}, "cylinder is 0.1; give [radius, height] in metres."), ({"rod": [0.2, 5e3]}, "rod radius is 5000.0"),
-    ({"mesh": "a.obj", "scal": 1.0}, "x shape: unknown key 'scal'. Did you mean 'scale'?"), ({"mesh": "a.obj", "scale": 0}, "scale is 0"),
+    ({"cylinder": 0.1}, "cylinder is 0.1; give [radius, height] in metres."),
+                                                ({"rod": [0.2, 5e3]}, "rod radius is 5000.0"),
+    ({"mesh": "a.obj", "scal": 1.0}, "x shape: unknown key 'scal'. Did you mean 'scale'?"),
+                                                ({"mesh": "a.obj", "scale": 0}, "scale is 0"),
 ])
 def test_object_shapes_that_cannot_be(table, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -56,7 +62,8 @@ def test_object_shapes_that_cannot_be(table, message):
 @pytest.mark.parametrize(("table", "message"), [
     (0.02, "x: shape is 0.02; give one of sphere, capsule, cylinder, box, plane, mesh"),
     ({"rod": [0.1, 0.1]}, "unknown shape 'rod'. Allowed: box, capsule, cylinder, mesh, plane, sphere."),
-    ({"capsule": [0.01]}, "capsule is [0.01]; give [radius, length] in metres."), ({"box": [0.1, -0.1, 0.1]}, "box y is -0.1"),
+    ({"capsule": [0.01]}, "capsule is [0.01]; give [radius, length] in metres."),
+                                                ({"box": [0.1, -0.1, 0.1]}, "box y is -0.1"),
 ])
 def test_probes_that_cannot_be(table, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -65,12 +72,15 @@ def test_probes_that_cannot_be(table, message):
 
 def test_distance_to_inclusions():
     ball = Inclusion("sphere", (0.1, 0.0, 0.0, 0.05), 1e6)
-    assert ball.distance(np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.05], [0.1, 0.13, 0.0]])) == pytest.approx([-0.05, 0.0, 0.08])
+    assert ball.distance(np.array([[0.1, 0.0, 0.0], [0.1, 0.0, 0.05],
+                                   [0.1, 0.13, 0.0]])) == pytest.approx([-0.05, 0.0, 0.08])
     # corners given in any order; outside the corner (3, 4, 0) away
     block = Inclusion("box", (1.0, 2.0, 3.0, -1.0, -2.0, -3.0), 1e6)
-    assert block.distance(np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0], [4.0, 6.0, 0.0]])) == pytest.approx([-1.0, -0.5, 0.0, 5.0])
+    assert block.distance(np.array([[0.0, 0.0, 0.0], [0.5, 0.0, 0.0], [1.0, 0.0, 0.0],
+                                    [4.0, 6.0, 0.0]])) == pytest.approx([-1.0, -0.5, 0.0, 5.0])
     pill = Inclusion("capsule", (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.25), 1e6)
-    assert pill.distance(np.array([[0.0, 0.0, 0.5], [1.0, 0.0, 0.3], [0.0, 0.0, 2.0]])) == pytest.approx([-0.25, 0.75, 0.75])
+    assert pill.distance(np.array([[0.0, 0.0, 0.5], [1.0, 0.0, 0.3],
+                                   [0.0, 0.0, 2.0]])) == pytest.approx([-0.25, 0.75, 0.75])
     point = Inclusion("capsule", (0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.25), 1e6)
     assert point.distance(np.zeros((1, 1, 3))) == pytest.approx(np.array([[0.75]]))
 
@@ -89,7 +99,9 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
     field = parse_material({"regions": {"sole": 2e6}}, "x")
     assert field.by_region(["upper", "sole"], np.array([3.0, 4.0]), "x").tolist() == [3.0, 2e6]
     assert parse_material(None, "x").by_region(["upper"], np.array([3.0]), "x").tolist() == [3.0]
-    with pytest.raises(SceneError, match=r"x: young_modulus names region 'sole', which this object does not have\. Allowed: body\."):
+    with pytest.raises(SceneError,
+                       match=r"x: young_modulus names region 'sole', which this object does not have\. "
+                             r"Allowed: body\."):
         field.by_region(["body"], None, "x")
     with pytest.raises(SceneError, match="no value for region 'upper'; add it under regions, or give base"):
         field.by_region(["upper", "sole"], None, "x")
@@ -97,14 +109,21 @@ def test_a_region_takes_the_scenes_value_then_the_familys():
 
 @pytest.mark.parametrize(("given", "message"), [
     (-1e5, "x: young_modulus is -100000.0; a Young's modulus is a positive number of pascals, 1 to 1e13"),
-    (0, "young_modulus is 0"), (True, "young_modulus is True"), ("1e5", "young_modulus is '1e5'"), (float("nan"), "young_modulus is nan"), (1e14, "young_modulus is 100000000000000.0"),
-    ({"bse": 1e5}, "x young_modulus: unknown key 'bse'. Did you mean 'base'?"), ({"base": -1.0}, "young_modulus.base is -1.0"),
-    ({"regions": 3.0}, "regions is 3.0; give a table"), ({"regions": {"sole": -1.0}}, "young_modulus.regions.sole is -1.0"),
+    (0, "young_modulus is 0"), (True, "young_modulus is True"), ("1e5", "young_modulus is '1e5'"),
+                                                (float("nan"), "young_modulus is nan"),
+                                                (1e14, "young_modulus is 100000000000000.0"),
+    ({"bse": 1e5}, "x young_modulus: unknown key 'bse'. Did you mean 'base'?"),
+                                                ({"base": -1.0}, "young_modulus.base is -1.0"),
+    ({"regions": 3.0}, "regions is 3.0; give a table"), ({"regions": {"sole": -1.0}},
+                                                         "young_modulus.regions.sole is -1.0"),
     ({"base": 1e5, "inclusions": [3]}, "young_modulus.inclusions[0] is 3"),
-    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1]}]}, "inclusions[0] has keys sphere; give `value` and one of sphere, box, capsule."),
+    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 1]}]},
+     "inclusions[0] has keys sphere; give `value` and one of sphere, box, capsule."),
     ({"base": 1e5, "inclusions": [{"cone": [0, 0, 0, 1], "value": 1e5}]}, "give `value` and one of"),
-    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 1], "value": 1e5}]}, "sphere is [0, 0, 1]; give [x, y, z, radius] in metres, finite numbers"),
-    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 0], "value": 1e5}]}, "the radius is 0; it must be greater than 0"),
+    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 1], "value": 1e5}]},
+     "sphere is [0, 0, 1]; give [x, y, z, radius] in metres, finite numbers"),
+    ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, 0], "value": 1e5}]},
+     "the radius is 0; it must be greater than 0"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, float("nan"), 0, 0.01], "value": 1e5}]}, "finite numbers"),
     ({"base": 1e5, "inclusions": [{"sphere": [0, 0, 0, True], "value": 1e5}]}, "finite numbers"),
     ({"base": 1e5, "inclusions": {"sphere": [0, 0, 0, 0.01], "value": 1e5}}, "young_modulus.inclusions is"),

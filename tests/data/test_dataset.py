@@ -23,7 +23,8 @@ from vsfsim.data.summary import summary
 from vsfsim.data.verify import verify
 from vsfsim.data.writer import DatasetWriter
 
-RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4, splits={"train": 2, "test": 1},
+RECIPE = Recipe(scene="mock", scene_text='name = "mock"\nseed = 1\n', seed=0, objects=3, views=1, touches=4,
+                splits={"train": 2, "test": 1},
                 device="cpu", tier="vsf", precision="float64", renderer="warp", options={})
 VIEWS = [mock_view(i, split="train" if i < 2 else "test", touches=4) for i in range(3)]
 NAMES = [view.name for view in VIEWS]
@@ -192,7 +193,8 @@ time.sleep(20)
 
 def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     writer = DatasetWriter(tmp_path / "d", RECIPE, NAMES)
-    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device")))
+    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.ENOSPC,
+                                                                                  "No space left on device")))
     with pytest.raises(DatasetError, match=r"No space left on device .*MB were needed.*Free some space"):
         writer.add(VIEWS[0])
     monkeypatch.undo()
@@ -277,9 +279,12 @@ def replace_data(file, name, data):
     (lambda f: f["view/depth"].attrs.__setitem__("units", "mm"), "@units 'mm'; the schema says 'm'"),
     (lambda f: f["view/depth"].attrs.__delitem__("dims"), "@dims None"),
     (lambda f: replace_data(f, "touches/000/time", np.zeros(5)), r"shape \(.*T = "),
-    (lambda f: replace_data(f, "touches/000/residual", np.zeros(12, np.float32)), "dtype float32; the schema says float64"),
-    (lambda f: f["touches/002/force"].__setitem__((3, 1), np.nan), r"touches/002/force\[3, 1\] is not finite in a frame marked converged"),
-    (lambda f: f["touches/000/audit/force_balance"].__setitem__(7, 0.01), "touches/000 frame 7: force and reaction differ by 1.0e-02"),
+    (lambda f: replace_data(f, "touches/000/residual", np.zeros(12, np.float32)),
+     "dtype float32; the schema says float64"),
+    (lambda f: f["touches/002/force"].__setitem__((3, 1), np.nan),
+     r"touches/002/force\[3, 1\] is not finite in a frame marked converged"),
+    (lambda f: f["touches/000/audit/force_balance"].__setitem__(7, 0.01),
+     "touches/000 frame 7: force and reaction differ by 1.0e-02"),
     (lambda f: f.attrs.__setitem__("split", "other"), "says split = 'other'"),
 ])
 def test_verify_names_what_is_wrong(tmp_path, change, message):
@@ -304,7 +309,8 @@ def test_unconverged_frames_are_counted_not_complained_about(tmp_path):
     touch = VIEWS[0].touches[0]
     converged, force = touch.converged.copy(), touch.force.copy()
     converged[4:6], force[4:6] = False, np.nan
-    view = dataclasses.replace(VIEWS[0], touches=(dataclasses.replace(touch, converged=converged, force=force), *VIEWS[0].touches[1:]))
+    view = dataclasses.replace(VIEWS[0], touches=(dataclasses.replace(touch, converged=converged, force=force),
+                                                  *VIEWS[0].touches[1:]))
     build(tmp_path / "d", [view, *VIEWS[1:]])
     report = verify(tmp_path / "d")
     assert report.ok and report.unconverged == 2

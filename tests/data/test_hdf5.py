@@ -37,9 +37,12 @@ def full_view():
     converged, force = touch.converged.copy(), touch.force.copy()
     converged[5], force[5] = False, np.nan
     rng = np.random.default_rng(1)
-    return with_touch(view, 0, converged=converged, force=force, reason=np.where(converged, 0, 2), reason_names=("a", "Schrittweite zu groß"),
-                      q=rng.normal(size=(frames, 7)), torque=rng.normal(size=(frames, 7)), pressure=rng.normal(size=frames),
-                      node_position=rng.normal(size=(frames, 4, 3)).astype(np.float32), node_force=rng.normal(size=(frames, 4, 3)).astype(np.float32))
+    return with_touch(view, 0, converged=converged, force=force, reason=np.where(converged, 0, 2),
+                      reason_names=("a", "Schrittweite zu groß"),
+                      q=rng.normal(size=(frames, 7)), torque=rng.normal(size=(frames, 7)),
+                      pressure=rng.normal(size=frames),
+                      node_position=rng.normal(size=(frames, 4, 3)).astype(np.float32),
+                      node_force=rng.normal(size=(frames, 4, 3)).astype(np.float32))
 
 
 def test_round_trip_keeps_every_bit(tmp_path):

@@ -47,10 +47,12 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
     with h5py.File(path, "r") as file:
         file.visititems(look)
         assert list(file) == ["view", "touches", "truth"], "truth must be the last group"
-    assert seen == {f.path for f in FIELDS if f.required} | {"touches/*/audit/min_det_f"}  # of a solid; a plant has none
+    # of a solid; a plant has none
+    assert seen == {f.path for f in FIELDS if f.required} | {"touches/*/audit/min_det_f"}
 
 
-@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"), (records.Truth, "truth")])
+@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
+                                               (records.Truth, "truth")])
 def test_records_and_schema_have_the_same_fields(record, group):
     names = {f.name.split("/")[0] for f in fields_of(group)}
     assert {f.name for f in dataclasses.fields(record)} == names
@@ -83,12 +85,14 @@ def test_docs_page_lists_every_field():
 
 def test_the_docs_page_in_the_repository_is_up_to_date():
     page = Path(__file__).parents[2] / "docs" / "dataset.md"
-    renew = "python -c 'from vsfsim.data.schema import schema_markdown; print(schema_markdown(), end=\"\")' > docs/dataset.md"
+    renew = ("python -c 'from vsfsim.data.schema import schema_markdown; print(schema_markdown(), end=\"\")' > "
+             "docs/dataset.md")
     assert page.read_text() == schema_markdown(), f"renew it: {renew}"
 
 
 def test_docs_page_lists_every_key_of_the_manifest():
-    recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1}, device="cpu", tier="vsf",
+    recipe = Recipe(scene="mock", scene_text="", seed=0, objects=1, views=1, touches=1, splits={"test": 1},
+                    device="cpu", tier="vsf",
                     precision="float64", renderer="warp")
     assert set(json.loads(make_manifest(recipe, {}, ()))) == set(MANIFEST_KEYS)
 

@@ -1,4 +1,5 @@
-"""From a scene to a dataset: whole, the same bits for any number of workers and after any number of kills; and the press."""
+"""From a scene to a dataset: whole, the same bits for any number of workers and after any number of kills; and the
+press."""
 
 import json
 import os
@@ -121,7 +122,8 @@ def test_the_truth_is_the_scenes(made, scene):
 
 def test_blind_hides_the_truth(made):
     assert all(v.truth is not None for v in made)
-    assert all(v.truth is None for v in made.blind()) and all(v.truth is None for v in Dataset.open(made.path, blind=True))
+    assert all(v.truth is None for v in made.blind()) and all(v.truth is None
+                                                              for v in Dataset.open(made.path, blind=True))
 
 
 def test_two_workers_give_the_same_bits(made, scene, tmp_path):
@@ -153,7 +155,8 @@ def killed(words, moment):
 def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
     """Killed with its two workers when the first file is there; see `tests/data` for every moment of the writing."""
     out = tmp_path / "d"
-    killed(command("generate", scene.path, "--out", out, "--workers", 2), lambda: out.is_dir() and list(out.glob("*.h5*")))
+    killed(command("generate", scene.path, "--out", out, "--workers", 2),
+           lambda: out.is_dir() and list(out.glob("*.h5*")))
     generate(scene, out, workers=1)
     assert contents(out) == contents(made.path)
     assert verify(out).ok
@@ -181,7 +184,8 @@ def test_splits_keep_their_proportions(scene):
 
 # ------------------------------------------------------------------------------------------ the press
 
-KEYS = {"depth", "force", "reaction", "pressure", "converged", "residual", "iterations", "seconds", "tets", "nodes", "tier", "device", "precision"}
+KEYS = {"depth", "force", "reaction", "pressure", "converged", "residual", "iterations", "seconds", "tets", "nodes",
+        "tier", "device", "precision"}
 
 
 def check_press(table):
@@ -208,13 +212,15 @@ def test_press_prints_one_json_object(scene, tmp_path):
     assert out.returncode == 0, out.stderr
     table = json.loads(out.stdout)
     check_press(table)
-    assert table["force"] == presses.press(scene.sample(0)).table()["force"], "the same seed gives the same bits in another process"
+    assert table["force"] == presses.press(scene.sample(0)).table()["force"], ("the same seed gives the same bits in "
+                                                                               "another process")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_text_table_for_people(scene):
     lines = press_text.text(presses.press(scene.sample(0))).splitlines()
-    assert len(lines) == 9 and "force N" in lines[0] and lines[7].startswith("All 6 frames converged.") and lines[8].startswith("Tier fem-coarse")
+    assert (len(lines) == 9 and "force N" in lines[0] and lines[7].startswith("All 6 frames converged.")
+            and lines[8].startswith("Tier fem-coarse"))
 
 
 def test_a_worker_that_fails_says_why_though_others_are_called_off(tmp_path):

@@ -24,8 +24,8 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate.effectors.arm import batches as plant_batches
 from vsfsim.generate.effectors.arm import make_views, prepare_job
+from vsfsim.generate.plants import batches as plant_batches
 from vsfsim.generate.plants.batches import make_all
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.run import jobs_of, make_recipe
@@ -41,7 +41,8 @@ from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows, arm_torque_r
 @pytest.fixture(scope="module")
 def scene_file():
     text = find_scene("plants-mini").read_text()
-    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"), ("in = 64, hold = 2, out = 14", "in = 14, hold = 1, out = 4"),
+    for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
+                     ("in = 64, hold = 2, out = 14", "in = 14, hold = 1, out = 4"),
                      ("width = 480\nheight = 432", "width = 120\nheight = 108")):
         assert old in text
         text = text.replace(old, new)
@@ -51,7 +52,8 @@ def scene_file():
 @pytest.fixture(scope="module")
 def made(scene_file, tmp_path_factory):
     """One object view of three touches, through the file, and its job."""
-    recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2, tier=None, device="cpu", precision="float64", renderer="warp")
+    recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2, tier=None, device="cpu",
+                         precision="float64", renderer="warp")
     job = jobs_of(recipe, scene_file.path, None, tmp_path_factory.mktemp("plants"), None)[1]
     view = make_views([job], device="cpu")[0]
     write_view(job.file, view)
@@ -66,21 +68,28 @@ def test_the_file_holds_what_was_made(made):
             x, y = getattr(a, field.name), getattr(b, field.name)
             if isinstance(y, np.ndarray):
                 assert np.array_equal(x, y, equal_nan=y.dtype.kind == "f"), field.name
-        assert a.q.shape == a.torque.shape == (len(a.time), 7) and a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
+        assert a.q.shape == a.torque.shape == (len(a.time),
+                                               7) and a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
     assert any(t.touched for t in there.touches)
 
 
 def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp_path):
-    """With a limit of 3 N: the arm turns back, every touch has all its readings, none past the limit, and the tool stays on its line where readings are between the planned ones."""
-    text = scene_file.text.replace('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "return"').replace("force_limit = 40.0", "force_limit = 3.0")
-    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3, tier=None, device="cpu", precision="float64", renderer="warp")
+    """With a limit of 3 N: the arm turns back, every touch has all its readings, none past the limit, and the tool
+    stays on its line where readings are between the planned ones."""
+    text = scene_file.text.replace('mode = "kinematic"',
+                                   'mode = "kinematic"\nat_limit = "return"').replace("force_limit = 40.0",
+                                                                                      "force_limit = 3.0")
+    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3, tier=None,
+                         device="cpu", precision="float64", renderer="warp")
     job = jobs_of(recipe, scene_file.path, None, tmp_path, None)[0]
     touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
     turned = 0
     for touch, a in zip(touches, aims, strict=True):
-        assert touch.ended == 0 and len(touch.time) == len(a.plan) and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0
+        assert (touch.ended == 0 and len(touch.time) == len(a.plan)
+                and np.linalg.norm(touch.force[touch.converged], axis=1).max() <= 3.0)
         off = touch.mount_pose[:, :3, 3] - a.start
-        assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5  # what the inverse kinematics promise
+        # what the inverse kinematics promise
+        assert np.linalg.norm(off - (off @ a.axis)[:, None] * a.axis, axis=1).max() < 1e-5
         planned = np.linalg.norm(a.stop - a.start) / a.plan.max()
         turned += np.abs((off @ a.axis) / planned - np.rint((off @ a.axis) / planned)).max() > 0.01
     assert turned > 0, "at least one touch has readings between the planned ones"
@@ -97,11 +106,13 @@ def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
         writer.finish()
     text = summary(tmp_path / "d")
     assert "penetration" in text and "min det" not in text  # beams have no det F
-    assert "1 touches at the arm's protective stop, 0 with" in text and read_view(tmp_path / "d" / f"{view.name}.h5").touches[1].ended == 1
+    assert "1 touches at the arm's protective stop, 0 with" in text and read_view(tmp_path / "d"
+                                                                                  / f"{view.name}.h5").touches[1].ended == 1
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
-    """The recorded wrenches go in as `xfrc_applied` and the arm falls freely under them; what inverse dynamics then asks for is J^T of the wrenches: the recorded torques."""
+    """The recorded wrenches go in as `xfrc_applied` and the arm falls freely under them; what inverse dynamics then
+    asks for is J^T of the wrenches: the recorded torques."""
     view, _, job = made
     arm = prepare_job(job, device="cpu").arm
     data = mujoco.MjData(arm.model)
@@ -128,10 +139,14 @@ def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, scene_file):
     _, view, job = made
     again = make_views([job], device="cpu")[0]
-    assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a, b in zip(view.touches, again.touches, strict=True))
+    assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a,
+               b in zip(view.touches, again.touches, strict=True))
     other = prepare_job(dataclasses.replace(job, view_index=0, name="other"), device="cpu")
     turned = prepare_job(job, device="cpu")
-    assert np.allclose(other.plant.nodes[:, :2], -turned.plant.nodes[:, :2]) and np.allclose(other.plant.nodes[:, 2], turned.plant.nodes[:, 2])  # two views: half a turn
+    # two views: half a turn
+    assert np.allclose(other.plant.nodes[:, :2], -turned.plant.nodes[:,
+                                                                     :2]) and np.allclose(other.plant.nodes[:, 2],
+                                                                                          turned.plant.nodes[:, 2])
     assert (other.view.camera_pose == turned.view.camera_pose).all()
 
 
@@ -140,7 +155,8 @@ def test_truth_of_a_plant(made):
     truth, plant = view.truth, prepare_job(job, device="cpu").plant
     assert (truth.young_modulus == plant.young_modulus[1:]).all() and (truth.radius == plant.radius[1:]).all()
     assert truth.segment_ends.shape == (len(plant.nodes) - 1, 2, 3) and set(np.unique(truth.region)) <= set(range(4))
-    assert len(truth.probe_points) > 5 and (truth.probe_stiffness > 0).all() and np.isfinite(truth.probe_stiffness).all()
+    assert (len(truth.probe_points) > 5 and (truth.probe_stiffness > 0).all()
+            and np.isfinite(truth.probe_stiffness).all())
     leaf = truth.region == 3
     # a leaf is soft, a stem is not: the stiffness at visible points must tell them apart
     segment, *_ = nearest_material_points(prepare_job(job, device="cpu").model, truth.probe_points)
@@ -155,7 +171,8 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
     task = load_task("fewshot-plants-mini-v1")
     recording = record(view, task)
     for touch, reading, clean in zip(view.touches, recording.readings, recording.clean, strict=True):
-        assert reading.value.shape == (len(touch.time), 7) and (reading.action.q == touch.q).all() and reading.action.size == 7
+        assert reading.value.shape == (len(touch.time),
+                                       7) and (reading.action.q == touch.q).all() and reading.action.size == 7
         assert np.array_equal(clean[touch.converged], touch.torque[touch.converged])
         error = (reading.value - clean)[touch.converged]
         assert 0.3 * 0.1 < error[:, :4].std() < 3 * 0.1 and error[:, 4:].std() < error[:, :4].std()
@@ -181,11 +198,13 @@ def test_the_chain_of_a_dataset_is_the_arm(punyo):
     with pytest.raises(SceneError, match="chain"):
         read_chain({"base": []}, "test")
     with pytest.raises(SceneError, match=r"write \[arm\]"):
-        parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = { chain = {} }\n', "x.toml")
+        parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = '
+                    '{ chain = {} }\n', "x.toml")
 
 
 def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
-    """SBML eq. 7 in two ways: rows times stiffness, and the Jacobians of the arm's own module on forces -K u; every particle moves no more than the arm reaches."""
+    """SBML eq. 7 in two ways: rows times stiffness, and the Jacobians of the arm's own module on forces -K u; every
+    particle moves no more than the arm reaches."""
     arm = load_arm("gen3")
     chain = chain_of(arm)
     rng = np.random.default_rng(1)
@@ -201,7 +220,8 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     for link, moved in found:
         for t in range(7):
             index, u = moved.frame(t)
-            rows = contact_rows(arm, q[t:t + 1], np.full(len(index), link), (particles[index] + u)[None], (-stiffness[index, None] * u)[None])
+            rows = contact_rows(arm, q[t:t + 1], np.full(len(index), link), (particles[index] + u)[None],
+                                (-stiffness[index, None] * u)[None])
             expected[t] += rows[0].sum(axis=0)
     assert np.abs((w @ stiffness).reshape(7, 7) - expected).max() < 1e-9 * np.abs(expected).max()
     seen = [set(moved.frame(6)[0]) for _, moved in found]
@@ -209,7 +229,8 @@ def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
     held = np.zeros(400, bool)
     held[list(set().union(*seen))] = True
     assert (reached(particles, chain, np.zeros((0, 4, 4)), q=q) | ~held).all()
-    assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)), moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
+    assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)),
+                              moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
 
 
 def test_rows_of_several_touches_are_those_of_each_alone(device):
@@ -241,20 +262,24 @@ def test_every_species_grows_and_they_differ():
             assert not len(petiole) or (petiole.min() > 0.5e6 and petiole.max() < 4e8)
             assert not len(branch) or (branch.min() > 0.5e8 and branch.max() < 2e10)
         assert not np.array_equal(plants[0].young_modulus, plants[1].young_modulus)
-        sizes[name], soft[name] = (len(plants[0].nodes), plants[0].nodes[:, 2].max()), np.median(plants[0].young_modulus)
+        sizes[name], soft[name] = (len(plants[0].nodes), plants[0].nodes[:,
+                                                                         2].max()), np.median(plants[0].young_modulus)
     assert len(SPECIES) == 12 and len(set(sizes.values())) == 12 and max(soft.values()) > 10 * min(soft.values())
     again = grow({"species": "olive"}, np.random.default_rng(0), where="test")
     assert (again.nodes == grow({"species": "olive"}, np.random.default_rng(0), where="test").nodes).all()
-    order = [grow({"species": "by-object"}, np.random.default_rng(0), where="test", number=k).notes[0].split(":")[0] for k in range(12)]
+    order = [grow({"species": "by-object"}, np.random.default_rng(0), where="test", number=k).notes[0].split(":")[0]
+             for k in range(12)]
     assert order == list(SPECIES)
 
 
 def test_looks_tell_of_stiffness_but_not_surely():
-    """Brightness and ln E of branches of many plants correlate, and less so where the scene says that looks tell less."""
+    """Brightness and ln E of branches of many plants correlate, and less so where the scene says that looks tell
+    less."""
     def correlation(informative):
         light, stiff = [], []
         for k in range(12):
-            p = grow({"species": "olive", "appearance_informative": informative, "leaves": False}, np.random.default_rng(k), where="test")
+            p = grow({"species": "olive", "appearance_informative": informative, "leaves": False},
+                     np.random.default_rng(k), where="test")
             axes, first = np.unique(p.look[1:], return_index=True)
             branch = p.region[1:][first] == 1
             light += list(np.log(p.appearance.albedo[axes[branch]].mean(axis=1)))
@@ -270,61 +295,79 @@ def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
     a, b = kinect_depth(flat, 3), kinect_depth(flat, 3)
     assert (a.depth == b.depth).all() and (a.depth != kinect_depth(flat, 4).depth).any()
     inside = a.depth[15:-15, 15:-15]
-    assert inside.std() == pytest.approx(0.0041, rel=0.1) and (np.abs(a.depth * 1000 - np.rint(a.depth * 1000)) < 1e-3).all()
+    assert inside.std() == pytest.approx(0.0041,
+                                         rel=0.1) and (np.abs(a.depth * 1000 - np.rint(a.depth * 1000)) < 1e-3).all()
     lost = flat.mask & ~a.mask
-    assert lost.sum() == pytest.approx(0.35 * 196, rel=0.35) and not lost[11:-11, 11:-11].any()  # of the 196 pixels of the mask's edge
+    # of the 196 pixels of the mask's edge
+    assert lost.sum() == pytest.approx(0.35 * 196, rel=0.35) and not lost[11:-11, 11:-11].any()
 
 
 def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
     found = bench(device="cpu", scene=str(path), objects=1, views=1, touches=1, progress=lambda what: None)
-    assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
+    assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim",
+                                                                                          "kinematics", "solve",
+                                                                                          "torque", "truth"}
     assert "touches a second" in table(found) and "stage" in table(found) and "NOT ALL" not in table(found)
     assert "NOT ALL" in table({**found, "cut": 1}) and "NOT ALL" in table({**found, "views_made": 0})
 
 
 def test_the_full_scene_has_the_papers_size():
-    """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a depth camera's noise; 3,255 touches and 807,103 readings in all."""
+    """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a
+    depth camera's noise; 3,255 touches and 807,103 readings in all."""
     scene = load_scene(find_scene("plants")).sample(0)
-    assert scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70 and scene.arm.at_limit == "return"
+    assert (scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70
+            and scene.arm.at_limit == "return")
     touches = 12 * 4 * scene.touches.count
-    assert abs(touches / 3255 - 1) < 0.01 and abs(touches * sum(scene.touches.frames) / 807_103 - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
+    assert abs(touches / 3255 - 1) < 0.01 and abs(touches * sum(scene.touches.frames) / 807_103
+                                                  - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
     assert scene.object.shape.parameters["species"] == "by-object"
 
 
 @pytest.mark.parametrize(("old", "new", "word"), [
-    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"', "at_limit"), ('family = "plant"', 'family = "shoe"', "solid bodies"), ('model = "gen3"', 'model = "ur5"', "model"),
+    ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"',
+                                                       "at_limit"), ('family = "plant"', 'family = "shoe"',
+                                                                     "solid bodies"),
+                                                  ('model = "gen3"', 'model = "ur5"', "model"),
 ])
 def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
     text = find_scene("plants-mini").read_text()
     with pytest.raises(SceneError, match=word):
-        scene = parse_scene(text.replace(old, new).replace("species", "style" if "shoe" in new else "species"), "x.toml")
-        recipe = make_recipe(scene, seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64", renderer="warp")
+        scene = parse_scene(text.replace(old, new).replace("species", "style" if "shoe" in new else "species"),
+                            "x.toml")
+        recipe = make_recipe(scene, seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
+                             renderer="warp")
         prepare_job(jobs_of(recipe, scene.path, None, scene.path.parent, None)[0], device="cpu")
     with pytest.raises(SceneError, match="no \\[arm\\]"):
-        make_recipe(load_scene(find_scene("shoes-mini")), seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64", renderer="warp", arm="gen3")
+        make_recipe(load_scene(find_scene("shoes-mini")), seed=0, objects=1, views=1, touches=1, tier=None,
+                    device="cpu", precision="float64", renderer="warp", arm="gen3")
 
 
 @pytest.mark.slow
 def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device, monkeypatch):
-    """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one batch."""
+    """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one
+    batch."""
     monkeypatch.setattr(plant_batches, "PART", 1)
-    recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device, precision="float64", renderer="warp")
+    recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device,
+                         precision="float64", renderer="warp")
     jobs = jobs_of(recipe, scene_file.path, None, tmp_path, None)
     assert sum(frames for frames, _ in make_all(jobs, device=device, workers=2)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
-        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a, b in zip(together.touches, alone.touches, strict=True))
+        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a,
+                   b in zip(together.touches, alone.touches, strict=True))
 
 
 @pytest.mark.slow
 def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_lag(scene_file, tmp_path):
-    """The same wrenches on both: the dynamic arm's readings differ by inertia, the friction that its sensors see and the way it gives: less than its friction."""
+    """The same wrenches on both: the dynamic arm's readings differ by inertia, the friction that its sensors see and
+    the way it gives: less than its friction."""
     made = {}
     for mode in ("kinematic", "dynamic"):
         scene = parse_scene(scene_file.text.replace('mode = "kinematic"', f'mode = "{mode}"'), scene_file.path)
-        recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64", renderer="warp")
+        recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
+                             renderer="warp")
         made[mode] = make_views(jobs_of(recipe, scene.path, None, tmp_path, None), device="cpu")[0].touches[0]
     a, b = made["kinematic"], made["dynamic"]
     assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05
@@ -336,7 +379,8 @@ def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.0001, 0.02])
 def test_a_sweep_through_the_whole_crown(step, device):
-    """Four links drive through all of a plant, a reading every 0.1 mm or every 20 mm: converged or marked, finite, nothing left bent when the arm is past."""
+    """Four links drive through all of a plant, a reading every 0.1 mm or every 20 mm: converged or marked, finite,
+    nothing left bent when the arm is past."""
     plant = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
     travel = np.arange(0.0, 0.9 if step > 0.001 else 0.03, step)
     height = plant.nodes[:, 2].max()
@@ -346,7 +390,8 @@ def test_a_sweep_through_the_whole_crown(step, device):
     solved = int(frames.frames[0])
     assert solved == len(travel) and np.isfinite(frames.force).all() and np.isfinite(frames.nodes).all()
     assert ((frames.reason[:, 0] > 0) == ~frames.converged[:, 0]).all()
-    print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
+    print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, "
+          f"deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
     assert frames.converged.mean() > 0.8 and frames.contacts.max() >= (4 if step > 0.001 else 1)
     if step > 0.001:
         assert frames.converged[-1, 0] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
@@ -354,17 +399,20 @@ def test_a_sweep_through_the_whole_crown(step, device):
 
 @pytest.mark.slow
 def test_bench_arm_tells_what_the_dynamic_arm_reads_beside_the_kinematic_one(scene_file, tmp_path):
-    """The difference is the sum of its parts (friction, inertia, lag) joint by joint, and the soft drive leaves the path further than the stiff one."""
+    """The difference is the sum of its parts (friction, inertia, lag) joint by joint, and the soft drive leaves the
+    path further than the stiff one."""
     path = tmp_path / "small.toml"
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
     found = bench_arm.bench(device="cpu", scene=str(path), touches=2, progress=lambda what: None)
     stiff, soft = found["rows"]
     assert (stiff["drive"], soft["drive"]) == ("position", "impedance") and stiff["touches"] == soft["touches"] > 0
-    assert np.array_equal(stiff["kinematic_rms"], soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01 and soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
+    assert np.array_equal(stiff["kinematic_rms"],
+                          soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01 and soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
     for row in found["rows"]:
         parts = np.array([row[part] for part in ("friction", "inertia", "lag")])
         # rms of a sum: at most the sum of the rms (Minkowski), and no less than the largest less the others
         whole = np.array(row["rms"])
-        assert (whole <= parts.sum(axis=0) + 1e-9).all() and (whole >= 2 * parts.max(axis=0) - parts.sum(axis=0) - 1e-9).all() and (whole > 0.0).any()
+        assert (whole <= parts.sum(axis=0) + 1e-9).all() and (whole >= 2 * parts.max(axis=0) - parts.sum(axis=0)
+                                                              - 1e-9).all() and (whole > 0.0).any()
     printed = bench_arm.table(found)
     assert "position drive" in printed and "impedance drive" in printed and f"{stiff['rms'][0]:.3f}" in printed

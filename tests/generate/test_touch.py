@@ -11,7 +11,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.generate.effectors import probe as touch
 from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness, voxel_sample
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.04)
@@ -45,7 +45,8 @@ def model(block):
 
 
 def view(*, top=True, side=True, inside=False):
-    """What a camera in front of the block's corner at +x sees: top and side; or points that lie inside, as a wrong depth would give."""
+    """What a camera in front of the block's corner at +x sees: top and side; or points that lie inside, as a wrong
+    depth would give."""
     t = np.linspace(-0.028, 0.028, 29)
     a, b = (v.ravel() for v in np.meshgrid(t, t))
     h = (b + 0.03) * 2 / 3
@@ -127,10 +128,11 @@ def test_force_limit_cuts_the_depth(model):
     assert all(a.depth == SCENE.touches.depth for a in whole)
     assert all(b.depth <= a.depth for a, b in zip(whole, cut)) and any(b.depth < a.depth for a, b in zip(whole, cut))
     poses = np.stack([touch._pose(SCENE.probe, a.contact + a.depth * a.axis, a.axis) for a in cut])[None]
-    force = np.linalg.norm(Solver(model, SCENE.probe, options=SolverOptions(tolerance=1e-6), linear=True).run(poses).force[0], axis=1)
-    # between the eighths of the depth at which it was measured the curve is taken as straight. It is convex as a whole (d^1.5), so
-    # that the true force lies under the chord by up to a tenth; but on elements of 20 mm under a ball of 10 mm Gauss points
-    # come in one by one, and between them it is lumpy by a few per cent
+    force = np.linalg.norm(Solver(model, SCENE.probe, options=SolverOptions(tolerance=1e-6),
+                                  linear=True).run(poses).force[0], axis=1)
+    # between the eighths of the depth at which it was measured the curve is taken as straight. It is convex as a whole
+    # (d^1.5), so that the true force lies under the chord by up to a tenth; but on elements of 20 mm under a ball of 10
+    # mm Gauss points come in one by one, and between them it is lumpy by a few per cent
     assert (force <= limit * 1.05).all()
     shortened = np.array([b.depth < SCENE.touches.depth for b in cut])
     assert (force[shortened] > 0.8 * limit).all()
@@ -148,10 +150,12 @@ def test_clearance_is_the_way_to_first_contact(model):
 
 
 def test_probe_stiffness_of_a_half_space(block, graded):
-    """Uniform pressure p on a disc of radius a: mean displacement 16 p a (1 - nu^2) / (3 pi E) (Timoshenko and Goodier, art. 139)."""
+    """Uniform pressure p on a disc of radius a: mean displacement 16 p a (1 - nu^2) / (3 pi E) (Timoshenko and Goodier,
+    art. 139)."""
     young_modulus, nu, size = 1e5, 0.3, 0.4
     ticks = graded(0.002, 2, 2.2, size)
-    model = block((size, size, size), None, young_modulus=young_modulus, poisson_ratio=nu, ticks=(ticks, ticks, size - ticks[::-1]))
+    model = block((size, size, size), None, young_modulus=young_modulus, poisson_ratio=nu,
+                  ticks=(ticks, ticks, size - ticks[::-1]))
     # a quarter between rollers carries a quarter of the disc
     held = (model.free == 0.0).reshape(-1, 3)
     held[:, :2] |= model.mesh.points[:, :2] < 1e-12
@@ -160,8 +164,8 @@ def test_probe_stiffness_of_a_half_space(block, graded):
     found = 4.0 * probe_stiffness(model, np.array([[0.0, 0.0, size]]), np.array([[0.0, 0.0, 1.0]]))[0]
     exact = 3 * np.pi**2 * PROBE_RADIUS * young_modulus / (16 * (1 - nu**2))
     print(f"probe stiffness {found:.2f} N/m, closed form {exact:.2f} N/m, {found / exact - 1:+.2%}")
-    # the disc is made of the points of a barycentric grid, 8 along an edge of 2 mm: its radius of 4 mm is good to ~2 %, and so is the
-    # stiffness; the base 100 radii below stiffens by 0.6 %, two elements across the radius by ~1 %
+    # the disc is made of the points of a barycentric grid, 8 along an edge of 2 mm: its radius of 4 mm is good to ~2 %,
+    # and so is the stiffness; the base 100 radii below stiffens by 0.6 %, two elements across the radius by ~1 %
     assert found == pytest.approx(exact, rel=0.03)
 
 
@@ -177,5 +181,6 @@ def test_probe_stiffness_grows_with_the_modulus_under_it(block):
 def test_voxel_sample_takes_one_point_a_voxel():
     cloud = np.random.default_rng(0).uniform(0.0, 0.05, (2000, 3))
     found = voxel_sample(cloud, 0.01)
-    assert len(found) == len(np.unique(np.floor(cloud / 0.01), axis=0)) == len(np.unique(np.floor(found / 0.01), axis=0))
+    assert len(found) == len(np.unique(np.floor(cloud / 0.01),
+                                       axis=0)) == len(np.unique(np.floor(found / 0.01), axis=0))
     assert all((cloud == p).all(axis=1).any() for p in found)

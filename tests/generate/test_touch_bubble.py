@@ -54,7 +54,8 @@ splits = { test = 1 }
 
 
 def command(*words, cwd):
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)], capture_output=True, text=True, cwd=cwd,
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", *map(str, words)],
+                          capture_output=True, text=True, cwd=cwd,
                           env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
@@ -77,30 +78,38 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
     for touch in view.touches:
         assert touch.touched and touch.rest_pressure == gas.gauge_pressure
         # free, then in: pressure and force rise together
-        assert touch.pressure[0] == pytest.approx(gas.gauge_pressure, abs=1e-3) and (np.diff(touch.pressure) > 10.0).all()
+        assert touch.pressure[0] == pytest.approx(gas.gauge_pressure,
+                                                  abs=1e-3) and (np.diff(touch.pressure) > 10.0).all()
         force = touch.normal_force()
         assert force[0] == 0.0 and force[2] > force[1] > 0.1
         # what the nodes feel is the force, and its moment about the mount the stored one
         node, push = touch.node_position.astype(float), touch.node_force.astype(float)
         assert push.sum(axis=1) == pytest.approx(touch.force, abs=1e-4)
-        assert np.cross(node - touch.mount_pose[:, None, :3, 3], push).sum(axis=1) == pytest.approx(touch.moment, abs=1e-5)
+        assert np.cross(node - touch.mount_pose[:, None, :3, 3],
+                        push).sum(axis=1) == pytest.approx(touch.moment, abs=1e-5)
         # the rim is clamped to the mount, and so is the rest shape what the first frame shows
         local = np.einsum("tni,tij->tnj", node - touch.mount_pose[:, None, :3, 3], touch.mount_pose[:, :3, :3])
         rim = rim_of(touch.node_triangles, len(touch.node_rest))
         assert local[:, rim] == pytest.approx(np.broadcast_to(touch.node_rest[rim], local[:, rim].shape), abs=1e-6)
-        assert local[0] == pytest.approx(touch.node_rest, abs=1e-6) and view.probe.points == pytest.approx(touch.node_rest, abs=1e-8)
+        assert local[0] == pytest.approx(touch.node_rest,
+                                         abs=1e-6) and view.probe.points == pytest.approx(touch.node_rest, abs=1e-8)
         # the sealed air: p V^gamma, with the volume between the skin and the rim plane, of the coarser read-out
         volume = np.array([dome_volume(x, touch.node_triangles) for x in local])
         dead = gas.gas_volume - volume[0]
         kept = (touch.pressure + atmosphere) * (volume + dead) ** gas.gamma
         assert kept == pytest.approx(kept[0], rel=1e-3)
         # the mesh that was solved carries the same forces and starts from the same dome
-        assert touch.fine_position.shape == touch.fine_force.shape == (3, 100, 3) and touch.fine_triangles.shape == (2 * 100 - 2 - int(rim_of(touch.fine_triangles, 100).sum()), 3)
+        assert touch.fine_position.shape == touch.fine_force.shape == (3, 100,
+                                                                       3) and touch.fine_triangles.shape == (2 * 100
+                                                                                                             - 2 - int(rim_of(touch.fine_triangles, 100).sum()), 3)
         assert touch.fine_force.astype(float).sum(axis=1) == pytest.approx(touch.force, abs=1e-4)
-        fine = np.einsum("tni,tij->tnj", touch.fine_position - touch.mount_pose[:, None, :3, 3], touch.mount_pose[:, :3, :3])
+        fine = np.einsum("tni,tij->tnj", touch.fine_position - touch.mount_pose[:, None, :3, 3],
+                         touch.mount_pose[:, :3, :3])
         assert fine[0] == pytest.approx(touch.fine_rest, abs=1e-6)
         assert fine[:, rim_of(touch.fine_triangles, 100), 2] == pytest.approx(0.0, abs=1e-6)
-        kept = (touch.pressure + atmosphere) * (np.array([dome_volume(x, touch.fine_triangles) for x in fine]) + gas.gas_volume - dome_volume(fine[0], touch.fine_triangles)) ** gas.gamma
+        kept = (touch.pressure + atmosphere) * (np.array([dome_volume(x, touch.fine_triangles) for x in fine])
+                                                + gas.gas_volume - dome_volume(fine[0],
+                                                                               touch.fine_triangles)) ** gas.gamma
         assert kept == pytest.approx(kept[0], rel=1e-6), "the solved gas law, to the rounding of the stored positions"
         assert touch.inside_rgb.shape == (3, 12, 16, 3) and (touch.inside_depth > 0.02).mean() > 0.5
         # it came straight along the normal, and depth counts from first contact
@@ -113,7 +122,8 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
 @pytest.mark.slow
 def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
     """Two views: made in one go by one worker, by two, and killed when the first file is there and started again."""
-    (tmp_path / "felt.toml").write_text(SCENE.replace("objects = 1", "objects = 2").replace("test = 1", "train = 1, test = 1"))
+    (tmp_path / "felt.toml").write_text(SCENE.replace("objects = 1",
+                                                      "objects = 2").replace("test = 1", "train = 1, test = 1"))
 
     def generate(out, workers):
         done = command("generate", "felt.toml", "--out", out, "--workers", workers, cwd=tmp_path)
@@ -123,7 +133,8 @@ def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
     one = generate("one", 1)
     assert sum(name.endswith(".h5") for name in one) == 2
     assert generate("two", 2) == one
-    words = [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "generate", "felt.toml", "--out", "killed", "--workers", "1"]
+    words = [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "generate", "felt.toml", "--out",
+             "killed", "--workers", "1"]
     process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     began = time.perf_counter()
     while process.poll() is None and not list(tmp_path.glob("killed/*.h5")):
@@ -176,7 +187,8 @@ def test_first_contact_is_where_the_dome_meets_the_body():
     grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 81), np.linspace(-0.1, 0.1, 81)), axis=-1).reshape(-1, 2)
     floor = np.column_stack([grid, np.zeros(len(grid))])
     down = np.array([0.0, 0.0, -1.0])
-    assert touch_bubble.first_contact(dome, floor, np.zeros(3), down) == pytest.approx([0.0, 0.0, dome.height], abs=1e-4)
+    assert touch_bubble.first_contact(dome, floor, np.zeros(3),
+                                      down) == pytest.approx([0.0, 0.0, dome.height], abs=1e-4)
     # a post beside the target, 20 mm high: met by the flank of the dome, whose skin is lower there
     post = np.vstack([floor, [[0.03, 0.0, 0.02]]])
     turn = touch_bubble.turn_to(down, touch_bubble._LEADS)
@@ -191,15 +203,19 @@ def test_tilted_directions_fill_a_cone_and_a_dome_that_comes_in_so_touches_with_
     drawn = np.array([touch_bubble.tilted(axis, 0.5, rng) for _ in range(2000)])
     assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0)
     cosine = drawn @ axis
-    # even by solid angle: cosines are uniform from cos 0.5 to 1, of standard error (1 - cos 0.5) / sqrt(12 * 2000) = 8e-4; sideways they cancel
+    # even by solid angle: cosines are uniform from cos 0.5 to 1, of standard error (1 - cos 0.5) / sqrt(12 * 2000) =
+    # 8e-4; sideways they cancel
     assert cosine.min() >= np.cos(0.5) and cosine.mean() == pytest.approx(0.5 * (1.0 + np.cos(0.5)), abs=4e-3)
     assert np.abs((drawn - cosine[:, None] * axis).mean(axis=0)).max() < 0.03
     scene = parse_scene(SCENE.replace("approach = 0.005", "approach = 0.005\ntilt = 0.4"), "felt.toml").sample(0)
     sensor = build_bubble(scene.sensor)
     grid = np.stack(np.meshgrid(np.linspace(-0.1, 0.1, 41), np.linspace(-0.1, 0.1, 41)), axis=-1).reshape(-1, 2)
-    body = type("M", (), {"mesh": type("K", (), {"points": np.column_stack([grid, np.full(len(grid), 0.04)]), "faces": np.array([[0, 1, 42]])})()})()
-    view = type("V", (), {"points": lambda self: body.mesh.points, "camera_pose": np.diag([1.0, -1.0, -1.0, 1.0]) + np.pad([[1.0]], ((2, 1), (3, 0)))})()
-    aims = touch_bubble.aim(scene, dataclasses.replace(scene.touches, count=20), body, sensor, view, lambda k: np.random.default_rng(k))
+    body = type("M", (), {"mesh": type("K", (), {"points": np.column_stack([grid, np.full(len(grid), 0.04)]),
+                                                 "faces": np.array([[0, 1, 42]])})()})()
+    view = type("V", (), {"points": lambda self: body.mesh.points,
+                          "camera_pose": np.diag([1.0, -1.0, -1.0, 1.0]) + np.pad([[1.0]], ((2, 1), (3, 0)))})()
+    aims = touch_bubble.aim(scene, dataclasses.replace(scene.touches, count=20), body, sensor, view,
+                            lambda k: np.random.default_rng(k))
     tilts = np.arccos([-a.axis[2] for a in aims])
     assert tilts.max() > 0.3 and (tilts < 0.4 + 1e-9).all()
     # the apex never reaches its target first: on a flat top a tilted dome stands on its flank
@@ -210,7 +226,8 @@ def test_the_force_limit_of_a_flat_wall():
     model = build_bubble(Bubble(nodes=390))
     depth = np.array([touch_bubble.depth_at(model, force) for force in (5.0, 20.0, 60.0)])
     assert (np.diff(depth) > 0.0).all() and np.isinf(touch_bubble.depth_at(model, 1e5))
-    # a cap of an ellipsoid with the apex curvatures of the real dome, 13.8 and 25.0 1/m: pi 2 d / sqrt(k1 k2); its pressure hardly rises yet
+    # a cap of an ellipsoid with the apex curvatures of the real dome, 13.8 and 25.0 1/m: pi 2 d / sqrt(k1 k2); its
+    # pressure hardly rises yet
     assert depth[0] == pytest.approx(5.0 / (7820.0 * 2.0 * np.pi / np.sqrt(13.8 * 25.0)), rel=0.2)
 
 
@@ -226,7 +243,8 @@ def test_the_way_out_is_over_readings_of_the_way_in():
 
 
 def recipe(text, **more):
-    given = {"seed": 0, "objects": None, "views": None, "touches": None, "tier": None, "device": "cpu", "precision": "float64", "renderer": "warp", **more}
+    given = {"seed": 0, "objects": None, "views": None, "touches": None, "tier": None, "device": "cpu",
+             "precision": "float64", "renderer": "warp", **more}
     return make_recipe(parse_scene(text, "felt.toml"), **given)
 
 
@@ -257,9 +275,11 @@ def test_a_tier_is_chosen_that_bends(made):
     ("fine = true", "fine = 1", r"\[sensor\]: fine is 1; it must be true"),
     ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
     ("approach = 0.005", "approach = 0.005\ntilt = 1.3", r"\[touches\]: tilt is 1.3"),
-    ("[sensor]\nkind = \"bubble\"\nnodes = 100\nfine = true\ncamera = [16, 12]\n[touches]", "[probe]\nshape = { sphere = 0.02 }\n[touches]\ntilt = 0.2", "there is no .sensor.; a rigid probe"),
+    ("[sensor]\nkind = \"bubble\"\nnodes = 100\nfine = true\ncamera = [16, 12]\n[touches]",
+     "[probe]\nshape = { sphere = 0.02 }\n[touches]\ntilt = 0.2", "there is no .sensor.; a rigid probe"),
     ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
-    ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]", r"this scene has \[\[obstacles\]\]"),
+    ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]",
+     r"this scene has \[\[obstacles\]\]"),
 ])
 def test_mistakes_in_the_scene(old, new, message):
     with pytest.raises(SceneError, match=message):
@@ -267,7 +287,8 @@ def test_mistakes_in_the_scene(old, new, message):
 
 
 def test_touches_need_an_object():
-    text = SCENE.split("[object]")[0] + "[sensor]" + SCENE.split("[sensor]")[1] + "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n"
+    text = (SCENE.split("[object]")[0] + "[sensor]" + SCENE.split("[sensor]")[1]
+            + "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n")
     with pytest.raises(SceneError, match=r"\[touches\]: the touches of a dataset are made on an \[object\]"):
         parse_scene(text, "felt.toml")
 
@@ -306,14 +327,17 @@ def test_the_force_estimators_read_it(made):
     data = Dataset.open(made)
     (view,) = data
     touch = view.touches[0]
-    assert dense.depths(touch) == pytest.approx([0.0, 0.0015, 0.003], abs=1e-9) and dense.chosen(touch).tolist() == [1, 2]
+    assert dense.depths(touch) == pytest.approx([0.0, 0.0015, 0.003],
+                                                abs=1e-9) and dense.chosen(touch).tolist() == [1, 2]
     first, second = dense.records([view])
     assert first.depth == pytest.approx([0.0015, 0.003], abs=1e-9)
     # in the mount's frame an object pushes the dome in
     assert (first.force.sum(axis=1)[:, 2] < -0.1).all() and first.position[:, :, 2].min() > -1e-6
-    assert np.linalg.norm(second.force.sum(axis=1), axis=1) == pytest.approx(np.linalg.norm(view.touches[1].force[1:], axis=1), rel=1e-5)
+    assert np.linalg.norm(second.force.sum(axis=1),
+                          axis=1) == pytest.approx(np.linalg.norm(view.touches[1].force[1:], axis=1), rel=1e-5)
     calibration = dense.calibration_of(data, [view])
-    assert calibration.stiffness == pytest.approx(680.0) and calibration.rim.sum() == 64 and calibration.pressure == Bubble().gauge_pressure
+    assert (calibration.stiffness == pytest.approx(680.0) and calibration.rim.sum() == 64
+            and calibration.pressure == Bubble().gauge_pressure)
     with pytest.raises(DatasetError, match="2 touches to calibrate on and 0 to score"):
         dense.bench_dataset(data)
 

@@ -9,11 +9,11 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.shape import Plane, Sphere
+from vsfsim.physics.bubble import sensor as bubble
 from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.bubble.sensor import sensor as bubble
 from vsfsim.physics.bubble.shape import punyo_rms, stretches
 from vsfsim.physics.elements import gas
-from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
+from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -27,7 +27,8 @@ def cache(tmp_path_factory):
 
 
 def towards(model, radius, depth, frames, *, tilt=0.0, at=0.0):
-    """A ball that goes straight into the dome (T, 1, 4, 4), from above the point of the surface at x = ``at``, ``tilt`` from the axis of the dome [rad]."""
+    """A ball that goes straight into the dome (T, 1, 4, 4), from above the point of the surface at x = ``at``, ``tilt``
+    from the axis of the dome [rad]."""
     points = model.mesh.points
     start = np.array([at, 0.0, points[np.linalg.norm(points[:, :2] - [at, 0.0], axis=1).argmin(), 2]])
     turn = rotation_matrix((0.0, tilt, 0.0))
@@ -85,7 +86,8 @@ def test_the_read_out_mesh_is_the_published_one_and_part_of_the_default(cache):
     model = build_bubble(REAL, cache=cache)
     seen = model.read_out
     assert (len(seen.flat), len(seen.faces), len(seen.rim)) == (390, 714, 64)
-    assert len(model.mesh.points) == 1493 and np.abs(seen.positions(model.mesh.points) - model.mesh.points[:390]).max() < 1e-15
+    assert len(model.mesh.points) == 1493 and np.abs(seen.positions(model.mesh.points)
+                                                     - model.mesh.points[:390]).max() < 1e-15
 
 
 def test_the_defaults_are_the_real_dome(cache):
@@ -118,15 +120,19 @@ def test_at_rest_nothing_pulls_but_the_rim(cache):
     far = towards(model, 0.003, -0.005, 1)
     frames, solver, pressure, volume = pressed(model, Sphere(0.003), far)
     assert frames.converged.all() and (frames.force == 0.0).all()
-    assert pressure[0, 0] == pytest.approx(REAL.gauge_pressure, rel=1e-9) and volume[0, 0] == pytest.approx(model.mesh.volume[0], rel=1e-12)
+    assert pressure[0, 0] == pytest.approx(REAL.gauge_pressure,
+                                           rel=1e-9) and volume[0, 0] == pytest.approx(model.mesh.volume[0], rel=1e-12)
     assert np.abs(solver.history[0]).max() < 1e-9
 
 
 def test_beyond_the_limit_point_the_error_names_it(cache):
-    with pytest.raises(SceneError, match=r"\[sensor\]: gauge_pressure is 20000 Pa, but the membrane's limit point is at (\d+(\.\d+)?) Pa") as error:
+    with pytest.raises(SceneError,
+                       match=r"\[sensor\]: gauge_pressure is 20000 Pa, but the membrane's limit point is at "
+                             r"(\d+(\.\d+)?) Pa") as error:
         build_bubble(dataclasses.replace(REAL, nodes=100, gauge_pressure=2e4), cache=cache)
     limit = float(str(error.value).split("limit point is at ")[1].split(" Pa")[0])
-    model = build_bubble(dataclasses.replace(REAL, nodes=100, gauge_pressure=0.99 * limit, gas_volume=5e-3), cache=cache)
+    model = build_bubble(dataclasses.replace(REAL, nodes=100, gauge_pressure=0.99 * limit, gas_volume=5e-3),
+                         cache=cache)
     assert model.mesh.volume[0] > 1.5e-4
     with pytest.raises(SceneError, match="limit point"):
         build_bubble(dataclasses.replace(REAL, nodes=100, gauge_pressure=1.01 * limit, gas_volume=5e-3), cache=cache)
@@ -147,7 +153,8 @@ def test_a_sealed_poke_keeps_p_v_gamma_and_balances(cache, device):
     kept = (pressure[:, 0] + REAL.ambient_pressure) * (volume[:, 0] + model.dead_volume) ** REAL.gamma
     assert kept == pytest.approx((REAL.gauge_pressure + REAL.ambient_pressure) * REAL.gas_volume**REAL.gamma, rel=1e-6)
     assert (np.diff(pressure[:, 0]) > 0.0).all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
-    # the nodes' contact forces are the force; a press along the axis of a dome that is its own mirror image has no moment
+    # the nodes' contact forces are the force; a press along the axis of a dome that is its own mirror image has no
+    # moment
     push = solver.surface_force[-1][..., 0]
     assert push.sum(axis=0) == pytest.approx(-frames.force[-1, 0], rel=1e-9, abs=1e-9)
     where = model.mesh.points + solver.history[-1][:, 0].reshape(-1, 3)
@@ -213,11 +220,13 @@ def test_indentation_to_80_per_cent_of_the_dome(cache):
 def test_meshes_from_100_to_20000_nodes(cache, nodes):
     model = build_bubble(dataclasses.replace(REAL, nodes=nodes), cache=cache)
     frames, *_ = pressed(model, Sphere(0.01), towards(model, 0.01, 0.010, 5), seconds=600.0)
-    print(f"{nodes} nodes: {frames.force[-1, 0, 2]:.4f} N, {frames.seconds.sum():.1f} s, {frames.cg_iterations[:, 0]} CG")
+    print(f"{nodes} nodes: {frames.force[-1, 0, 2]:.4f} N, {frames.seconds.sum():.1f} s, "
+          f"{frames.cg_iterations[:, 0]} CG")
     sound(frames, model)
     assert np.isfinite(frames.force).all()
     if nodes == 20_000:
-        # the same press in 40 frames, whose steps are as long, gave 6.885 N; where it first touches is found to 0.2 mm here, 2 to 3 % of that
+        # the same press in 40 frames, whose steps are as long, gave 6.885 N; where it first touches is found to 0.2 mm
+        # here, 2 to 3 % of that
         assert frames.force[-1, 0, 2] == pytest.approx(6.885, rel=0.04)
 
 
@@ -232,12 +241,15 @@ def test_a_frame_that_fails_is_marked_and_never_nan(cache):
 
 @pytest.mark.slow
 def test_the_shape_of_a_free_dome_against_pre_stretch(cache):
-    """Gauge pressure over E h that brings the apex to 30.5 mm (a fit of another model to the real dome), and what is left of the shape."""
+    """Gauge pressure over E h that brings the apex to 30.5 mm (a fit of another model to the real dome), and what is
+    left of the shape."""
     found = {}
     for stretch, ratio in {1.0: 10.0, 1.05: 10.9, 1.1: 11.5, 1.2: 12.3}.items():
-        model = build_bubble(dataclasses.replace(REAL, pre_stretch=stretch, gauge_pressure=ratio * REAL.modulus), cache=cache)
+        model = build_bubble(dataclasses.replace(REAL, pre_stretch=stretch, gauge_pressure=ratio * REAL.modulus),
+                             cache=cache)
         found[stretch] = punyo_rms(model)
-        print(f"pre-stretch {stretch}: apex {1e3 * model.mesh.points[:, 2].max():.2f} mm, {1e6 * model.mesh.volume[0]:.1f} mL, rms {1e3 * found[stretch]:.2f} mm")
+        print(f"pre-stretch {stretch}: apex {1e3 * model.mesh.points[:, 2].max():.2f} mm, "
+              f"{1e6 * model.mesh.volume[0]:.1f} mL, rms {1e3 * found[stretch]:.2f} mm")
         assert model.mesh.points[:, 2].max() == pytest.approx(30.5e-3, abs=0.2e-3)
     assert min(found, key=found.get) in (1.1, 1.2) and max(found.values()) < 1e-3
 
@@ -252,7 +264,8 @@ def test_a_small_tip_on_finer_meshes(cache):
         sound(frames, model)
         force.append(frames.force[-1, 0, 2])
         change.append(pressure[-1, 0] - REAL.gauge_pressure)
-        print(f"{nodes} nodes: {force[-1]:.3f} N, {change[-1]:.1f} Pa, {change[-1] / force[-1]:.1f} Pa/N, {frames.seconds.mean():.2f} s a frame, "
+        print(f"{nodes} nodes: {force[-1]:.3f} N, {change[-1]:.1f} Pa, {change[-1] / force[-1]:.1f} Pa/N, "
+              f"{frames.seconds.mean():.2f} s a frame, "
               f"{frames.iterations.mean():.1f} Newton and {frames.cg_iterations.mean():.1f} CG a frame")
     assert force[0] > force[1] > force[2] and force[1] / force[2] < 1.1
     # each halving of the edge takes at least two thirds of the error

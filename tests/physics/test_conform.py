@@ -10,8 +10,8 @@ import pytest
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.quality import smallest_sine
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
+from vsfsim.physics.mesh import structured as blocks
 from vsfsim.physics.mesh.inclusions import WORST_SINE, snap_to_inclusions, straddling
-from vsfsim.physics.mesh.quadratic import structured as blocks
 
 
 def block(size: tuple[float, float, float], h: float) -> Solid:
@@ -69,7 +69,8 @@ def test_curved_boundary_stays() -> None:
 def test_later_inclusion_wins_and_boxes_are_only_flagged() -> None:
     solid = block((0.04, 0.04, 0.04), 0.01)
     field = parse_material({"base": 1e5, "inclusions": [{"box": [-0.02, -0.02, 0.0, 0.02, 0.02, 0.04], "value": 1e6},
-                                                        {"box": [-0.01, -0.01, 0.0, 0.01, 0.01, 0.04], "value": 1e7}]}, "test")
+                                                        {"box": [-0.01, -0.01, 0.0, 0.01, 0.01, 0.04], "value": 1e7}]},
+                           "test")
     snapped, inside = snap_to_inclusions(solid, field)
     assert np.array_equal(snapped.vertices, solid.vertices)
     volume = tet_volumes(solid.vertices, solid.tets)

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+from vsfsim.physics.contact import rigid_points as contact
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid import Touching
-from vsfsim.physics.contact.rigid_points import rigid_points as contact
 
 SIZE = (0.04, 0.04, 0.03)
 E = 1e5
@@ -67,7 +67,8 @@ def states(model, probe, pose, u, device):
 
 def nodal(touching, b):
     """Contact forces (3 s,) [N] of touch ``b``, on the host, the padding cut off."""
-    return touching.nodal(torch.tensor([b], device=touching.device))[0].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
+    return touching.nodal(torch.tensor([b],
+                                       device=touching.device))[0].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
 
 
 def dof(touching, b):
@@ -108,8 +109,9 @@ def test_force_is_minus_the_gradient_of_the_energy(model, device, probe, pose):
     slope = (e[:20] - e[20:40]) / (2 * h)
     force = nodal(touching, 40)
     expected = -(x[dof(touching, 40)] * force[:, None]).sum(axis=0)
-    # energy over force is about the penetration, 1e-3 m: rounding 1e-16 * 1e-3 / h = 1e-11, some 1e3 terms; truncation (h / 1e-2 m)^2;
-    # a Gauss point that crosses the surface or a fillet within h changes the force by h / penetration = 1e-5 of its own share
+    # energy over force is about the penetration, 1e-3 m: rounding 1e-16 * 1e-3 / h = 1e-11, some 1e3 terms; truncation
+    # (h / 1e-2 m)^2; a Gauss point that crosses the surface or a fillet within h changes the force by h / penetration =
+    # 1e-5 of its own share
     assert np.abs(slope - expected).max() < 1e-6 * np.abs(expected).max()
 
 
@@ -130,7 +132,8 @@ def test_rows_and_geometric_block_are_the_derivative_of_the_force(model, device,
     found = whole[:len(at), :len(at)] @ x[at]
     # forces of ~10 N have rounding 1e-15 N, over 2 h: 1e-6 of slopes ~ 1e6
     assert np.abs((found + slope) * free).max() < 1e-5 * np.abs(slope).max()
-    assert np.linalg.eigvalsh(0.5 * (bend + bend.T)).max() < 1e-9 * np.abs(slope).max(), "the geometric part only ever softens"
+    assert np.linalg.eigvalsh(0.5 * (bend
+                                     + bend.T)).max() < 1e-9 * np.abs(slope).max(), "the geometric part only ever softens"
 
 
 def test_a_plane_on_a_flat_top_meets_stiffness_times_penetration_times_area(model, device):
@@ -171,7 +174,8 @@ def test_batched_touches_do_not_see_each_other(model, device):
     for b in range(3):
         alone = evaluated(poses[:, b:b + 1])
         # the same sums in the same order up to the blocking of the matrix product, which depends on the padding
-        assert np.allclose(nodal(alone, 0), nodal(together, b), rtol=1e-13, atol=1e-16) and energy(alone)[0] == pytest.approx(energy(together)[b], rel=1e-13)
+        assert np.allclose(nodal(alone, 0), nodal(together, b), rtol=1e-13,
+                           atol=1e-16) and energy(alone)[0] == pytest.approx(energy(together)[b], rel=1e-13)
 
 
 def test_of_several_bodies_the_nearest_pushes_and_each_knows_its_force(model, device):

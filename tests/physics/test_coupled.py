@@ -11,7 +11,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.contact.rigid_points import complementarity
+from vsfsim.physics.contact import complementarity
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way
 from vsfsim.physics.solve.frames import Reason
 
@@ -52,7 +52,8 @@ def down(height, depths, x=0.004, y=0.003):
 
 
 def press(model, bubble, depths, friction, device, **limits):
-    solver = CoupledSolver(model, bubble, friction=friction, device=device, options=dataclasses.replace(tiers.options("fem"), **limits))
+    solver = CoupledSolver(model, bubble, friction=friction, device=device,
+                           options=dataclasses.replace(tiers.options("fem"), **limits))
     frames = solver.run(down(bubble.mesh.points[:, 2].max(), depths), keep=True)
     return solver, frames
 
@@ -73,14 +74,16 @@ def test_both_bodies_balance_and_the_gas_is_squeezed(bubble, block, device):
 
 
 def test_a_frame_that_needs_more_iterations_than_it_may_take_is_marked(bubble, block, device):
-    """Halved steps, softer contact and the second try included, however far from balance it stops; frames within the limit are what they are without one."""
+    """Halved steps, softer contact and the second try included, however far from balance it stops; frames within the
+    limit are what they are without one."""
     depths = [0.0005, 0.005]
     _, free = press(block(1e5), bubble, depths, 2.0, device)
     few, many = (int(n) for n in sorted(free.iterations[:, 0]))
     assert few < many and free.converged.all()
     _, limited = press(block(1e5), bubble, depths, 2.0, device, newton_frame=many - 1)
     hard = int(free.iterations[:, 0].argmax())
-    assert limited.iterations[hard, 0] == many - 1 and limited.reason[hard, 0] == Reason.ITERATIONS and not limited.converged[hard, 0]
+    assert limited.iterations[hard, 0] == many - 1 and limited.reason[hard,
+                                                                      0] == Reason.ITERATIONS and not limited.converged[hard, 0]
     if hard == 1:
         assert limited.converged[0, 0] and np.array_equal(limited.force[0], free.force[0])
 
@@ -120,6 +123,7 @@ def test_complementarity_against_enumeration():
     for _ in range(20):
         a = rng.standard_normal((6, 6))
         matrix, offset = a @ a.T + 0.1 * np.eye(6), rng.standard_normal(6)
-        z = complementarity.solve(torch.as_tensor(matrix)[None], torch.as_tensor(offset)[None], torch.zeros((1, 6), dtype=torch.bool))[0].numpy()
+        z = complementarity.solve(torch.as_tensor(matrix)[None], torch.as_tensor(offset)[None],
+                                  torch.zeros((1, 6), dtype=torch.bool))[0].numpy()
         y = matrix @ z + offset
         assert (z >= 0.0).all() and (y > -1e-9).all() and abs(z @ y) < 1e-9

@@ -1,4 +1,5 @@
-"""A bubble on a soft block at the ends of what a scene may ask: every frame converges or says why not, and nothing is ever NaN."""
+"""A bubble on a soft block at the ends of what a scene may ask: every frame converges or says why not, and nothing is
+ever NaN."""
 
 import dataclasses
 
@@ -30,14 +31,16 @@ young_modulus = {modulus!r}
 
 
 def press(body, sensor, depths, *, slant=0.0, device="cpu", friction=2.0):
-    """Frames at ``depths`` [m] past the apex' first contact with the top, the mount tilted by ``slant`` [rad] and going straight down."""
+    """Frames at ``depths`` [m] past the apex' first contact with the top, the mount tilted by ``slant`` [rad] and going
+    straight down."""
     turn = np.diag([1.0, -1.0, -1.0]) @ rotation_matrix((0.0, slant, 0.0))
     lowest = (sensor.mesh.points @ turn.T)[:, 2].min()
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
     poses[:, 0, :3, :3] = turn
     # off the planes of symmetry, so that nothing cancels
     poses[:, 0, :3, 3] = np.array([0.003, 0.002, 0.05 - lowest]) - np.asarray(depths)[:, None] * [0.0, 0.0, 1.0]
-    solver = CoupledSolver(body, sensor, friction=friction, device=device, options=dataclasses.replace(tiers.options("fem-coarse"), seconds=1e9, cg_frame=600))
+    solver = CoupledSolver(body, sensor, friction=friction, device=device,
+                           options=dataclasses.replace(tiers.options("fem-coarse"), seconds=1e9, cg_frame=600))
     frames = solver.run(poses, keep=True)
     for field in dataclasses.fields(Frames):
         assert np.isfinite(np.asarray(getattr(frames, field.name), float)).all(), field.name
@@ -46,8 +49,11 @@ def press(body, sensor, depths, *, slant=0.0, device="cpu", friction=2.0):
     good = frames.converged
     assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
     assert (frames.residual[good] <= 1e-3).all()
-    print(f"{int(good.sum())} of {len(depths)} converged, reasons {[Reason(int(r)).name for r in frames.reason.ravel()]}, force {np.linalg.norm(frames.force[:, 0], axis=1).round(4).tolist()} N, "
-          f"{frames.iterations.ravel().tolist()} Newton, {frames.cg_iterations.ravel().tolist()} CG, penetration {frames.penetration.max() / sensor.element_size:.1e} of an edge, {frames.seconds.sum():.1f} s")
+    print(f"{int(good.sum())} of {len(depths)} converged, reasons "
+          f"{[Reason(int(r)).name for r in frames.reason.ravel()]}, force "
+          f"{np.linalg.norm(frames.force[:, 0], axis=1).round(4).tolist()} N, "
+          f"{frames.iterations.ravel().tolist()} Newton, {frames.cg_iterations.ravel().tolist()} CG, penetration "
+          f"{frames.penetration.max() / sensor.element_size:.1e} of an edge, {frames.seconds.sum():.1f} s")
     return frames
 
 
@@ -66,7 +72,8 @@ def test_either_may_be_a_thousand_times_as_stiff(coarse, device, ratio):
 
 @pytest.mark.slow
 def test_unloading_comes_back(coarse, device):
-    """In, and out over the same depths down to a fifth of a millimetre: with friction the way matters, but where both bodies stick it hardly does."""
+    """In, and out over the same depths down to a fifth of a millimetre: with friction the way matters, but where both
+    bodies stick it hardly does."""
     depths = [0.001, 0.002, 0.003, 0.004, 0.003, 0.002, 0.001, 0.0002]
     frames = press(block(MATCHED), coarse, depths, device=device)
     assert frames.converged.all()
@@ -77,7 +84,8 @@ def test_unloading_comes_back(coarse, device):
 @pytest.mark.slow
 def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
     """Over six decades the force grows from the block's own to that of a wall, and no further."""
-    force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2] for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
+    force = [press(block(ratio * MATCHED), coarse, [0.002], device=device).force[-1, 0, 2]
+             for ratio in (1e-3, 1e-1, 1.0, 1e1, 1e2, 1e3)]
     gain = np.diff(force)
     # what is missing to a wall is the block's own compliance, a tenth for each decade
     assert (gain > 0.0).all() and gain[-1] < 0.2 * gain[-2] and force[0] < 0.01 * force[-1]
@@ -86,7 +94,8 @@ def test_the_stiffer_the_block_the_more_it_pushes(coarse, device):
 @pytest.mark.slow
 @pytest.mark.parametrize(("change", "depth", "sure"), [
     ({"gauge_pressure": 200.0, "pre_stretch": 1.0, "gas_volume": 6e-5}, 0.003, 4),  # deflated, no tension but its own
-    ({"gauge_pressure": 200.0}, 0.001, 3),  # deflated and taut: 1.1 mm high, and flat on the block at the end, out to the rim
+    # deflated and taut: 1.1 mm high, and flat on the block at the end, out to the rim
+    ({"gauge_pressure": 200.0}, 0.001, 3),
     ({"young_modulus": 1.36e9, "gauge_pressure": 7.82e6}, 0.003, 4),  # a thousand times as stiff
     ({"sealed": False}, 0.004, 4),
 ])
@@ -106,7 +115,8 @@ def test_eight_tenths_of_the_dome(coarse, device):
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_45_degrees(coarse, device, side):
-    frames = press(block(10.0 * MATCHED), coarse, [0.001, 0.002, 0.003, 0.004], slant=side * 0.25 * np.pi, device=device)
+    frames = press(block(10.0 * MATCHED), coarse, [0.001, 0.002, 0.003, 0.004], slant=side * 0.25 * np.pi,
+                   device=device)
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 

@@ -1,4 +1,5 @@
-"""What every element must do: energy, force, tangent and its projection agree, and the small-strain modulus is the one put in.
+"""What every element must do: energy, force, tangent and its projection agree, and the small-strain modulus is the one
+put in.
 
 A new element joins by a row in ELEMENTS.
 """
@@ -25,20 +26,25 @@ E = 2e4
 
 
 def tet(pointwise):
-    """Quadratic tetrahedra, with so much of lambda at the Gauss points (in units of mu) and the rest in the element's mean volume."""
+    """Quadratic tetrahedra, with so much of lambda at the Gauss points (in units of mu) and the rest in the element's
+    mean volume."""
     def make(mesh, young_modulus, poisson_ratio):
-        return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, *lame(young_modulus, poisson_ratio), pointwise=pointwise),)
+        return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, *lame(young_modulus, poisson_ratio),
+                            pointwise=pointwise),)
 
     return make
 
 
-ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0), "spring": spring_network, "anchor": foundation,
+ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0), "spring": spring_network,
+            "anchor": foundation,
             "all at once": lambda *given: (*tet(2.0)(*given), *spring_network(*given), *foundation(*given))}
 
 
 def membrane(mesh, flat, *, law="neo-hookean", nu=0.5, tension_field=True):
-    """Triangles that a clamp has stretched, if they cannot bear compression: within rounding of rest they turn slack and taut at every step."""
-    return triangle.block(mesh.faces, mesh.points, flat[mesh.faces] / (1.1 if tension_field else 1.0), 700.0, law=law, poisson_ratio=nu, tension_field=tension_field)
+    """Triangles that a clamp has stretched, if they cannot bear compression: within rounding of rest they turn slack
+    and taut at every step."""
+    return triangle.block(mesh.faces, mesh.points, flat[mesh.faces] / (1.1 if tension_field else 1.0), 700.0, law=law,
+                          poisson_ratio=nu, tension_field=tension_field)
 
 
 def bending(mesh, flat):
@@ -46,13 +52,16 @@ def bending(mesh, flat):
 
 
 def air(mesh, flat, *, pressure=0.0, gamma=1.4, sealed=True):
-    return gas.block(closed(mesh.faces, mesh.rim), mesh.points, pressure=pressure, volume=mesh.volume[0], gamma=gamma, dead_volume=2e-5, sealed=sealed)
+    return gas.block(closed(mesh.faces, mesh.rim), mesh.points, pressure=pressure, volume=mesh.volume[0], gamma=gamma,
+                     dead_volume=2e-5, sealed=sealed)
 
 
 # elements of surfaces: on a sheet of triangles, flat for what is to be at rest there, else a dome
-FLAT = {"triangle": lambda *given: (membrane(*given),), "triangle without tension field": lambda *given: (membrane(*given, tension_field=False),),
+FLAT = {"triangle": lambda *given: (membrane(*given),),
+        "triangle without tension field": lambda *given: (membrane(*given, tension_field=False),),
         "linear triangle": lambda *given: (membrane(*given, law="saint-venant-kirchhoff", nu=0.3),),
-        "linear triangle without tension field": lambda *given: (membrane(*given, law="saint-venant-kirchhoff", nu=0.3, tension_field=False),),
+        "linear triangle without tension field": lambda *given: (membrane(*given, law="saint-venant-kirchhoff", nu=0.3,
+                                                                          tension_field=False),),
         "hinge": lambda *given: (bending(*given),)}
 DOMES = {"gas": lambda *given: (air(*given),), "isothermal gas": lambda *given: (air(*given, gamma=1.0),),
          "open gas": lambda *given: (air(*given, pressure=5e3, sealed=False),),
@@ -83,7 +92,8 @@ class Body:
         self.elements.internal.fill_(np.nan)
         self.elements.energy.fill_(np.nan)
         self.elements.forces(self.index(range(u.shape[1])), self.put(u))
-        return tuple(a.numpy().astype(float) for a in (self.elements.internal, self.elements.energy, self.elements.least_det))
+        return tuple(a.numpy().astype(float) for a in (self.elements.internal, self.elements.energy,
+                                                       self.elements.least_det))
 
     def tangent_times(self, u, x, *, projected):
         """Tangent at u (3 n,) times x (3 n, k)."""
@@ -100,7 +110,8 @@ def surface(kind):
     mesh = TriangleMesh.of(np.column_stack([flat, height * np.ones(len(flat))]), faces.astype(np.int32), rim)
     blocks = {**FLAT, **DOMES}[kind](mesh, flat)
     n = len(flat)
-    return Model(mesh, blocks, np.full(1, E), np.ones(3 * n), np.zeros(3 * n), np.full(len(faces), E), Solid(np.zeros((0, 3)), np.zeros((0, 4), int), np.zeros(0, int), ("sheet",)),
+    return Model(mesh, blocks, np.full(1, E), np.ones(3 * n), np.zeros(3 * n), np.full(len(faces), E),
+                 Solid(np.zeros((0, 3)), np.zeros((0, 4), int), np.zeros(0, int), ("sheet",)),
                  0.01, None)
 
 
@@ -124,7 +135,8 @@ def small(block):
     def make(kind):
         if kind in SURFACES:
             return surface(kind)
-        return block(SIZE, 0.03, young_modulus=lambda x: E * values[:len(x)], poisson_ratio=0.4, elements=ELEMENTS[kind])
+        return block(SIZE, 0.03, young_modulus=lambda x: E * values[:len(x)], poisson_ratio=0.4,
+                     elements=ELEMENTS[kind])
 
     return make
 
@@ -157,8 +169,10 @@ def test_force_is_the_gradient_of_the_energy(body, size, inverted):
     slope = (energy[:n] - energy[n:]) / (2 * h)
     force, _, det = body(u[:, None])
     assert (det[0] < 0.0) == (inverted and body.kind not in ("spring", "anchor", *SURFACES))
-    # central differences: truncation (h / node distance)^2 ~ 2e-8, of springs and sheets that are squeezed to a tenth 2e-6; rounding 1e-16 energy / (h force) ~ 1e-8
-    assert np.abs(force[:, 0] - slope).max() < (2e-6 if body.kind in ("spring", *SURFACES) else 2e-7) * np.abs(slope).max()
+    # central differences: truncation (h / node distance)^2 ~ 2e-8, of springs and sheets that are squeezed to a tenth
+    # 2e-6; rounding 1e-16 energy / (h force) ~ 1e-8
+    assert np.abs(force[:, 0] - slope).max() < (2e-6 if body.kind in ("spring", *SURFACES)
+                                                else 2e-7) * np.abs(slope).max()
 
 
 def rotation(seed):
@@ -178,12 +192,14 @@ def test_a_rigid_motion_costs_nothing_unless_the_body_is_tied(body):
         assert np.abs(force[:, 0] - (stiffness[:, None] * u).ravel()).max() < 1e-12 * np.abs(force).max()
         return
     if body.kind in LOADED:
-        # the energy and the forces of u = 0, turned with the body; stiffness (4e3 N/m) times rounding of positions of 0.3 m is 1e-13 N, some 30 in a sum
+        # the energy and the forces of u = 0, turned with the body; stiffness (4e3 N/m) times rounding of positions of
+        # 0.3 m is 1e-13 N, some 30 in a sum
         before, stored, _ = body(np.zeros((u.size, 1)))
         assert np.abs(force.reshape(-1, 3) - before.reshape(-1, 3) @ rotation(2).T).max() < 1e-11 * np.abs(before).max()
         assert energy[0] == pytest.approx(stored[0], rel=1e-12, abs=1e-14)
         return
-    # zero but for rounding of positions of size 0.3 m: strain 1e-16 * 0.3 / 0.01 ~ 3e-15, in units of E area and E volume
+    # zero but for rounding of positions of size 0.3 m: strain 1e-16 * 0.3 / 0.01 ~ 3e-15, in units of E area and E
+    # volume
     assert np.abs(force).max() < 1e-13 * E * 0.03**2 * 10
     assert abs(energy[0]) < 1e-13 * E * np.prod(SIZE)
     assert det[0] == pytest.approx(1.0, abs=1e-12)
@@ -221,7 +237,8 @@ def test_tangent_at_rest_is_the_rest_stiffness(body, projected):
     if projected and body.kind in DOMES:
         return  # its projection leaves out what the pressure takes away
     rest = rest_stiffness(body.model)
-    # the projection meets eigenvalues that are zero (rotations) and positive: nothing to do, but for rounding of singular values of 1
+    # the projection meets eigenvalues that are zero (rotations) and positive: nothing to do, but for rounding of
+    # singular values of 1
     assert np.abs(tangent - rest).max() < 1e-12 * np.abs(rest).max() * (1e4 if projected else 1.0)
     if body.kind not in SURFACES:
         assert np.abs(body.model.factor.stiffness - rest).max() < 1e-12 * np.abs(rest).max()
@@ -232,7 +249,8 @@ def test_touches_keep_to_themselves(body):
     rng = np.random.default_rng(4)
     n = body.points.size
     u, x = 4e-3 * rng.standard_normal((n, 4)), rng.standard_normal((n, 2))
-    alone = {(b, p, k): body.tangent_times(u[:, b], x[:, [k]], projected=p)[:, 0] for b in range(4) for p in (False, True) for k in range(2)}
+    alone = {(b, p, k): body.tangent_times(u[:, b], x[:, [k]], projected=p)[:, 0] for b in range(4)
+             for p in (False, True) for k in range(2)}
     body.elements.begin(4)
     given = body.put(u)
     body.elements.tangent(body.index([0, 1, 2, 3]), given, projected=False)
@@ -278,9 +296,11 @@ def test_single_precision_is_as_good_as_its_digits(body, device):
 
 
 def pulled(body, size, axis, *, strain=1e-6):
-    """A block on rollers, its far end along ``axis`` pulled, its sides free: observed modulus [Pa], and the two Poisson's ratios."""
+    """A block on rollers, its far end along ``axis`` pulled, its sides free: observed modulus [Pa], and the two
+    Poisson's ratios."""
     points = body.points
-    stiffness = assemble(len(points), body.model.blocks).tocsr()  # the tangent at rest, see test_tangent_at_rest_is_the_rest_stiffness
+    # the tangent at rest, see test_tangent_at_rest_is_the_rest_stiffness
+    stiffness = assemble(len(points), body.model.blocks).tocsr()
     held = np.abs(points - points.min(axis=0)) < 1e-9
     end = np.abs(points[:, axis] - points[:, axis].max()) < 1e-9
     held[end, axis] = True
@@ -291,7 +311,8 @@ def pulled(body, size, axis, *, strain=1e-6):
     u[free] = spsolve(stiffness[free][:, free].tocsc(), -(stiffness @ u)[free])
     force = body(u[:, None])[0].reshape(-1, 3)[end, axis].sum()
     moved = u.reshape(-1, 3)
-    across = [-moved[np.abs(points[:, c] - points[:, c].max()) < 1e-9, c].mean() / (size[c] * strain) for c in range(3) if c != axis]
+    across = [-moved[np.abs(points[:, c] - points[:, c].max()) < 1e-9, c].mean() / (size[c] * strain) for c in range(3)
+              if c != axis]
     return force * size[axis] / (np.prod(size) * strain), across
 
 
@@ -300,8 +321,8 @@ def pulled(body, size, axis, *, strain=1e-6):
 def test_observed_modulus_and_poisson_ratio_of_tetrahedra(block, device, nu, pointwise):
     body = Body(block(SIZE, 0.03, young_modulus=E, poisson_ratio=nu, elements=tet(pointwise)), device)
     modulus, across = pulled(body, SIZE, 2)
-    # a homogeneous field, which the element holds exactly. The law is nonlinear: relative differences of the order of the strain
-    # itself, times (lambda + mu) / E ~ 17 at nu 0.49 and 1667 at 0.4999
+    # a homogeneous field, which the element holds exactly. The law is nonlinear: relative differences of the order of
+    # the strain itself, times (lambda + mu) / E ~ 17 at nu 0.49 and 1667 at 0.4999
     assert modulus == pytest.approx(E, rel=3e-6 * max(1.0, 0.17 / (0.5 - nu)))
     assert across == pytest.approx([nu, nu], abs=1e-6)
 
@@ -311,14 +332,16 @@ def test_observed_modulus_of_a_network_of_springs(block, device):
     body = Body(block(size, 0.01, young_modulus=E, poisson_ratio=0.25, elements=spring_network), device)
     for axis in range(3):
         modulus, across = pulled(body, size, axis)
-        # network.py says to 3 %: it is isotropic on the average of a neighbourhood only, and nodes do not move as their neighbours' mean
+        # network.py says to 3 %: it is isotropic on the average of a neighbourhood only, and nodes do not move as their
+        # neighbours' mean
         assert modulus == pytest.approx(E, rel=0.03)
         assert across == pytest.approx([0.2, 0.2], abs=0.03)
 
 
 def test_a_network_takes_no_notice_of_the_poisson_ratio_and_is_as_stiff_as_its_parts(block):
     soft, other, two = (block(SIZE, 0.01, young_modulus=e, poisson_ratio=nu, elements=spring_network)
-                        for e, nu in ((E, 0.25), (E, 0.45), (lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E), 0.25)))
+                        for e, nu in ((E, 0.25), (E, 0.45), (lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E),
+                                                             0.25)))
     assert np.array_equal(soft.blocks[0].parameters["stiffness"], other.blocks[0].parameters["stiffness"])
     middle = soft.mesh.points[soft.blocks[0].nodes].mean(axis=1)[:, 2]
     ratio = two.blocks[0].parameters["stiffness"] / soft.blocks[0].parameters["stiffness"]
@@ -328,13 +351,15 @@ def test_a_network_takes_no_notice_of_the_poisson_ratio_and_is_as_stiff_as_its_p
 def test_observed_stiffness_of_a_foundation(block, device):
     """Pressed down as a whole, the top of a layered block answers with the layers' confined moduli in series."""
     nu, size = 0.3, (0.03, 0.03, 0.02)
-    body = Body(block(size, 0.005, young_modulus=lambda x: np.where(x[..., 2] < 0.01, E, 4.0 * E), poisson_ratio=nu, elements=foundation), device)
+    body = Body(block(size, 0.005, young_modulus=lambda x: np.where(x[..., 2] < 0.01, E, 4.0 * E), poisson_ratio=nu,
+                      elements=foundation), device)
     # away from the edges, where normals turn outwards
     inner = (np.abs(body.points[:, 2] - 0.02) < 1e-9) & (np.abs(body.points[:, :2]) < 0.0095).all(axis=1)
     u = np.zeros_like(body.points)
     u[:, 2] = -1e-4
     force = body(u.reshape(-1, 1))[0].reshape(-1, 3)[inner, 2].sum()
-    # their part of the surface: 36 of the 6 x 6 squares of 5 mm lie within, shared with the nodes around; count by the shares of a uniform field
+    # their part of the surface: 36 of the 6 x 6 squares of 5 mm lie within, shared with the nodes around; count by the
+    # shares of a uniform field
     m = confined_modulus(1.0, nu)
     pressure = 1e-4 / (0.01 / (m * E) + 0.01 / (4.0 * m * E))
     stiffness = body.model.blocks[0].parameters["stiffness"]
@@ -368,16 +393,20 @@ def test_a_spring_of_no_length_keeps_finite_numbers(block, device):
 
 def test_bulk_stiffness_is_divided_between_the_points_and_the_mean(block):
     """All of it acts somewhere, and above nu = 0.47 most of it on the mean volume."""
-    for nu, least, most in ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.4, 0.0, 0.0), (0.45, 0.5, 0.6), (0.48, 0.8, 0.9), (0.4999, 0.999, 1.0)):
+    for nu, least, most in ((0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.4, 0.0, 0.0), (0.45, 0.5, 0.6), (0.48, 0.8, 0.9),
+                            (0.4999, 0.999, 1.0)):
         made, = block(SIZE, 0.03, young_modulus=E, poisson_ratio=nu, elements=tetrahedra).blocks
         lam = float(lame(E, nu)[1])
-        assert made.parameters["lam"] + made.parameters["mean_lam"][:, None] == pytest.approx(np.full((len(made), 4), lam), rel=1e-8)
+        assert made.parameters["lam"] + made.parameters["mean_lam"][:,
+                                                                    None] == pytest.approx(np.full((len(made), 4), lam),
+                                                                                           rel=1e-8)
         assert least * lam <= made.parameters["mean_lam"].max() <= most * lam
 
 
 def test_an_element_of_two_moduli_has_one_pressure(block):
     """The mean part of a mixed element: pressures equal, volume changes add up, so moduli combine harmonically."""
-    made, = block(SIZE, 0.03, young_modulus=lambda x: E * np.array([1.0, 2.0, 4.0, 8.0])[None] * np.ones(x.shape[:2]), poisson_ratio=0.49,
+    made, = block(SIZE, 0.03, young_modulus=lambda x: E * np.array([1.0, 2.0, 4.0, 8.0])[None] * np.ones(x.shape[:2]),
+                  poisson_ratio=0.49,
                   elements=tet(0.0)).blocks
     lam = float(lame(E, 0.49)[1])
     assert made.parameters["mean_lam"] == pytest.approx(lam * 4.0 / (1.0 + 0.5 + 0.25 + 0.125), rel=1e-12)

@@ -1,4 +1,5 @@
-"""The ends of what a scene may ask: contrast, Poisson's ratio, stiffness, depth, bad meshes, weight. Every frame converges or says why not."""
+"""The ends of what a scene may ask: contrast, Poisson's ratio, stiffness, depth, bad meshes, weight. Every frame
+converges or says why not."""
 
 import dataclasses
 import time
@@ -24,7 +25,8 @@ def body(modulus=lambda x: np.full(x.shape[:-1], 1e5), *, nu=0.3, solid=None, re
     if solid is None:
         vertices, tets = box(SIZE, resolution)
         solid = Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
-    return build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9, where="test", **more)
+    return build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9,
+                       where="test", **more)
 
 
 def inclusion(contrast, young_modulus=1e5):
@@ -38,26 +40,32 @@ def inclusion(contrast, young_modulus=1e5):
 
 
 def press(model, depths, device, *, linear=False, seconds=SECONDS, tolerance=1e-4):
-    """Frames at ``depths`` (parts of the thickness), which hold what every run must hold, whether it converged or not."""
+    """Frames at ``depths`` (parts of the thickness), which hold what every run must hold, whether it converged or
+    not."""
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
     # off the planes of symmetry, so that nothing cancels
     poses[:, 0, :3, 3] = np.array([0.003, 0.001, SIZE[2] + 0.015]) - np.asarray(depths)[:, None] * [0.0, 0.0, SIZE[2]]
     began = time.perf_counter()
-    frames = Solver(model, PROBE, device=device, linear=linear, options=SolverOptions(tolerance=tolerance, seconds=seconds)).run(poses)
+    frames = Solver(model, PROBE, device=device, linear=linear,
+                    options=SolverOptions(tolerance=tolerance, seconds=seconds)).run(poses)
     took = time.perf_counter() - began
-    # the limit is looked at between Newton's steps, each of which is bounded by its CG iterations; the first run may compile kernels
+    # the limit is looked at between Newton's steps, each of which is bounded by its CG iterations; the first run may
+    # compile kernels
     assert took < 60.0 + 3.0 * seconds * len(depths)
     for f in dataclasses.fields(Frames):
         assert np.isfinite(np.asarray(getattr(frames, f.name), float)).all(), f.name
     good = frames.converged
     assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
     assert (frames.residual[good] <= tolerance).all() and (frames.force_balance[good] <= 1e-3).all()
-    print(f"{int(good.sum())} of {len(depths)} converged, reasons {frames.reason.ravel().tolist()}, fz {frames.force[:, 0, 2].tolist()}, "
-          f"min det F {frames.min_det_f.min():.2f}, {frames.iterations.sum()} iterations, {frames.cg_iterations.sum()} of CG, {took:.1f} s")
+    print(f"{int(good.sum())} of {len(depths)} converged, reasons {frames.reason.ravel().tolist()}, fz "
+          f"{frames.force[:, 0, 2].tolist()}, "
+          f"min det F {frames.min_det_f.min():.2f}, {frames.iterations.sum()} iterations, {frames.cg_iterations.sum()} "
+          f"of CG, {took:.1f} s")
     return frames
 
 
-# ------------------------------------------------------------------------------------------ contrast and Poisson's ratio
+# ------------------------------------------------------------------------------------------ contrast and Poisson's
+# ratio
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
@@ -66,7 +74,8 @@ def test_contrast_and_poissons_ratio(device, contrast, nu):
     """A fifth of the thickness: every one of these converges."""
     frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2], device)
     assert frames.converged.all()
-    assert (frames.min_det_f > 0.0).all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all() and frames.force[0, 0, 2] > 0.0
+    assert (frames.min_det_f > 0.0).all() and (np.diff(frames.force[:, 0,
+                                                                    2]) > 0.0).all() and frames.force[0, 0, 2] > 0.0
 
 
 def test_a_stiff_inclusion_becomes_a_rigid_one(device):
@@ -85,9 +94,12 @@ def test_nearly_incompressible(device, nu):
 
 @pytest.mark.parametrize("linear", [False, True])
 def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
-    force = np.array([press(body(inclusion(100.0, e)), [0.1, 0.2], device, linear=linear).force[:, 0] / e for e in (1e2, 1e5, 1e11)])
+    force = np.array([press(body(inclusion(100.0, e)), [0.1, 0.2], device, linear=linear).force[:, 0] / e
+                      for e in (1e2, 1e5, 1e11)])
     # nothing in the solver knows what a pascal is; the equilibria are found to 1e-4
-    assert force[0] == pytest.approx(force[1], abs=3e-4 * force[1].max()) and force[2] == pytest.approx(force[1], abs=3e-4 * force[1].max())
+    assert force[0] == pytest.approx(force[1],
+                                     abs=3e-4 * force[1].max()) and force[2] == pytest.approx(force[1],
+                                                                                              abs=3e-4 * force[1].max())
 
 
 @pytest.mark.slow
@@ -106,7 +118,8 @@ def test_four_tenths_of_the_thickness(device, nu):
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
-@pytest.mark.parametrize("nu", [pytest.param(0.0, marks=pytest.mark.slow), 0.3, pytest.param(0.45, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("nu", [pytest.param(0.0, marks=pytest.mark.slow), 0.3,
+                                pytest.param(0.45, marks=pytest.mark.slow)])
 def test_eight_tenths_of_the_thickness(device, nu):
     """A frame that converged has the probe outside, pushed back the way it came, and no element inside out."""
     frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)
@@ -142,7 +155,8 @@ def test_a_hard_frame_ends_in_time(device):
 def slivered(degrees):
     """The block with inner vertices pushed towards a neighbour until the least dihedral angle is about ``degrees``."""
     vertices, tets = box(SIZE, 0.01)
-    inside = np.flatnonzero(((np.abs(vertices[:, :2]) < 0.02) & (vertices[:, 2:] > 0.005) & (vertices[:, 2:] < 0.015)).all(axis=1))
+    inside = np.flatnonzero(((np.abs(vertices[:, :2]) < 0.02) & (vertices[:, 2:] > 0.005)
+                             & (vertices[:, 2:] < 0.015)).all(axis=1))
     low, high = 0.0, 1.0
     for _ in range(40):
         part = 0.5 * (low + high)

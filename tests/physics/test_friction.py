@@ -31,7 +31,8 @@ def plate(line, down, sideways):
 
 def test_a_dragged_plate_slides_at_mu_times_the_normal_force(model, line, device):
     mu = 0.3
-    frames = Solver(model, Plane(), friction=mu, device=device, options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.006]))
+    frames = Solver(model, Plane(), friction=mu, device=device,
+                    options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.006]))
     assert frames.converged.all()
     along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
     # every point slips the same way, so the sum of the limits is the limit of the sum
@@ -39,18 +40,21 @@ def test_a_dragged_plate_slides_at_mu_times_the_normal_force(model, line, device
     # and nowhere is it passed: sums of forces on a flat plate are bounded by the sum of the limits
     assert (np.abs(along) <= mu * normal * (1.0 + 1e-4) + 1e-6).all()
     assert (frames.force_balance < 1e-3).all()
-    assert np.abs(frames.force[:4, 0, :2]).max() < 1e-3 * normal[3], "pressed straight down: the sum of the friction is nil"
+    assert np.abs(frames.force[:4, 0,
+                               :2]).max() < 1e-3 * normal[3], "pressed straight down: the sum of the friction is nil"
 
 
 def test_with_much_friction_the_top_is_glued(model, line, device):
     """No point slips: the force is that of a top which follows the plate, the same for any larger coefficient."""
     forces = []
     for mu in (50.0, 500.0):
-        frames = Solver(model, Plane(), friction=mu, device=device, options=TIGHT).run(plate(line, 0.001, [0.0002, 0.0005]))
+        frames = Solver(model, Plane(), friction=mu, device=device,
+                        options=TIGHT).run(plate(line, 0.001, [0.0002, 0.0005]))
         assert frames.converged.all() and (frames.slipping[3:] == 0.0).all()
         forces.append(frames.force[:, 0])
     assert forces[0] == pytest.approx(forces[1], rel=1e-4, abs=1e-4)
-    # a glued block of side 40 mm and height 20 mm under simple shear: G A x / h bounds it from above, since the sides are free to bend
+    # a glued block of side 40 mm and height 20 mm under simple shear: G A x / h bounds it from above, since the sides
+    # are free to bend
     shear = E / (2 * (1 + NU)) * SIZE[0] * SIZE[1] * 0.0005 / SIZE[2]
     assert 0.6 * shear < -forces[0][-1, 0] < shear * 1.02
 
@@ -63,7 +67,8 @@ def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line,
     assert frames.converged.all()
     along, normal = frames.force[4:, 0, 0], frames.force[4:, 0, 2]
     assert (along[2:5] < 0.0).all() and (along[-3:] > 0.0).all(), "the force on the ball points back along its way"
-    # the ball's curvature adds a part of the normal pressure: the rise of the ploughed wall, which is of the order of slip over radius
+    # the ball's curvature adds a part of the normal pressure: the rise of the ploughed wall, which is of the order of
+    # slip over radius
     assert (np.abs(along) < (mu + 0.35) * normal).all()
     # a loop that turns back loses energy: the force at the same place differs between the ways
     out, back = along[sideways.index(0.001)], along[6]
@@ -71,13 +76,15 @@ def test_limits_hold_at_every_frame_and_friction_opposes_the_motion(model, line,
 
 
 def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(model, line, device):
-    frames = Solver(model, Plane(), friction=0.0, device=device, options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.001, 0.0]))
+    frames = Solver(model, Plane(), friction=0.0, device=device,
+                    options=TIGHT).run(plate(line, 0.001, [0.001, 0.002, 0.001, 0.0]))
     assert np.abs(frames.force[:, 0, :2]).max() < 1e-6 * frames.force[3, 0, 2]
     assert (frames.slipping == 0.0).all()
 
 
 def test_a_ball_that_ploughs_on_arrives_in_few_iterations(block, line, device):
-    """In every frame points come into touch where the body bulges up before the ball; anchors that went along with them crept on, hundreds of iterations a frame, and frames were lost."""
+    """In every frame points come into touch where the body bulges up before the ball; anchors that went along with them
+    crept on, hundreds of iterations a frame, and frames were lost."""
     soft = block((0.06, 0.06, 0.03), 0.006, young_modulus=E, poisson_ratio=0.45)
     path = drag(line, Sphere(0.012), (0.0, 0.0, 0.03 + 0.012), 0.003, [0.0005 * k for k in range(1, 11)])
     frames = Solver(soft, Sphere(0.012), friction=0.6, device=device, options=USUAL).run(path)
@@ -89,7 +96,8 @@ def test_a_ball_that_ploughs_on_arrives_in_few_iterations(block, line, device):
 
 
 def test_holding_still_changes_nothing(model, line, device):
-    frames = Solver(model, Plane(), friction=0.3, device=device, options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
+    frames = Solver(model, Plane(), friction=0.3, device=device,
+                    options=USUAL).run(plate(line, 0.001, [0.001, 0.004, 0.004, 0.004]))
     # points that slip sit exactly on their limit: the step that holds still finds them in balance within the tolerance
     assert frames.force[-1] == pytest.approx(frames.force[-3], rel=2e-3, abs=1e-4)
     assert (frames.iterations[-2:] <= 1).all()
@@ -130,13 +138,15 @@ def test_moment_is_that_of_the_points_on_the_surface(model, line, device):
     nodes = model.mesh.surface_nodes()
     force = -solver.surface_force[-1][:, :, 0]
     places = model.mesh.points[nodes] + solver.history[-1].reshape(-1, 3)[nodes]
-    assert frames.body_moment[-1, 0, 0] == pytest.approx(np.cross(places - poses[-1, 0, :3, 3], force).sum(axis=0), rel=1e-9, abs=1e-12)
+    assert frames.body_moment[-1, 0, 0] == pytest.approx(np.cross(places - poses[-1, 0, :3, 3], force).sum(axis=0),
+                                                         rel=1e-9, abs=1e-12)
 
 
 def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(model, line, device):
     mu = 0.3
     options = SolverOptions(tolerance=1e-4)
-    frames = Solver(model, Plane(), friction=mu, device=device, options=options, linear=True).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.004]))
+    frames = Solver(model, Plane(), friction=mu, device=device, options=options,
+                    linear=True).run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.004]))
     assert frames.converged.all()
     along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
     # forces are known to the 5e-4 at which the limit counts as renewed

@@ -9,10 +9,10 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.contact import rigid_points as contact
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.face_sums import FaceSums
-from vsfsim.physics.contact.rigid_points import rigid_points as contact
-from vsfsim.physics.mesh.quadratic import membrane_refine
+from vsfsim.physics.mesh import membrane_refine
 from vsfsim.press import bubble as press_bubble
 from vsfsim.press import refine_bubble
 
@@ -43,15 +43,19 @@ def at(place, depth, frames=3):
     return poses
 
 
-@pytest.mark.parametrize(("place", "mirrors"), [((0.0, 0.0, 0.0335), ([-1.0, 1.0], [1.0, -1.0])), ((0.0, 0.0385, 0.004), ([-1.0, 1.0],))])
+@pytest.mark.parametrize(("place", "mirrors"), [((0.0, 0.0, 0.0335), ([-1.0, 1.0], [1.0, -1.0])),
+                                                ((0.0, 0.0385, 0.004), ([-1.0, 1.0],))])
 def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mirrors):
-    (wish,) = membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(Sphere(0.003)), at(np.array(place), 0.005), None)
+    (wish,) = membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(Sphere(0.003)),
+                                     at(np.array(place), 0.005), None)
     assert wish[0] == pytest.approx(0.001) and 1 <= len(wish[1]) < 20
     a, b = even.spec.semi_axes
-    flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, (a, b), even.mesh.points, (wish,))
+    flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, (a, b), even.mesh.points,
+                                             (wish,))
     assert np.array_equal(flat[:390], even.flat) and 400 < len(flat) < 2000
     # Euler's formula of a disc: no node hangs and no hole is left
-    assert len(faces) == 2 * len(flat) - 2 - len(rim) and np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0] - 1.0).max() < 1e-12
+    assert len(faces) == 2 * len(flat) - 2 - len(rim) and np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0]
+                                                                 - 1.0).max() < 1e-12
     p, q, r = (flat[faces[:, k]] for k in range(3))
     area = 0.5 * ((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
     quality = 4.0 * np.sqrt(3.0) * area / sum(((u - v) ** 2).sum(axis=1) for u, v in ((p, q), (q, r), (r, p)))
@@ -69,9 +73,12 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
 
 def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
     def asked(shape, place=(0.0, 0.0, 0.0335), edge=None):
-        return membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape), at(np.array(place), 0.005), edge)
+        return membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
+                                      at(np.array(place), 0.005), edge)
 
-    assert asked(Sphere(0.03)) == () and asked(Sphere(0.003), (0.0, 0.0, 0.06)) == () and asked(Plane()) == () and asked(Box((0.01, 0.01, 0.01))) == ()
+    assert asked(Sphere(0.03)) == () and asked(Sphere(0.003),
+                                               (0.0, 0.0, 0.06)) == () and asked(Plane()) == () and asked(Box((0.01,
+                                                                                                               0.01, 0.01))) == ()
     assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
 
 
@@ -80,7 +87,8 @@ def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     table = contact.shape_table(3, 2)
     mesh, parts = even.mesh, len(table)
     area = mesh.face_area()
-    patches = [contact.make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n], parts=parts) for n in (40, 25)]
+    patches = [contact.make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n],
+                                  parts=parts) for n in (40, 25)]
     faces, nodes = 40, max(len(p.nodes) for p in patches)
     points = np.zeros((2, 6 * parts * faces, nodes))
     for b, p in enumerate(patches):
@@ -94,7 +102,9 @@ def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     sums = FaceSums(table, patches, faces, nodes, device="cpu")
     columns = torch.tensor([0, 1])
     # rounding only
-    assert sums.nodal(columns, torch.as_tensor(force)).numpy() == pytest.approx(np.einsum("bqs,bqc->bsc", points, force).reshape(2, -1), abs=1e-12)
+    assert (sums.nodal(columns,
+                       torch.as_tensor(force)).numpy() == pytest.approx(np.einsum("bqs,bqc->bsc", points,
+                                                                                  force).reshape(2, -1), abs=1e-12))
     whole = np.einsum("bqs,bqij,bqt->bsitj", points, stiff, points).reshape(2, 3 * nodes, 3 * nodes)
     assert sums.matrix(columns, torch.as_tensor(stiff)).numpy() == pytest.approx(whole, abs=1e-12)
     # of the nodes that a few faces push, and of nothing else
@@ -102,7 +112,8 @@ def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     few[:, 6 * parts * 5:] = 0.0
     nodes = sums.pushed(columns, torch.as_tensor(few))
     used = [np.unique(p.local[:5 * parts, :3]) for p in patches]
-    assert nodes.shape[1] == max(len(n) for n in used) and all(set(n) <= set(row.tolist()) for n, row in zip(used, nodes))
+    assert nodes.shape[1] == max(len(n) for n in used) and all(set(n) <= set(row.tolist()) for n,
+                                                               row in zip(used, nodes))
     whole = np.einsum("bqs,bqij,bqt->bsitj", points, few, points)
     picked = np.stack([w[n][:, :, n] for w, n in zip(whole, nodes.numpy())]).reshape(2, 3 * nodes.shape[1], -1)
     assert sums.matrix(columns, torch.as_tensor(few), nodes).numpy() == pytest.approx(picked, abs=1e-12)
@@ -121,9 +132,10 @@ def test_a_small_tip_is_met_by_small_triangles_unless_they_are_declined():
     axis = press_bubble.way_in(parse_scene(TIP.replace("EXTRA", ""), "tip.toml").sample(0))
     assert axis == pytest.approx([0.0, 0.0, -1.0])
     seen = refine_bubble.dent(fine, 2, axis)
-    # as deep as the tip went, and nodes stand off a ball that facets touch in their middle: edge^2 / (4 R) = 8e-5 m at most;
-    # wider than the tip, narrower than the dome; sealed air pushes the rest of the skin out
-    assert fine.depth[-1] - 1e-5 < seen.depth < fine.depth[-1] + 8e-5 and 0.003 < seen.radius < 0.02 and 1e-5 < seen.bulge < 1e-3
+    # as deep as the tip went, and nodes stand off a ball that facets touch in their middle: edge^2 / (4 R) = 8e-5 m at
+    # most; wider than the tip, narrower than the dome; sealed air pushes the rest of the skin out
+    assert (fine.depth[-1] - 1e-5 < seen.depth < fine.depth[-1] + 8e-5 and 0.003 < seen.radius < 0.02
+            and 1e-5 < seen.bulge < 1e-3)
 
 
 def test_the_share_of_a_triangle_over_a_level():
@@ -133,9 +145,11 @@ def test_the_share_of_a_triangle_over_a_level():
 
 @pytest.mark.slow
 def test_the_real_sensors_default_mesh_is_converged_on_a_small_tip():
-    """`vsfsim press punyo --refine 3`: what the default lacks of the limit is under one per cent, of the pressure, too."""
+    """`vsfsim press punyo --refine 3`: what the default lacks of the limit is under one per cent, of the pressure,
+    too."""
     scene = load_scene(shelf.scenes()["punyo"]).sample(0)
-    results, force, pressure = refine_bubble.refine(scene, 3, device="cpu", precision="float64", cache=None, progress=None)
+    results, force, pressure = refine_bubble.refine(scene, 3, device="cpu", precision="float64", cache=None,
+                                                    progress=None)
     assert all(r.converged.all() for r in results) and [r.nodes for r in results] == sorted(r.nodes for r in results)
     for found in (force, pressure):
         # by the spread of the last two meshes, whether an order was seen or not

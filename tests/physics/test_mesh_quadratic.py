@@ -29,7 +29,8 @@ def test_counts_and_where_the_edge_nodes_are(solid):
     corners = mesh.points[mesh.tets[:, :4]]
     middle = corners[:, EDGES].mean(axis=2)
     assert np.abs(mesh.points[mesh.tets[:, 4:]] - middle).max() < 1e-15
-    # the boundary of a body without holes: Euler's V - E + F = 2 with E = 3 F / 2, and six-node triangles have V + E nodes
+    # the boundary of a body without holes: Euler's V - E + F = 2 with E = 3 F / 2, and six-node triangles have V + E
+    # nodes
     faces = len(mesh.faces)
     assert len(mesh.surface_nodes()) == 2 + faces // 2 + 3 * faces // 2
     # gradients of the barycentric coordinates: 1 at the own corner, 0 at the others, sum 0
@@ -62,8 +63,10 @@ def test_gauss_points_integrate_a_quadratic_exactly():
     lx, ly, lz = SIZE
     volume = lx * ly * lz
     # closed forms over [-lx/2, lx/2] x [-ly/2, ly/2] x [0, lz]
-    for values, exact in ((np.ones(x.shape[:2]), volume), (x[..., 2], volume * lz / 2), (x[..., 0] ** 2, volume * lx**2 / 12),
-                          (x[..., 2] ** 2, volume * lz**2 / 3), (x[..., 1] ** 2 + 3 * x[..., 2], volume * (ly**2 / 12 + 1.5 * lz))):
+    for values, exact in ((np.ones(x.shape[:2]), volume), (x[..., 2], volume * lz / 2),
+                          (x[..., 0] ** 2, volume * lx**2 / 12),
+                          (x[..., 2] ** 2, volume * lz**2 / 3),
+                          (x[..., 1] ** 2 + 3 * x[..., 2], volume * (ly**2 / 12 + 1.5 * lz))):
         assert (weight * values).sum() == pytest.approx(exact, rel=1e-12)
     # and not everything: the rule is of degree 2, degree 4 must differ (else this test would prove nothing)
     assert abs((weight * x[..., 2] ** 4).sum() - volume * lz**4 / 5) > 1e-4 * volume * lz**4

@@ -1,4 +1,5 @@
-"""The sixteen-bit factor: its order is a true elimination, its answers those of the matrix, and it knows where it is no good."""
+"""The sixteen-bit factor: its order is a true elimination, its answers those of the matrix, and it knows where it is no
+good."""
 
 import itertools
 
@@ -13,7 +14,8 @@ from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
 
 @pytest.fixture(scope="module")
 def model(block):
-    return block((0.08, 0.06, 0.04), 0.01, young_modulus=lambda x: np.where(x[..., 0] > 0.0, 1e4, 1e8), poisson_ratio=0.45)
+    return block((0.08, 0.06, 0.04), 0.01, young_modulus=lambda x: np.where(x[..., 0] > 0.0, 1e4, 1e8),
+                 poisson_ratio=0.45)
 
 
 def _graph(points, reach):
@@ -22,7 +24,8 @@ def _graph(points, reach):
 
 
 def test_fronts_are_the_elimination_of_the_graph():
-    """Against elimination node by node on a dense matrix of marks: what a node is tied to when its turn comes is in its front."""
+    """Against elimination node by node on a dense matrix of marks: what a node is tied to when its turn comes is in its
+    front."""
     points = np.random.default_rng(1).random((160, 3))
     points[120:] += [5.0, 0.0, 0.0]  # a part that nothing ties to the rest
     graph = _graph(points, 0.3)
@@ -55,7 +58,8 @@ def test_a_cover_is_the_least_one():
         cover = dissection._cover(part, left)
         edges = [(i, j) for i, j in zip(part.row, part.col, strict=True) if left[i] and not left[j]]
         assert all(cover[i] or cover[j] for i, j in edges)
-        least = next(size for size in range(11) for chosen in itertools.combinations(range(10), size) if all(i in chosen or j in chosen for i, j in edges))
+        least = next(size for size in range(11) for chosen in itertools.combinations(range(10), size)
+                     if all(i in chosen or j in chosen for i, j in edges))
         assert cover.sum() == least
 
 
@@ -85,9 +89,11 @@ def test_a_column_is_answered_alike_alone_and_among_others(model):
 
 
 def _chain(count, *, stiff_in_bending=False):
-    """Nodes in a row along x, held at one end: tied by unit springs, or like the sections of a clamped beam by what their deflections' second differences cost."""
+    """Nodes in a row along x, held at one end: tied by unit springs, or like the sections of a clamped beam by what
+    their deflections' second differences cost."""
     last = [1.0] if not stiff_in_bending else [2.0]
-    line = sp.diags([np.full(count - 1, -1.0), np.concatenate([np.full(count - 1, 2.0), last]), np.full(count - 1, -1.0)], [-1, 0, 1]).tocsr()
+    line = sp.diags([np.full(count - 1, -1.0), np.concatenate([np.full(count - 1, 2.0), last]),
+                     np.full(count - 1, -1.0)], [-1, 0, 1]).tocsr()
     if stiff_in_bending:
         line = line[:-1].T @ line[:-1] + sp.csr_matrix(([1.0], ([0], [0])), shape=line.shape)
     return sp.kron(line, np.eye(3)).tocsr(), np.column_stack([np.arange(count), np.zeros((count, 2))])
@@ -95,7 +101,8 @@ def _chain(count, *, stiff_in_bending=False):
 
 @pytest.mark.parametrize(("count", "good"), [(12, True), (3000, False)])
 def test_a_long_way_from_the_support_is_not_trusted_to_sixteen_bits(count, good):
-    """The softest mode of a beam of n sections is n^4 softer than the stiffest: sixteen bits are four digits and a half."""
+    """The softest mode of a beam of n sections is n^4 softer than the stiffest: sixteen bits are four digits and a
+    half."""
     matrix, points = _chain(count, stiff_in_bending=True)
     load = np.ones((3 * count, 1))
     assert trusted(matrix, Multifrontal(matrix, points), load) is good

@@ -73,13 +73,15 @@ def test_twenty_millimetres_in_one_frame_give_what_small_steps_give(block, line,
 
 
 def test_a_thin_sheet_is_not_jumped_over(block, line, device):
-    """A sheet of 3 mm, held at two edges, and a ball that goes 20 mm in one frame, seven times the sheet's thickness: it is met and carried along."""
+    """A sheet of 3 mm, held at two edges, and a ball that goes 20 mm in one frame, seven times the sheet's thickness:
+    it is met and carried along."""
     model = block((0.06, 0.03, 0.003), 0.006, young_modulus=1e5, poisson_ratio=0.3)
     model = model.hold(np.repeat(np.where(np.abs(model.mesh.points[:, 0]) > 0.0299, 0.0, 1.0), 3))
     probe = Sphere(0.01)
     start, stop = 0.003 + 0.01 + 0.014, 0.003 + 0.01 - 0.006
     once = Solver(model, probe, device=device, options=USUAL).run(line([[0.0, 0.0, start], [0.0, 0.0, stop]], probe))
-    slow = Solver(model, probe, device=device, options=USUAL).run(line([[0.0, 0.0, z] for z in np.linspace(start, stop, 21)], probe))
+    slow = Solver(model, probe, device=device,
+                  options=USUAL).run(line([[0.0, 0.0, z] for z in np.linspace(start, stop, 21)], probe))
     assert slow.converged.all() and slow.force[-1, 0, 2] > 0.05
     assert once.converged.all()
     assert once.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=0.002)
@@ -90,14 +92,17 @@ def test_a_first_pose_deep_inside_is_come_to_from_outside(block, line, device):
     probe = Sphere(0.012)
     deep = [0.004, 0.0, 0.03 + 0.012 - 0.006]
     sudden = Solver(model, probe, device=device, options=USUAL).run(line([deep], probe))
-    slow = Solver(model, probe, device=device, options=USUAL).run(line([[0.004, 0.0, 0.03 + 0.012 - z] for z in np.linspace(0.0, 0.006, 7)], probe))
+    slow = Solver(model, probe, device=device,
+                  options=USUAL).run(line([[0.004, 0.0, 0.03 + 0.012 - z] for z in np.linspace(0.0, 0.006, 7)], probe))
     assert sudden.converged.all()
     assert sudden.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=2e-3, abs=2e-3)
 
 
 def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):
-    """A slender beam that sags by a third of its length: the whole load at once does not converge in a dozen iterations."""
-    model = block((0.12, 0.008, 0.008), 0.008, young_modulus=1e5, poisson_ratio=0.3, density=1000.0, gravity=(0.0, 0.0, -1.0),
+    """A slender beam that sags by a third of its length: the whole load at once does not converge in a dozen
+    iterations."""
+    model = block((0.12, 0.008, 0.008), 0.008, young_modulus=1e5, poisson_ratio=0.3, density=1000.0,
+                  gravity=(0.0, 0.0, -1.0),
                   fixed=(-0.0601, -1, -1, -0.0599, 1, 1))
     solver = Solver(model, Sphere(0.01), device=device, options=USUAL)
     frames = solver.run(line([[0.0, 0.0, 1.0]], Sphere(0.01)), keep=True)

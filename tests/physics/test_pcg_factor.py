@@ -21,7 +21,8 @@ def by_numpy(matrix, device):
 
 def solve(multiply, precondition, right, device, tolerance, iterations):
     x, done, negative = pcg.solve(multiply, precondition, torch.as_tensor(right, device=device),
-                                  tolerance=torch.as_tensor(np.broadcast_to(tolerance, right.shape[1]).copy(), device=device), iterations=iterations)
+                                  tolerance=torch.as_tensor(np.broadcast_to(tolerance, right.shape[1]).copy(),
+                                                            device=device), iterations=iterations)
     return x.cpu().numpy(), done.cpu().numpy(), negative.cpu().numpy()
 
 
@@ -64,10 +65,12 @@ def test_the_plain_residual_stops_at_its_length_and_spares_one_use_of_the_precon
             uses.append(x.shape[1])
             return inverse(x, which)
 
-        x, done, _ = pcg.solve(by_numpy(matrix, device), precondition, torch.as_tensor(right, device=device), tolerance=tolerance, iterations=400,
+        x, done, _ = pcg.solve(by_numpy(matrix, device), precondition, torch.as_tensor(right, device=device),
+                               tolerance=tolerance, iterations=400,
                                plain=plain)
         assert len(uses) == int(done.amax()) + (0 if plain else 1)
-        residual = np.linalg.norm(right - np.einsum("kij,jk->ik", matrix, x.cpu().numpy()), axis=0) / np.linalg.norm(right, axis=0)
+        residual = np.linalg.norm(right - np.einsum("kij,jk->ik", matrix, x.cpu().numpy()),
+                                  axis=0) / np.linalg.norm(right, axis=0)
         assert not plain or (residual <= 1.01e-6).all()
 
 
@@ -124,7 +127,8 @@ def test_dots_are_the_same_on_every_run_and_right(device):
 
 @pytest.fixture(scope="module")
 def model(block):
-    return block((0.06, 0.06, 0.04), 0.02, young_modulus=lambda x: np.where(x[..., 0] > 0.0, 1e4, 1e8), poisson_ratio=0.45)
+    return block((0.06, 0.06, 0.04), 0.02, young_modulus=lambda x: np.where(x[..., 0] > 0.0, 1e4, 1e8),
+                 poisson_ratio=0.45)
 
 
 def test_factor_solves_with_a_contrast_of_ten_thousand(model):
@@ -165,7 +169,8 @@ def test_columns_that_no_longer_fit_are_made_again(model, monkeypatch):
 
 
 def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device):
-    """Woodbury: at rest the tangent is K0 + G^T D G, and one iteration must do, though the contact is 1e3 times stiffer."""
+    """Woodbury: at rest the tangent is K0 + G^T D G, and one iteration must do, though the contact is 1e3 times
+    stiffer."""
     probe = Sphere(0.02)
     poses = np.tile(np.eye(4), (1, 2, 1, 1))
     poses[0, 0, :3, 3], poses[0, 1, :3, 3] = [0.0, 0.0, 0.0585], [0.01, -0.01, 0.0575]
@@ -178,7 +183,8 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     state = balance.evaluate(balance.every)
     assert touching.touches(balance.every).all()
     balance._tangent(balance.every, projected=False)
-    direction, steps, negative, stiffness = balance._direction(balance.every, state["residual"], torch.zeros(2, dtype=torch.bool, device=device))
+    direction, steps, negative, stiffness = balance._direction(balance.every, state["residual"],
+                                                               torch.zeros(2, dtype=torch.bool, device=device))
     assert (steps == 1).all() and not negative.any()
     # and it is the solution of that system
     for b in range(2):

@@ -1,4 +1,5 @@
-"""A set of rigid shapes, and triangle meshes among them: errors of the baked distance, its derivatives, and what broken files give."""
+"""A set of rigid shapes, and triangle meshes among them: errors of the baked distance, its derivatives, and what broken
+files give."""
 
 import functools
 
@@ -9,9 +10,9 @@ import warp as wp
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Box, Capsule, MeshFile, Plane, Sphere
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.distance_grid import PAD, bake, baked, exact_distance, spacing_rule, spline, winding_number
-from vsfsim.physics.contact.rigid_points import sdf
 
 RADIUS = 0.02
 
@@ -22,7 +23,8 @@ def kernel():
 
     @wp.kernel(module="test_rigid", enable_backward=False)
     def evaluate(bodies: F.Bodies, k: int, x_in: wp.array(dtype=F.vec3), gap_out: wp.array(dtype=wp.float64),
-                 normal_out: wp.array(dtype=F.vec3), curvature_out: wp.array(dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64))):
+                 normal_out: wp.array(dtype=F.vec3),
+                 curvature_out: wp.array(dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64))):
         i = wp.tid()
         gap_out[i] = F.gap(bodies, k, x_in[i])
         normal_out[i] = F.normal(bodies, k, x_in[i])
@@ -35,8 +37,11 @@ def evaluate(bodies, k, x, device):
     F, launch = kernel()
     gap = wp.array(np.full(len(x), np.nan), dtype=wp.float64, device=device)
     normal = wp.array(np.full((len(x), 3), np.nan), dtype=F.vec3, device=device)
-    curvature = wp.array(np.full((len(x), 3, 3), np.nan), dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64), device=device)
-    wp.launch(launch, dim=len(x), device=device, inputs=[bodies.upload(F, device), k, wp.array(x, dtype=F.vec3, device=device), gap, normal, curvature])
+    curvature = wp.array(np.full((len(x), 3, 3), np.nan), dtype=wp.types.matrix(shape=(3, 3), dtype=wp.float64),
+                         device=device)
+    wp.launch(launch, dim=len(x), device=device, inputs=[bodies.upload(F, device), k,
+                                                         wp.array(x, dtype=F.vec3, device=device), gap, normal,
+                                                         curvature])
     return gap.numpy(), normal.numpy(), curvature.numpy()
 
 
@@ -105,7 +110,9 @@ def test_gap_normal_and_curvature_of_a_mesh_are_derivatives_of_one_function(ball
     grid = sdf.grid(ball)
     rng = np.random.default_rng(0)
     low, high = grid.domain()
-    x = shell(500, 0.9 * RADIUS, 1.1 * RADIUS)[0] if place == "surface" else np.clip(rng.uniform(1.2 * low, 1.2 * high, (500, 3)), low, high)
+    x = shell(500, 0.9 * RADIUS,
+              1.1 * RADIUS)[0] if place == "surface" else np.clip(rng.uniform(1.2 * low, 1.2 * high, (500, 3)), low,
+                                                                  high)
     gap, normal, curvature = evaluate(bodies, 1, x, device)
     assert np.abs(gap - bodies.distance(1, x)).max() < 1e-15
     h = 1e-6
@@ -126,7 +133,8 @@ def test_the_ball_against_the_exact_sphere(ball, device):
     bodies = RigidBodies([ball])
     x, r = shell(5000, 0.95 * RADIUS, 1.02 * RADIUS)
     gap, normal, _ = evaluate(bodies, 0, x, device)
-    # chords of 2.2 mm edges on R 20 mm lie edge^2 / (8 R) = 3e-5 m under the sphere, 1.5e-3 R; facets tilt by edge / (2 R) = 0.05
+    # chords of 2.2 mm edges on R 20 mm lie edge^2 / (8 R) = 3e-5 m under the sphere, 1.5e-3 R; facets tilt by edge / (2
+    # R) = 0.05
     assert np.abs(gap - (r - RADIUS)).max() < 1.6e-3 * RADIUS
     length = np.linalg.norm(normal, axis=1)
     # neighbouring facets are turned by 0.11: a spline over that kink is off by a share of it
@@ -144,7 +152,9 @@ def test_beyond_the_grid_the_gap_never_overestimates_and_is_right_in_size(ball, 
     # the box around a ball: a corner is sqrt(3) R away
     assert (exact - gap).max() < (np.sqrt(3.0) - 1.0) * RADIUS + 1e-4
     outside = (np.abs(x) > sdf.grid(ball).domain()[1] + 1e-6).any(axis=1)
-    assert np.abs(np.linalg.norm(normal[outside], axis=1) - 1.0).max() < 1e-12 and (np.einsum("ni,ni->n", normal, x)[outside] > 0.0).all()
+    assert np.abs(np.linalg.norm(normal[outside],
+                                 axis=1) - 1.0).max() < 1e-12 and (np.einsum("ni,ni->n", normal,
+                                                                             x)[outside] > 0.0).all()
     assert np.isfinite(curvature).all() and outside.any()
 
 
@@ -237,14 +247,16 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     far = np.abs(exact) > 0.05 * RADIUS
     assert ((grid.distance(x) < 0) == (exact < 0))[far].all()
     near = (exact > 0) & (exact < 0.1 * RADIUS)
-    # facets of a level-3 ball 6e-3 R, fTetWild 0.1 % of the diagonal, 3.5e-3 R; inside, min() of two balls is only a bound
+    # facets of a level-3 ball 6e-3 R, fTetWild 0.1 % of the diagonal, 3.5e-3 R; inside, min() of two balls is only a
+    # bound
     assert near.sum() > 100 and np.abs(grid.distance(x) - exact)[near].max() < 0.012 * RADIUS
 
 
 def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path, monkeypatch):
-    from vsfsim.physics.contact.rigid_points import distance_grid
+    from vsfsim.physics.contact import distance_grid
     monkeypatch.setattr(distance_grid, "_SLOW", 0.0)  # keep what a fast machine would sooner make again
-    mesh, _ = broken("inside out")  # with a note; the filler of holes would take its time, and close them a little otherwise each time
+    # with a note; the filler of holes would take its time, and close them a little otherwise each time
+    mesh, _ = broken("inside out")
     mesh.apply_scale([2.5, 0.3, 0.3])  # long bodies have the smaller grids
     path = tmp_path / "b.ply"
     mesh.export(path)
@@ -260,7 +272,8 @@ def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path, monk
     assert np.isfinite(baked(MeshFile(str(path), 1.0), cache=cache).coefficients).all()
     mesh.apply_scale(1.5)
     mesh.export(path)
-    assert baked(MeshFile(str(path), 1.0), cache=cache).upper == pytest.approx(1.5 * first.upper, rel=1e-6), "an edited file is read again"
+    assert baked(MeshFile(str(path), 1.0), cache=cache).upper == pytest.approx(1.5 * first.upper,
+                                                                               rel=1e-6), "an edited file is read again"
 
 
 def test_the_spacing_rule_and_its_memory_bound():
@@ -271,7 +284,8 @@ def test_the_spacing_rule_and_its_memory_bound():
         assert np.prod(np.ceil(np.array(size) / h) + 2 * PAD + 3) <= 2_000_000
 
 
-@pytest.mark.parametrize(("text", "word"), [("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nf 1 2 3\n", "flat sheet"), ("nonsense", "no faces"), (None, "cannot be read")])
+@pytest.mark.parametrize(("text", "word"), [("v 0 0 0\nv 0.1 0 0\nv 0.1 0.1 0\nf 1 2 3\n", "flat sheet"),
+                                            ("nonsense", "no faces"), (None, "cannot be read")])
 def test_files_that_are_no_solid_are_refused(tmp_path, text, word):
     path = tmp_path / "x.obj"
     if text is not None:

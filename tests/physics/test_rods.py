@@ -19,24 +19,30 @@ from vsfsim.scenes.plant import grow
 
 def finite(frames) -> bool:
     """No number of a solved frame is NaN or infinite, converged or not."""
-    return all(np.isfinite(a[:int(frames.frames.min())]).all() for a in (frames.force, frames.moment, frames.reaction, frames.energy, frames.penetration, frames.nodes))
+    return all(np.isfinite(a[:int(frames.frames.min())]).all()
+               for a in (frames.force, frames.moment, frames.reaction, frames.energy, frames.penetration, frames.nodes))
 
 
 def test_sections_are_those_of_beam_theory():
-    body = plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.1]]), [-1, 0, 1], radius=np.array([1.0, 0.004, 0.0005]), half_width=np.array([0.0, 0.0, 0.02]), young_modulus=2e8,
+    body = plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.1]]), [-1, 0, 1],
+                 radius=np.array([1.0, 0.004, 0.0005]), half_width=np.array([0.0, 0.0, 0.02]), young_modulus=2e8,
                  blade_normal=np.array([0.0, 0.0, 1.0]))
     model = build(body)
     shear = 2e8 / 2.7
-    assert model.kphi[1] == pytest.approx(np.array([shear * np.pi / 2, 2e8 * np.pi / 4, 2e8 * np.pi / 4]) * 0.004**4 / 0.1, rel=1e-12)
+    assert model.kphi[1] == pytest.approx(np.array([shear * np.pi / 2, 2e8 * np.pi / 4,
+                                                    2e8 * np.pi / 4]) * 0.004**4 / 0.1, rel=1e-12)
     # a blade 40 mm wide, 1 mm thick: axis 2 of its frame is the width, so bending about it is the soft one
-    assert model.kphi[2] == pytest.approx(np.array([shear / 3 * 0.04 * 0.001**3, 2e8 / 12 * 0.04 * 0.001**3, 2e8 / 12 * 0.001 * 0.04**3]) / 0.05, rel=1e-12)
+    assert model.kphi[2] == pytest.approx(np.array([shear / 3 * 0.04 * 0.001**3, 2e8 / 12 * 0.04 * 0.001**3,
+                                                    2e8 / 12 * 0.001 * 0.04**3]) / 0.05, rel=1e-12)
     assert np.abs(model.frame[2] - np.stack([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], axis=1)).max() < 1e-12
 
 
 def test_energy_is_the_work_that_the_arm_does(device):
-    """Frictionless: the integral of force over the capsule's way is the elastic energy, which ties forces to the potential; and the way back gives the same forces."""
+    """Frictionless: the integral of force over the capsule's way is the elastic energy, which ties forces to the
+    potential; and the way back gives the same forces."""
     travel = np.concatenate([np.linspace(0.0, 0.08, 81), np.linspace(0.08, 0.0, 81)[1:]])
-    frames = touch(stem(15, length=0.3), crossing(travel, height=0.25, start=-0.035), radius=0.03, device=device, tolerance=1e-7)
+    frames = touch(stem(15, length=0.3), crossing(travel, height=0.25, start=-0.035), radius=0.03, device=device,
+                   tolerance=1e-7)
     assert frames.converged.all()
     force = -frames.force[:81, 0, 0, 0]
     work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(travel[:81]))])
@@ -49,7 +55,8 @@ def test_energy_is_the_work_that_the_arm_does(device):
 
 
 def test_friction_sticks_then_slips_both_ways(device):
-    """A level capsule bends a stem by 12 mm and then drags it sideways: the stem goes along while its force sideways is under mu times the push, and slips past that."""
+    """A level capsule bends a stem by 12 mm and then drags it sideways: the stem goes along while its force sideways is
+    under mu times the push, and slips past that."""
     press, mu = np.linspace(0.0, 0.012, 13), 0.5
     drag = np.linspace(0.0, 0.015, 61)[1:]
     poses = crossing(np.concatenate([press, np.full(180, press[-1])]), height=0.2, start=-0.0335)
@@ -62,19 +69,23 @@ def test_friction_sticks_then_slips_both_ways(device):
     # a round stem is as stiff sideways: it sticks for mu times 12 mm of drag
     at = drag / 0.012
     stick = drag < 0.9 * mu * 0.012
-    # the press has left friction along the stem, up to mu, which is part of the push as it is taken here: 1 - cos(atan mu / 2) and the slope of 0.09 rad
+    # the press has left friction along the stem, up to mu, which is part of the push as it is taken here: 1 - cos(atan
+    # mu / 2) and the slope of 0.09 rad
     assert ratio[:60][stick] == pytest.approx(-at[stick], rel=0.08)
     slip = drag > 1.1 * mu * 0.012
     assert ratio[:60][slip] == pytest.approx(-mu, rel=1e-3) and (frames.slipping[13:73, 0][slip] == 1.0).all()
     # dragged back, half a millimetre a frame, it comes to the other limit after twice that way and no sooner
-    assert np.abs(ratio[60:65]).min() > 0.5 * mu and np.sign(ratio[68]) != np.sign(ratio[78]) and ratio[90:119] == pytest.approx(mu, rel=1e-3)
+    assert (np.abs(ratio[60:65]).min() > 0.5 * mu and np.sign(ratio[68]) != np.sign(ratio[78])
+            and ratio[90:119] == pytest.approx(mu, rel=1e-3))
 
 
 @pytest.mark.parametrize("step", [0.0005, 0.02])
 def test_a_thin_stem_is_never_jumped(step, device):
-    """A reading every 0.5 mm or every 20 mm: the stem stays before the capsule until it slips off over its end, and then stands up again."""
+    """A reading every 0.5 mm or every 20 mm: the stem stays before the capsule until it slips off over its end, and
+    then stands up again."""
     travel = np.arange(0.0, 0.30, step)
-    frames = touch(stem(15, length=0.3, radius=0.001, young_modulus=5e9), crossing(travel, height=0.2, start=-0.04), radius=0.015, device=device)
+    frames = touch(stem(15, length=0.3, radius=0.001, young_modulus=5e9), crossing(travel, height=0.2, start=-0.04),
+                   radius=0.015, device=device)
     assert finite(frames) and frames.converged.mean() > 0.97
     held = frames.contacts[:, 0] > 0
     let_go = -0.04 + travel[np.flatnonzero(held).max()]
@@ -85,25 +96,32 @@ def test_a_thin_stem_is_never_jumped(step, device):
 
 def test_a_batch_gives_the_bits_of_touches_alone(device):
     rng = np.random.default_rng(0)
-    bodies = [stem(10, length=0.3), plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.18], [-0.05, 0, 0.2]]), [-1, 0, 1, 1])]
+    bodies = [stem(10, length=0.3), plant(np.array([[0.0, 0, 0], [0, 0, 0.1], [0.05, 0, 0.18], [-0.05, 0, 0.2]]),
+                                          [-1, 0, 1, 1])]
     models = [build(b) for b in bodies]
     which = np.array([0, 1, 1, 0])
-    poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h, start=-0.05) for h in rng.uniform(0.1, 0.2, 4)], axis=1)
+    poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h, start=-0.05)
+                            for h in rng.uniform(0.1, 0.2, 4)], axis=1)
     shapes = [Capsule(0.03, 0.1)]
     together = RodSolver(models, shapes, device=device).run(which, poses, friction=0.3)
     for b in range(4):
-        alone = RodSolver([models[which[b]]], shapes, device=device, options=RodOptions(share=5)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
+        alone = RodSolver([models[which[b]]], shapes, device=device,
+                          options=RodOptions(share=5)).run(np.zeros(1, int), poses[:, b:b + 1], friction=0.3)
         assert (alone.force[:, 0] == together.force[:, b]).all() and (alone.energy[:, 0] == together.energy[:, b]).all()
 
 
 @pytest.mark.slow
 def test_many_lanes_give_the_bits_of_one(monkeypatch):
-    """A warp's 32 lanes as fibers of a CPU: the same states to the last bit, as no lane adds up what another does; sums over lanes alone may round differently."""
+    """A warp's 32 lanes as fibers of a CPU: the same states to the last bit, as no lane adds up what another does; sums
+    over lanes alone may round differently."""
     monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
     body = grow({"species": "weeping-fig", "max_segments": 100, "scale": 0.8}, np.random.default_rng(5), where="test")
     height, start = body.nodes[:, 2].max(), body.nodes[:, 0].min()
-    poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h * height, start=s) for h, s in ((0.7, start - 0.03), (0.5, -0.06))], axis=1)
-    one, many = (RodSolver([build(body)], [Capsule(0.03, 0.3)], options=RodOptions(lanes=n)).run(np.zeros(2, int), poses, friction=0.4, keep_nodes=True) for n in (1, 32))
+    poses = np.concatenate([crossing(np.linspace(0.0, 0.05, 12), height=h * height, start=s) for h,
+                            s in ((0.7, start - 0.03), (0.5, -0.06))], axis=1)
+    one, many = (RodSolver([build(body)], [Capsule(0.03, 0.3)],
+                           options=RodOptions(lanes=n)).run(np.zeros(2, int), poses, friction=0.4, keep_nodes=True)
+                 for n in (1, 32))
     assert one.contacts.max() > 1 and (one.iterations == many.iterations).all()
     assert np.abs(one.force - many.force).max() < 1e-9 and np.abs(one.nodes - many.nodes).max() < 1e-12
 
@@ -116,20 +134,27 @@ def test_moduli_from_1e4_to_1e11_in_one_plant(device):
         above = int(rng.integers(max(0, k - 4), k))
         nodes.append(nodes[above] + 0.03 * (np.array([0.0, 0.0, 1.0]) + rng.normal(0.0, 0.5, 3)))
         parent.append(above)
-    body = plant(np.array(nodes), parent, radius=10.0 ** rng.uniform(-3, np.log10(0.03), 41), young_modulus=10.0 ** rng.uniform(4, 11, 41))
-    poses = np.concatenate([crossing(np.linspace(0.0, 0.2, 41), height=h, start=-0.15) for h in (0.03, 0.08, 0.13)], axis=1)
+    body = plant(np.array(nodes), parent, radius=10.0 ** rng.uniform(-3, np.log10(0.03), 41),
+                 young_modulus=10.0 ** rng.uniform(4, 11, 41))
+    poses = np.concatenate([crossing(np.linspace(0.0, 0.2, 41), height=h, start=-0.15) for h in (0.03, 0.08, 0.13)],
+                           axis=1)
     solver = RodSolver([build(body)], [Capsule(0.03, 0.2)], device=device)
     frames = solver.run(np.zeros(3, int), poses, friction=0.4, keep_nodes=True)
     assert finite(frames)
-    # one touch drives the link into segments as thick as an arm of 1e11 Pa, which do not give way: 1e8 N, and what is deeper inside than 1 mm is no reading
+    # one touch drives the link into segments as thick as an arm of 1e11 Pa, which do not give way: 1e8 N, and what is
+    # deeper inside than 1 mm is no reading
     astray = frames.reason == Reason.ASTRAY
-    assert ((frames.reason > 0) == ~frames.converged).all() and (frames.converged | astray).mean() > 0.8 and frames.converged.mean() > 0.7
-    assert frames.penetration[frames.converged].max() <= 0.001 and np.linalg.norm(frames.force[astray], axis=-1).max() > 1e6
-    print(f"converged {frames.converged.mean():.3f}, reasons {np.unique(frames.reason)}, largest force {np.nanmax(np.abs(frames.force)):.3g} N")
+    assert ((frames.reason > 0) == ~frames.converged).all() and (frames.converged
+                                                                 | astray).mean() > 0.8 and frames.converged.mean() > 0.7
+    assert frames.penetration[frames.converged].max() <= 0.001 and np.linalg.norm(frames.force[astray],
+                                                                                  axis=-1).max() > 1e6
+    print(f"converged {frames.converged.mean():.3f}, reasons {np.unique(frames.reason)}, largest force "
+          f"{np.nanmax(np.abs(frames.force)):.3g} N")
 
 
 def test_a_branch_bent_back_on_itself(device):
-    """Two links grip the end of a stem and turn it by 200 degrees, along the arcs of constant curvature that the elastica takes under a pure moment."""
+    """Two links grip the end of a stem and turn it by 200 degrees, along the arcs of constant curvature that the
+    elastica takes under a pure moment."""
     body = stem(24, length=0.3, radius=0.0015, young_modulus=1e9)
     angle = np.concatenate([np.zeros(5), np.linspace(0.0, np.radians(200.0), 150)])
     bow = np.maximum(angle, 1e-9) / 0.27
@@ -139,22 +164,26 @@ def test_a_branch_bent_back_on_itself(device):
     for sign, poses in zip((1, -1), pair, strict=True):
         gap = np.concatenate([np.linspace(0.002, 0.0, 5), np.zeros(150)])[:, None]
         poses[:, 0, 0, :3, 3] = centre + sign * (0.02 + 0.0015 - 2e-5 + gap) * across
-        poses[:, 0, 0, :3, :3] = [[[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]] for c, s in zip(np.cos(angle), np.sin(angle), strict=True)]
+        poses[:, 0, 0, :3, :3] = [[[c, s, 0.0], [0.0, 0.0, -1.0], [-s, c, 0.0]] for c,
+                                  s in zip(np.cos(angle), np.sin(angle), strict=True)]
     frames = touch(body, np.concatenate(pair, axis=2), radius=0.02, device=device, friction=1.0)
     assert finite(frames) and frames.converged.mean() > 0.98
     tip = frames.nodes[-1, 0, 22] - frames.nodes[-1, 0, 21]
-    print(f"converged {frames.converged.mean():.3f}; the end points {np.degrees(np.arctan2(tip[0], tip[2])):.0f} degrees from upright")
+    print(f"converged {frames.converged.mean():.3f}; the end points {np.degrees(np.arctan2(tip[0], tip[2])):.0f} "
+          f"degrees from upright")
     assert tip[2] < -0.9 * np.linalg.norm(tip)
 
 
 def test_a_leaf_pinched_between_two_links(device):
-    """Two capsules close on a blade until they would crush it: what is inside is reported, nothing is NaN, and what pushes one way pushes back the other."""
+    """Two capsules close on a blade until they would crush it: what is inside is reported, nothing is NaN, and what
+    pushes one way pushes back the other."""
     nodes = np.zeros((7, 3))
     nodes[:, 0] = [0.0, 0.02, 0.05, 0.08, 0.11, 0.14, 0.17]
     nodes[:, 2] = 0.2
     nodes[0] = [0.0, 0.0, 0.15]
     half = np.array([0.0, 0.0, 0.01, 0.02, 0.02, 0.015, 0.008])
-    body = plant(nodes, np.arange(-1, 6), radius=np.where(half > 0, 0.0003, 0.0015), half_width=half, young_modulus=2e7, blade_normal=np.array([0.0, 0.0, 1.0]))
+    body = plant(nodes, np.arange(-1, 6), radius=np.where(half > 0, 0.0003, 0.0015), half_width=half, young_modulus=2e7,
+                 blade_normal=np.array([0.0, 0.0, 1.0]))
     gap = np.concatenate([np.linspace(0.04, 0.0, 41), np.linspace(0.0, 0.04, 41)[1:]])
     pair = [crossing(np.zeros(81), height=0.2, start=0.11) for _ in range(2)]
     for sign, poses in zip((1, -1), pair, strict=True):
@@ -168,24 +197,31 @@ def test_a_leaf_pinched_between_two_links(device):
 
 
 def test_a_leaf_that_a_link_goes_through_is_marked_until_it_is_free(device):
-    """A thin link that stands in the middle of a blade and is drawn out along its axis: in-plane the blade is stiff, so pushes from all sides balance with the link right through it. Such an equilibrium is no reading."""
+    """A thin link that stands in the middle of a blade and is drawn out along its axis: in-plane the blade is stiff, so
+    pushes from all sides balance with the link right through it. Such an equilibrium is no reading."""
     nodes = np.zeros((6, 3))
     nodes[:, 0], nodes[:, 2] = [0.0, 0.02, 0.06, 0.10, 0.14, 0.18], 0.2
     half = np.array([0.0, 0.0, 0.03, 0.03, 0.03, 0.03])
-    body = plant(nodes, np.arange(-1, 5), radius=np.where(half > 0, 0.0003, 0.002), half_width=half, young_modulus=2e7, blade_normal=np.array([0.0, 0.0, 1.0]))
+    body = plant(nodes, np.arange(-1, 5), radius=np.where(half > 0, 0.0003, 0.002), half_width=half, young_modulus=2e7,
+                 blade_normal=np.array([0.0, 0.0, 1.0]))
     poses = np.tile(np.eye(4), (21, 1, 1, 1, 1))
     poses[:, 0, 0, :3, 3] = [0.1, 0.0, 0.2]
     poses[:, 0, 0, 2, 3] += np.linspace(0.0, 0.1, 21)
     frames = touch(body, poses, radius=0.013, length=0.08, device=device)
     inside = frames.penetration[:, 0] > 0.001
-    # the capsule's round end comes past the blade after 53 mm: until then an equilibrium, found and marked; a last touch of its rim is marked too, as the sides may have changed
-    assert finite(frames) and inside[:9].all() and (frames.residual[:9, 0] < 1e-4).all() and (frames.reason[:9, 0] == Reason.ASTRAY).all()
+    # the capsule's round end comes past the blade after 53 mm: until then an equilibrium, found and marked; a last
+    # touch of its rim is marked too, as the sides may have changed
+    assert finite(frames) and inside[:9].all() and (frames.residual[:9,
+                                                                    0] < 1e-4).all() and (frames.reason[:9,
+                                                                                                        0] == Reason.ASTRAY).all()
     free = frames.contacts[:, 0] == 0
-    assert (frames.converged[:, 0] == free).all() and free[11:].all() and np.abs(frames.nodes[-1, 0] - body.nodes).max() < 1e-12
+    assert (frames.converged[:, 0] == free).all() and free[11:].all() and np.abs(frames.nodes[-1, 0]
+                                                                                 - body.nodes).max() < 1e-12
 
 
 def test_a_touch_ends_before_its_force_limit(device):
-    frames = touch(stem(10, radius=0.01), crossing(np.linspace(0.0, 0.05, 51), height=0.3, start=-0.045), device=device, force_limit=5.0)
+    frames = touch(stem(10, radius=0.01), crossing(np.linspace(0.0, 0.05, 51), height=0.3, start=-0.045), device=device,
+                   force_limit=5.0)
     count = int(frames.frames[0])
     assert 5 < count < 51 and np.linalg.norm(frames.force[:count, 0, 0], axis=1).max() <= 5.0
     assert np.isnan(frames.force[count:]).all() and not frames.converged[count:].any()
@@ -200,18 +236,22 @@ def test_a_heavy_stem_sags(device):
     """Small strain: the tip of a level cantilever under its own weight goes down by w L^4 / (8 EI)."""
     nodes = np.zeros((21, 3))
     nodes[:, 0], nodes[:, 2] = np.linspace(0.0, 0.2, 21), 0.1
-    body = dataclasses.replace(plant(nodes, np.arange(-1, 20), radius=0.002, young_modulus=5e9), density=np.full(21, 800.0))
+    body = dataclasses.replace(plant(nodes, np.arange(-1, 20), radius=0.002, young_modulus=5e9),
+                               density=np.full(21, 800.0))
     far = crossing(np.zeros(1), height=1.0, start=1.0)
     frames = touch(build(body, gravity=(0.0, 0.0, -9.81)), far, device=device, faint=1e-9)
     assert frames.converged.all()
     down = 800.0 * 9.81 * np.pi * 0.002**2 * 0.2**4 / (8 * 5e9 * np.pi * 0.002**4 / 4)
     # lumped at nodes: second order in 1/20
     assert 0.1 - frames.nodes[0, 0, -1, 2] == pytest.approx(down, rel=0.01)
-    assert frames.reaction[0, 0, 2] == pytest.approx(800.0 * 9.81 * np.pi * 0.002**2 * 0.2 * 39 / 40, rel=1e-3)  # half a segment stands on the clamp
+    # half a segment stands on the clamp
+    assert frames.reaction[0, 0, 2] == pytest.approx(800.0 * 9.81 * np.pi * 0.002**2 * 0.2 * 39 / 40, rel=1e-3)
 
 
 @pytest.mark.parametrize(("change", "word"), [
-    ({"parent": [-1, 2, 1]}, "parent"), ({"radius": -1.0}, "radius"), ({"young_modulus": 0.0}, "young_modulus"), ({"half_width": 0.01, "blade_normal": np.array([0.0, 0.0, 1.0])}, "blade"),
+    ({"parent": [-1, 2, 1]}, "parent"), ({"radius": -1.0}, "radius"), ({"young_modulus": 0.0}, "young_modulus"),
+                                              ({"half_width": 0.01, "blade_normal": np.array([0.0, 0.0, 1.0])},
+                                               "blade"),
 ])
 def test_a_plant_that_is_none_is_refused(change, word):
     with pytest.raises(SceneError, match=word):
@@ -234,10 +274,12 @@ def test_what_cannot_be_solved_is_refused():
 
 
 @wp.kernel(enable_backward=False)
-def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd), kd: wp.vec3d, kphi: wp.vec3d, energy_out: wp.array(dtype=wp.float64), first_out: wp.array2d(dtype=wp.vec3d),
+def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd), kd: wp.vec3d, kphi: wp.vec3d,
+                 energy_out: wp.array(dtype=wp.float64), first_out: wp.array2d(dtype=wp.vec3d),
                  second_out: wp.array2d(dtype=wp.spatial_matrixd)):
     b = wp.tid()
-    s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2], wp.float64(0.1))
+    s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
+               wp.float64(0.1))
     energy_out[b] = energy(s, kd, kphi)
     f, mc, mp = gradient(s, kd, kphi)
     first_out[b, 0] = f
@@ -264,7 +306,8 @@ def _times(p, q):
 
 @pytest.mark.parametrize("bend", [0.01, 0.4, 2.0])
 def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, device):
-    """Along random paths of constant spins, by central differences, from nearly straight to two radians in one segment."""
+    """Along random paths of constant spins, by central differences, from nearly straight to two radians in one
+    segment."""
     rng = np.random.default_rng(int(10 * bend))
     kd, kphi = np.array([40.0, 7.0, 5.0]), np.array([0.02, 0.05, 0.03])
     frame = _rotation(rng.normal(size=3))
@@ -278,13 +321,20 @@ def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, de
         place += [t * direction[:3], way + t * direction[6:9]]
         turn += [_times(_rotation(t * direction[3:6]), turn_p), _times(_rotation(t * direction[9:]), turn_c)]
     turn.append(frame)
-    energies, first, blocks = wp.zeros(5, dtype=wp.float64, device=device), wp.zeros((5, 3), dtype=wp.vec3d, device=device), wp.zeros((5, 3), dtype=wp.spatial_matrixd, device=device)
-    wp.launch(_derivatives, dim=5, inputs=[wp.array(np.array(place), dtype=wp.vec3d, device=device), wp.array(np.array(turn), dtype=wp.quatd, device=device), wp.vec3d(*kd), wp.vec3d(*kphi)],
+    energies, first, blocks = wp.zeros(5, dtype=wp.float64,
+                                       device=device), wp.zeros((5, 3), dtype=wp.vec3d,
+                                                                device=device), wp.zeros((5, 3),
+                                                                                         dtype=wp.spatial_matrixd,
+                                                                                         device=device)
+    wp.launch(_derivatives, dim=5, inputs=[wp.array(np.array(place), dtype=wp.vec3d, device=device),
+                                           wp.array(np.array(turn), dtype=wp.quatd, device=device), wp.vec3d(*kd),
+                                           wp.vec3d(*kphi)],
               outputs=[energies, first, blocks], device=device)
     e, (f, mc, mp), h = energies.numpy(), first.numpy()[2], blocks.numpy()[2]
     slope = np.concatenate([-f, mp, f, mc]) @ direction
     full = np.block([[h[0], h[1].T], [h[1], h[2]]])
     # five points: the error is of fourth order in the step, and rounding of the energy over its square
     assert slope == pytest.approx((8 * (e[3] - e[1]) - (e[4] - e[0])) / (12 * 1e-3), rel=1e-7)
-    assert direction @ full @ direction == pytest.approx((16 * (e[3] + e[1]) - (e[4] + e[0]) - 30 * e[2]) / (12 * 1e-6), rel=1e-5)
+    assert direction @ full @ direction == pytest.approx((16 * (e[3] + e[1]) - (e[4] + e[0]) - 30 * e[2]) / (12 * 1e-6),
+                                                         rel=1e-5)
     assert np.abs(full - full.T).max() < 1e-12 * np.abs(full).max()

@@ -13,8 +13,8 @@ import trimesh
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, boundary_faces, tet_volumes
+from vsfsim.physics.mesh import scan
 from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches, pinched_vertices
-from vsfsim.physics.mesh.quadratic import scan
 from vsfsim.physics.mesh.scan import fill_mesh_file
 
 SIZE = 0.03
@@ -173,19 +173,22 @@ def test_a_filler_that_dies_is_an_error_with_its_last_words(tmp_path: Path, monk
 
 
 def test_everything_wrong_at_once(tmp_path: Path) -> None:
-    """Millimetres, a hole, mixed winding, an inside-out lobe through the body, duplicate and degenerate faces, a loose crumb."""
+    """Millimetres, a hole, mixed winding, an inside-out lobe through the body, duplicate and degenerate faces, a loose
+    crumb."""
     body, lobe = ball(shift=(0, 0, 0)), ball(shift=(0, 0, 0.8 * SIZE), radius=0.6 * SIZE)
     body.faces[::7] = body.faces[::7, ::-1]
     lobe.invert()
     mesh = trimesh.util.concatenate([body, lobe, ball(shift=(0.1, 0, 0), radius=0.1 * SIZE)])
-    mesh = trimesh.Trimesh(1000.0 * mesh.vertices, np.concatenate([mesh.faces[6:], mesh.faces[50:53], [[0, 0, 1]]]), process=False)
+    mesh = trimesh.Trimesh(1000.0 * mesh.vertices, np.concatenate([mesh.faces[6:], mesh.faces[50:53], [[0, 0, 1]]]),
+                           process=False)
     solid = filled(mesh, tmp_path)
     # two balls of radii R and 0.6 R, their centres 0.8 R apart: the lens that counts once, in closed form
     d, r = 0.8, 0.6
     lens = np.pi * (1 + r - d) ** 2 * (d * d + 2 * d * r - 3 * r * r + 2 * d + 6 * r - 3) / (12 * d)
     union = VOLUME * (1 + r**3 - lens / (4 / 3 * np.pi))
     check_filled(solid, union, within=0.05)
-    for said in ("3 duplicate", "1 degenerate", "millimetres", "inconsistently", "faces were inside out", "Not watertight", "Dropped 1 loose"):
+    for said in ("3 duplicate", "1 degenerate", "millimetres", "inconsistently", "faces were inside out",
+                 "Not watertight", "Dropped 1 loose"):
         assert any(said in note for note in solid.notes), (said, solid.notes)
 
 
@@ -198,13 +201,15 @@ def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:
 
 
 def test_a_scan_is_not_cut_much_finer_than_asked(tmp_path: Path) -> None:
-    """Bumps of a few millimetres on a hand-sized ball: about the number of regular tetrahedra of that edge in its volume."""
+    """Bumps of a few millimetres on a hand-sized ball: about the number of regular tetrahedra of that edge in its
+    volume."""
     mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     v = mesh.vertices
     mesh.vertices = v * (1 + 0.12 * np.sin(60 * v[:, 0]) * np.cos(50 * v[:, 1]) + 0.02 * np.sin(300 * v[:, 2]))[:, None]
     mesh.export(tmp_path / "bumpy.ply")
     solid = fill_mesh_file(MeshFile(str(tmp_path / "bumpy.ply"), None), resolution=0.012, cache=tmp_path / "cache")
-    # a regular tetrahedron of edge h has h^3 / (6 sqrt 2); 1.7 times that number were observed, 3.2 times with the filler's own envelope
+    # a regular tetrahedron of edge h has h^3 / (6 sqrt 2); 1.7 times that number were observed, 3.2 times with the
+    # filler's own envelope
     assert len(solid.tets) < 2.4 * mesh.volume * 6 * np.sqrt(2) / 0.012**3
     assert solid.volume() == pytest.approx(mesh.volume, rel=0.02)
 
@@ -212,12 +217,16 @@ def test_a_scan_is_not_cut_much_finer_than_asked(tmp_path: Path) -> None:
 def test_workers_that_meet_fill_once(tmp_path: Path) -> None:
     """Three processes ask for one mesh at the same moment: one fills, and all read its bits."""
     ball().export(tmp_path / "scan.ply")
-    code = ("import sys; from pathlib import Path; from vsfsim.physics.mesh.quadratic import scan; from vsfsim.core.shape import MeshFile; fill = scan._run_filler\n"
-            "def counted(*a):\n    Path(sys.argv[1], f'filled-{__import__(\"os\").getpid()}').touch(); return fill(*a)\n"
+    code = ("import sys; from pathlib import Path; from vsfsim.physics.mesh import scan; from vsfsim.core.shape import "
+            "MeshFile; fill = scan._run_filler\n"
+            "def counted(*a):\n    Path(sys.argv[1], f'filled-{__import__(\"os\").getpid()}').touch(); "
+            "return fill(*a)\n"
             "scan._run_filler = counted\n"
-            "s = scan.fill_mesh_file(MeshFile(sys.argv[1] + '/scan.ply', None), resolution=0.02, cache=Path(sys.argv[1], 'cache'))\n"
+            "s = scan.fill_mesh_file(MeshFile(sys.argv[1] + '/scan.ply', None), resolution=0.02, "
+            "cache=Path(sys.argv[1], 'cache'))\n"
             "import hashlib; print(hashlib.sha256(s.vertices.tobytes() + s.tets.tobytes()).hexdigest())")
-    workers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True) for _ in range(3)]
+    workers = [subprocess.Popen([sys.executable, "-c", code, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+               for _ in range(3)]
     printed = {worker.communicate(timeout=120)[0] for worker in workers}
     assert all(worker.returncode == 0 for worker in workers) and len(printed) == 1
     assert len(list(tmp_path.glob("filled-*"))) == 1

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Frames, Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.03)
@@ -26,7 +26,8 @@ def down(line, depths, *, x=0.0, y=0.0):
 
 
 def same(a: Frames, b: Frames):
-    return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(Frames) if f.name != "seconds")
+    return all(np.array_equal(getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(Frames)
+               if f.name != "seconds")
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +46,8 @@ def test_audit_of_converged_frames(press, model):
 
 
 def test_energy_is_the_work_of_the_force(model, line, device):
-    """Elastic energy against the integral of the measured force over depth: a law between two outputs that are computed apart."""
+    """Elastic energy against the integral of the measured force over depth: a law between two outputs that are computed
+    apart."""
     depth = np.linspace(0.0, 0.004, 33)[1:]
     frames = Solver(model, PROBE, device=device).run(down(line, depth))
     assert frames.converged.all()
@@ -83,7 +85,8 @@ def test_a_batch_gives_what_its_touches_give_alone(model, line, device):
     for b in range(len(places)):
         alone = Solver(model, PROBE, device=device).run(poses[:, b:b + 1])
         # both within the tolerance of 1e-4 of the equilibrium
-        assert alone.force[:, 0] == pytest.approx(together.force[:, b], abs=3e-4 * max(np.abs(alone.force).max(), 1e-12))
+        assert alone.force[:, 0] == pytest.approx(together.force[:, b],
+                                                  abs=3e-4 * max(np.abs(alone.force).max(), 1e-12))
     # run to run, on this solver and on a new one: bit for bit
     assert same(together, solver.run(poses))
     assert same(together, Solver(model, PROBE, device=device).run(poses))
@@ -106,7 +109,8 @@ def test_weight_alone_is_carried_by_the_supports(block, line, device, linear):
     frames = Solver(model, PROBE, device=device, linear=linear).run(line(np.full((2, 3), 1.0), PROBE))
     assert frames.converged.all() and not frames.force.any()
     # force on the supports' side: up, by the whole weight, to the solver's tolerance
-    assert frames.reaction[:, 0] == pytest.approx(np.tile([0.0, 0.0, 9.81 * 1000.0 * np.prod(SIZE)], (2, 1)), rel=1e-3, abs=1e-3)
+    assert frames.reaction[:, 0] == pytest.approx(np.tile([0.0, 0.0, 9.81 * 1000.0 * np.prod(SIZE)], (2, 1)), rel=1e-3,
+                                                  abs=1e-3)
 
 
 def test_an_impossible_limit_marks_frames_and_stays_finite(model, line, device):
@@ -124,7 +128,8 @@ def test_time_limit_is_honoured(model, line, device):
     solver = Solver(model, PROBE, device=device, options=SolverOptions(tolerance=1e-14, seconds=0.0))
     began = time.perf_counter()
     frames = solver.run(down(line, [0.005, 0.01, 0.012]))
-    assert time.perf_counter() - began < 5.0, "the limit is looked at between steps, of which each takes milliseconds here"
+    assert time.perf_counter() - began < 5.0, ("the limit is looked at between steps, of which each takes "
+                                               "milliseconds here")
     assert not frames.converged.any() and np.isfinite(frames.force).all()
 
 
@@ -135,7 +140,8 @@ def test_a_press_of_six_tenths_of_the_thickness_is_converged_or_marked(model, li
         assert np.isfinite(getattr(frames, f.name)).all(), f.name
     assert (frames.force_balance[frames.converged] <= 1e-3).all()
     assert (frames.residual[~frames.converged] > SolverOptions().tolerance).all()
-    print(f"60 %: {int(frames.converged.sum())} of 10 converged, min det F {frames.min_det_f.min():.3f}, force {frames.force[-1, 0, 2]:.2f} N")
+    print(f"60 %: {int(frames.converged.sum())} of 10 converged, min det F {frames.min_det_f.min():.3f}, force "
+          f"{frames.force[-1, 0, 2]:.2f} N")
     assert frames.converged[:7].all(), "42 % of the thickness is a press that the solver is made for"
 
 
@@ -174,14 +180,16 @@ def test_linear_tier_is_fem_at_tiny_depth(model, line, device, probe, height, de
 
 def test_linear_tier_scales_with_the_modulus(block, line, device):
     """Same path, twice the modulus: twice the force, exactly (the penalty scales along)."""
-    forces = [Solver(block(SIZE, 0.02, young_modulus=e), PROBE, device=device, linear=True, options=SolverOptions(tolerance=1e-9))
+    forces = [Solver(block(SIZE, 0.02, young_modulus=e), PROBE, device=device, linear=True,
+                     options=SolverOptions(tolerance=1e-9))
               .run(down(line, [0.002])).force[0, 0, 2] for e in (1e5, 2e5)]
     assert forces[1] == pytest.approx(2.0 * forces[0], rel=1e-6)
 
 
 @pytest.mark.parametrize("linear", [False, True])
 def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, linear):
-    """A ball rises from below against a plate that sags by its weight: it meets it where, at rest, it would never have been in reach."""
+    """A ball rises from below against a plate that sags by its weight: it meets it where, at rest, it would never have
+    been in reach."""
     size = (0.08, 0.04, 0.006)
     model = block(size, 0.01, young_modulus=1e6, poisson_ratio=0.3, density=1000.0, gravity=(0.0, 0.0, -9.81),
                   fixed=(-0.041, -1, -1, -0.0399, 1, 1))
@@ -205,7 +213,8 @@ def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, line
     # and the plate stays above it, but for the penalty's penetration: nothing has slipped through
     assert frames.penetration.max() < 0.01 * model.element_size
     x = model.mesh.points + solver.history[-1].reshape(-1, 3)
-    assert sdf.distance(ball, x[model.mesh.surface_nodes()] - [0.03, 0.0, top[-1] - 0.01]).min() > -0.02 * model.element_size
+    assert sdf.distance(ball, x[model.mesh.surface_nodes()] - [0.03, 0.0,
+                                                               top[-1] - 0.01]).min() > -0.02 * model.element_size
 
 
 def test_a_run_does_not_depend_on_the_run_before(model, line, device):
@@ -220,9 +229,11 @@ def test_a_run_does_not_depend_on_the_run_before(model, line, device):
 
 
 def test_a_plane_presses_the_whole_top(model, line, device):
-    frames = Solver(model, Plane(), device=device).run(line([[0, 0, SIZE[2] - 0.001], [0, 0, SIZE[2] - 0.004]], Plane()))
+    frames = Solver(model, Plane(), device=device).run(line([[0, 0, SIZE[2] - 0.001], [0, 0, SIZE[2] - 0.004]],
+                                                            Plane()))
     assert frames.converged.all()
-    # stiffer than a free column (E A strain), softer than one between walls (M A strain), M = E (1 - nu) / ((1 + nu)(1 - 2 nu)) = 3.79 E
+    # stiffer than a free column (E A strain), softer than one between walls (M A strain), M = E (1 - nu) / ((1 + nu)(1
+    # - 2 nu)) = 3.79 E
     column = 1e5 * 0.06**2 * 0.001 / SIZE[2]
     assert column < frames.force[0, 0, 2] < 3.79 * column
 

@@ -79,9 +79,12 @@ def test_vertices_that_nothing_uses_are_left_out(block):
 
 def test_an_island_that_nothing_holds_is_refused_and_one_that_stands_is_kept(block):
     def two(shift):
-        return solid(np.concatenate([block.vertices, block.vertices + shift]), np.concatenate([block.tets, block.tets + len(block.vertices)]))
+        return solid(np.concatenate([block.vertices, block.vertices + shift]),
+                     np.concatenate([block.tets, block.tets + len(block.vertices)]))
 
-    with pytest.raises(SceneError, match=r"t.toml \[object\]: the body is in 2 parts.*the part at \[0.05, 0, 0.0[0-9]+\] m.*is held at 0 nodes.*Join the parts"):
+    with pytest.raises(SceneError,
+                       match=r"t.toml \[object\]: the body is in 2 parts.*the part at \[0.05, 0, 0.0[0-9]+\] m.*is "
+                             r"held at 0 nodes.*Join the parts"):
         held(two([0.05, 0.0, 0.02]))
     model = held(two([0.05, 0.0, 0.0]))
     right = np.random.default_rng(0).standard_normal((len(model.free), 1)) * model.free[:, None]

@@ -27,12 +27,14 @@ poisson_ratio = 0.3
 
 
 def scene(*, needs='["normal-force"]', shape="{ box = [0.06, 0.06, 0.03] }", young_modulus="1e5", more=""):
-    return parse_scene(SCENE.format(needs=needs, shape=shape, young_modulus=young_modulus, more=more), Path("t.toml")).sample(0)
+    return parse_scene(SCENE.format(needs=needs, shape=shape, young_modulus=young_modulus, more=more),
+                       Path("t.toml")).sample(0)
 
 
 @pytest.mark.parametrize(("needs", "tier"), [
     ("[]", "linear"), ('["normal-force"]', "linear"), ('["appearance", "normal-force"]', "linear"),
-    ('["contact"]', "vsf"), ('["appearance"]', "vsf"), ('["contact", "coupling"]', "spring"), ('["coupling", "bulging"]', "fem-coarse"),
+    ('["contact"]', "vsf"), ('["appearance"]', "vsf"), ('["contact", "coupling"]', "spring"),
+                                             ('["coupling", "bulging"]', "fem-coarse"),
     ('["bulging"]', "fem-coarse"), ('["normal-force", "large-deformation", "bulging"]', "fem"),
 ])
 def test_auto_takes_the_cheapest_that_shows_every_need(needs, tier):
@@ -46,12 +48,16 @@ def test_what_is_asked_for_beats_the_scenes_own_and_more_than_enough_is_fine():
 
 
 @pytest.mark.parametrize(("given", "asked", "message"), [
-    (dict(needs='["large-deformation"]'), "fem-coarse", "t.toml: the scene needs large-deformation, which tier 'fem-coarse' cannot show; use 'fem' or above."),
-    (dict(needs='["bulging", "large-deformation"]'), "linear", "needs bulging, large-deformation, which tier 'linear' cannot show; use 'fem' or above."),
+    (dict(needs='["large-deformation"]'), "fem-coarse",
+     "t.toml: the scene needs large-deformation, which tier 'fem-coarse' cannot show; use 'fem' or above."),
+    (dict(needs='["bulging", "large-deformation"]'), "linear",
+     "needs bulging, large-deformation, which tier 'linear' cannot show; use 'fem' or above."),
     (dict(), "fem-corse", "unknown tier 'fem-corse'. Did you mean 'fem-coarse'?"),
     (dict(), "spring", "t.toml: the scene needs normal-force, which tier 'spring' cannot show; use 'linear' or above."),
-    (dict(needs='["coupling"]', more='tier = "vsf"'), None, "needs coupling, which tier 'vsf' cannot show; use 'spring' or above."),
-    (dict(), "fine", "unknown tier 'fine'. Did you mean 'fem-fine'? Allowed: auto, fem, fem-coarse, fem-fine, linear, spring, vsf."),
+    (dict(needs='["coupling"]', more='tier = "vsf"'), None,
+     "needs coupling, which tier 'vsf' cannot show; use 'spring' or above."),
+    (dict(), "fine", "unknown tier 'fine'. Did you mean 'fem-fine'? Allowed: auto, fem, fem-coarse, fem-fine, linear, "
+                     "spring, vsf."),
 ])
 def test_too_little_is_refused_and_the_message_names_what_would_do(given, asked, message):
     with pytest.raises(SceneError, match=re.escape(message)):
@@ -71,7 +77,9 @@ def test_what_cannot_be_held_or_modelled_is_refused(more, message):
 
 def test_a_foundation_refuses_what_squeezes_out_sideways_and_a_network_says_what_it_ignores():
     soft = dataclasses.replace(scene(needs='["contact"]').object, poisson_ratio=0.48)
-    with pytest.raises(SceneError, match=r"poisson_ratio = 0\.48 is too high for tier 'vsf'.*At most 0\.47 is allowed; use 'spring' or above"):
+    with pytest.raises(SceneError,
+                       match=r"poisson_ratio = 0\.48 is too high for tier 'vsf'.*At most 0\.47 is allowed; use "
+                             r"'spring' or above"):
         tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft), "vsf")
     assert tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft)) == "spring"
     given = scene(needs='["coupling"]', more="resolution = 0.015")
@@ -98,7 +106,10 @@ def test_the_cheap_tiers_press_and_their_supports_carry_the_force(tier, kind, li
     assert force[3] == pytest.approx(force[1], rel=5e-3) and force[4] == pytest.approx(0.0, abs=1e-6)
     # anchors are supports: what they pull is in the reaction
     assert (frames.force_balance < 5e-3).all()
-    assert frames.reaction[2, 0, 2] == pytest.approx(force[2], rel=5e-3) or frames.reaction[2, 0, 2] == pytest.approx(-force[2], rel=5e-3)
+    assert frames.reaction[2, 0, 2] == pytest.approx(force[2],
+                                                     rel=5e-3) or frames.reaction[2, 0,
+                                                                                  2] == pytest.approx(-force[2],
+                                                                                                      rel=5e-3)
 
 
 def test_a_finer_tier_is_finer_and_the_scenes_resolution_wins():
@@ -107,7 +118,8 @@ def test_a_finer_tier_is_finer_and_the_scenes_resolution_wins():
     assert sizes == sorted(sizes, reverse=True) and sizes[-1] < sizes[0]
     # a small tip needs small elements; a plane has no size and sets none
     assert tiers.element_size(s.object, "fem", Sphere(0.002)) < sizes[1]
-    assert tiers.element_size(s.object, "fem", Plane()) == pytest.approx((0.06 * 0.06 * 0.03) ** (1 / 3) * tiers.TIERS["fem"].body)
+    assert tiers.element_size(s.object, "fem",
+                              Plane()) == pytest.approx((0.06 * 0.06 * 0.03) ** (1 / 3) * tiers.TIERS["fem"].body)
     assert tiers.element_size(scene(more="resolution = 0.004").object, "linear", Sphere(0.002)) == 0.004
 
 
@@ -126,7 +138,8 @@ def test_the_model_holds_what_the_scene_says():
     assert np.allclose(model.young_modulus, np.where(own_x < 0.0, 4e5, 1e5)[:, None], rtol=1e-12)
     # gradients turned with the body: they differentiate world coordinates
     x = model.mesh.points[model.mesh.tets[:, :4]]
-    assert np.einsum("mkc,mkd->mcd", model.mesh.gradients, x) == pytest.approx(np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
+    assert np.einsum("mkc,mkd->mcd", model.mesh.gradients,
+                     x) == pytest.approx(np.broadcast_to(np.eye(3), (len(x), 3, 3)), abs=1e-10)
 
 
 def test_a_scan_is_cut_as_finely_as_a_box_of_its_size(tmp_path):
@@ -137,13 +150,17 @@ def test_a_scan_is_cut_as_finely_as_a_box_of_its_size(tmp_path):
         block.copy().apply_scale(factor).export(tmp_path / f"x{factor:g}.ply")
         scan = scene(shape=f'{{ mesh = "{tmp_path}/x{factor:g}.ply"{more} }}')
         for tier in ("fem-coarse", "fem-fine"):
-            assert tiers.element_size(scan.object, tier, scan.probe) == pytest.approx(tiers.element_size(scene().object, tier, scan.probe), rel=1e-6)
+            assert tiers.element_size(scan.object, tier,
+                                      scan.probe) == pytest.approx(tiers.element_size(scene().object, tier, scan.probe),
+                                                                   rel=1e-6)
     # a file that changed is read again
     path = tmp_path / "x1.ply"
     block.copy().apply_scale(0.5).export(path)
     os.utime(path, ns=(1, 1))
     half = scene(shape=f'{{ mesh = "{path}" }}')
-    assert tiers.element_size(half.object, "fem", Plane()) == pytest.approx(0.5 * tiers.element_size(scene().object, "fem", Plane()), rel=1e-6)
+    assert tiers.element_size(half.object, "fem",
+                              Plane()) == pytest.approx(0.5 * tiers.element_size(scene().object, "fem", Plane()),
+                                                        rel=1e-6)
     (tmp_path / "empty.obj").write_text("")
     with pytest.raises(MeshError, match=r"empty\.obj' has no faces"):
         tiers.element_size(scene(shape=f'{{ mesh = "{tmp_path}/empty.obj" }}').object, "fem", Plane())
@@ -154,11 +171,14 @@ def test_the_foot_of_a_scan_is_said_and_a_narrow_one_warned_of():
 
     def said(foot):
         # a frustum: a square foot under a square top of 0.1 m
-        v = np.array([[x * w, y * w, z] for z, w in ((0.0, foot), (height, 0.1)) for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
+        v = np.array([[x * w, y * w, z] for z, w in ((0.0, foot), (height, 0.1)) for x in (-0.5, 0.5)
+                      for y in (-0.5, 0.5)])
         return tiers.foot_note(Solid(v, np.array([[0, 1, 2, 4]]), np.zeros(1, int), ("body",)), tiers.FOOT * height)
 
-    assert "lowest 5 % of the scan, 5.0 mm: a foot of 80 x 80 mm under a body of 100 x 100 mm" in said(0.08) and "tip" not in said(0.08)
-    assert "may tip rather than be indented; fixed = [-0.051, -0.051, -0.001, 0.051, 0.051, 0.025] would hold its lowest quarter" in said(0.02)
+    assert ("lowest 5 % of the scan, 5.0 mm: a foot of 80 x 80 mm under a body of 100 x 100 mm" in said(0.08)
+            and "tip" not in said(0.08))
+    assert ("may tip rather than be indented; fixed = [-0.051, -0.051, -0.001, 0.051, 0.051, 0.025] would hold its "
+            "lowest quarter" in said(0.02))
 
 
 def test_round_bars_have_their_full_section_and_a_ball_its_true_top():

@@ -5,7 +5,7 @@ import pytest
 
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.press import assume
 from vsfsim.press import probe as presses
 from vsfsim.press.picture import deformed_surface, face_pressure, tessellate
@@ -26,7 +26,9 @@ def test_a_made_up_sequence_gives_its_order_and_limit_back(order, sizes):
 
 
 @pytest.mark.parametrize(("force", "word"), [
-    ((9.0, 9.5, 9.3), "goes up and down"), ((9.0, 9.1, 9.4), "does not change less and less"), ((9.0, 9.0 + 1e-6, 9.0), "no order can be observed"), ((9.0, 9.0, 9.0), "no order can be observed"),
+    ((9.0, 9.5, 9.3), "goes up and down"), ((9.0, 9.1, 9.4), "does not change less and less"),
+                                             ((9.0, 9.0 + 1e-6, 9.0), "no order can be observed"),
+                                             ((9.0, 9.0, 9.0), "no order can be observed"),
 ])
 def test_a_sequence_without_an_order_says_so_and_gives_its_spread(force, word):
     found = convergence([0.008, 0.006, 0.0045], force, tolerance=1e-4)
@@ -47,10 +49,13 @@ def test_what_is_left_out_is_assumed_and_said():
     scene, _, tier, notes, _ = presses.prepare(parse_scene(BOX, "s.toml").sample(), tier=None, seed=0, cache=None)
     assert tier == "linear" and scene.probe == Sphere(0.006) and "20 % of the object's smallest edge" in notes[0]
     # first contact on the top at its middle, a tenth of the height deep
-    assert scene.press.start == pytest.approx((0.0, 0.0, 0.036), abs=2e-6) and scene.press.stop == pytest.approx((0.0, 0.0, 0.033), abs=2e-6)
+    assert scene.press.start == pytest.approx((0.0, 0.0, 0.036),
+                                              abs=2e-6) and scene.press.stop == pytest.approx((0.0, 0.0, 0.033),
+                                                                                              abs=2e-6)
     assert "from first contact at (0, 0, 0.036) m, 3 mm deep, 10 % of the height, in 10 frames" in notes[1]
     # who gives a path means the grammar's own ball
-    scene, notes = assume.with_probe(parse_scene(BOX + "[press]\nfrom = [0, 0, 0.06]\nto = [0, 0, 0.05]\n", "s.toml").sample())
+    scene, notes = assume.with_probe(parse_scene(BOX + "[press]\nfrom = [0, 0, 0.06]\nto = [0, 0, 0.05]\n",
+                                                 "s.toml").sample())
     assert scene.probe == Sphere(0.02) and "20 mm radius" in notes[0]
     scene, notes = assume.with_probe(parse_scene(BOX + "[probe]\nshape = { sphere = 0.004 }\n", "s.toml").sample())
     assert scene.probe == Sphere(0.004) and notes == []
@@ -58,17 +63,22 @@ def test_what_is_left_out_is_assumed_and_said():
 
 @pytest.fixture(scope="module")
 def pressed():
-    text = BOX + "[probe]\nshape = { plane = true }\n[press]\nfrom = [0, 0, 0.031]\nto = [0, 0, 0.0297]\nframes = 2\nhold = 1\nretract = 2\n"
+    text = (BOX + "[probe]\nshape = { plane = true }\n[press]\nfrom = [0, 0, 0.031]\nto = [0, 0, 0.0297]\nframes = "
+                  "2\nhold = 1\nretract = 2\n")
     return presses.press(parse_scene(text, "s.toml").sample(), keep=True)
 
 
 def test_the_state_of_every_frame_is_kept(pressed):
     state, mesh = pressed.state, pressed.state.model.mesh
-    assert state.displacement.shape == (5, len(mesh.points), 3) and state.surface_force.shape == (5, len(mesh.surface_nodes()), 3) and state.poses.shape == (5, 1, 4, 4)
+    assert state.displacement.shape == (5, len(mesh.points),
+                                        3) and state.surface_force.shape == (5, len(mesh.surface_nodes()),
+                                                                             3) and state.poses.shape == (5, 1, 4, 4)
     assert pressed.inward == 2 and "state" not in pressed.table() and "All 5 frames converged." in pressed.statement
     # forces on the surface against the force on the plate
-    # what the condensed problem pushed with, and what the deformed surface answers, agree to the tier's tolerance, 1e-6, times a few
-    assert state.surface_force.sum(axis=1) == pytest.approx(-pressed.force, abs=1e-9 + 1e-5 * np.abs(pressed.force).max())
+    # what the condensed problem pushed with, and what the deformed surface answers, agree to the tier's tolerance,
+    # 1e-6, times a few
+    assert state.surface_force.sum(axis=1) == pytest.approx(-pressed.force,
+                                                            abs=1e-9 + 1e-5 * np.abs(pressed.force).max())
     assert pressed.force == pytest.approx(pressed.body_force[:, 0], rel=1e-12) and (state.surface_force[4] == 0.0).all()
 
 
@@ -93,12 +103,14 @@ def test_the_drawn_surface_is_closed_and_bends_with_the_body(pressed):
     assert vertices[:, 2].max() == pytest.approx(0.0297, abs=1e-4) and length.max() == pytest.approx(3e-4, rel=0.5)
 
 
-@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Box((0.02, 0.03, 0.05)), Plane()])
+@pytest.mark.parametrize("shape", [Sphere(0.02), Capsule(0.01, 0.03), Cylinder(0.015, 0.04), Box((0.02, 0.03, 0.05)),
+                                   Plane()])
 def test_drawn_probes_lie_on_their_surface_and_are_wound_outwards(shape):
     vertices, faces = tessellate(shape, 0.1)
     if isinstance(shape, Plane):
         assert vertices[:, 2].max() == 0.0
         return
-    assert np.abs(sdf.distance(shape, vertices)).max() < 4e-4  # sharp edges stand over the fillets by up to 0.73 of 0.5 mm
+    # sharp edges stand over the fillets by up to 0.73 of 0.5 mm
+    assert np.abs(sdf.distance(shape, vertices)).max() < 4e-4
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), (a + b + c) / 3.0) > 0.0).all()

@@ -77,7 +77,8 @@ def test_what_is_saved(down, tmp_path):
         assert data["node_position"].shape == data["node_force"].shape == (3, 390, 3)
         assert data["fine_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-12, abs=1e-15)
         assert data["node_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-9, abs=1e-12)
-        assert np.abs(data["node_position"][:, data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
+        assert np.abs(data["node_position"][:,
+                                            data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
 
 
 def shades(image):
@@ -90,8 +91,10 @@ def shades(image):
 def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
     scene = parse_scene(text(DOWN), "small.toml").sample(0)
     depth = press_bubble_picture.inwards(down.state, 2)
-    # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has to go somewhere
-    assert depth.max() == pytest.approx(down.depth[2], rel=0.05) and -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
+    # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has
+    # to go somewhere
+    assert depth.max() == pytest.approx(down.depth[2],
+                                        rel=0.05) and -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
     assert np.abs(depth[down.state.model.mesh.rim]).max() < 1e-12
     faces = down.state.model.mesh.faces
     colour = np.where((depth[faces].mean(axis=1) > 0.0)[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
@@ -106,9 +109,11 @@ def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
 def test_what_a_sensor_has_not_is_said():
     scene = load_scene(find_scene("punyo"))
     with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
-        command(load_scene(find_scene("punyo-block")), seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier=None, refine=3, picture=None, plot=None, save=None)
+        command(load_scene(find_scene("punyo-block")), seed=0, device="cpu", precision="float64",
+                progress=lambda *a: None, tier=None, refine=3, picture=None, plot=None, save=None)
     with pytest.raises(SceneError, match="--tier fem"):
-        command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier="fem", refine=None, picture=None, plot=None, save=None)
+        command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier="fem", refine=None,
+                picture=None, plot=None, save=None)
     with pytest.raises(SceneError, match=r"needs a \[press\]"):
         press_bubble.press(dataclasses.replace(scene.sample(0), press=None))
 
@@ -118,8 +123,11 @@ def test_the_punyo_pressed_10_mm_onto_a_tip():
     result = press_bubble.press(load_scene(find_scene("punyo")).sample(0), keep=True)
     print(press_bubble.text(result))
     assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
-    # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors of 0.14 and 0.22 %
-    assert result.pressure_change[-1] == pytest.approx(938.8, rel=0.01) and result.force[-1, 2] == pytest.approx(4.890, rel=0.01)
+    # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors
+    # of 0.14 and 0.22 %
+    assert result.pressure_change[-1] == pytest.approx(938.8,
+                                                       rel=0.01) and result.force[-1,
+                                                                                  2] == pytest.approx(4.890, rel=0.01)
     assert (result.audit["penetration"] < 0.01 * result.edge).all()
 
 
@@ -152,5 +160,6 @@ def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pus
     assert moment == pytest.approx(result.wrench[:, 3:], abs=1e-9)
     # the picture's block lies where the skin is pushed in
     faces = result.state.model.mesh.faces
-    red, _, grey = shades(press_bubble_picture.outside(result.state, scene, 1, np.tile([1.0, 0.0, 0.0], (len(faces), 1)), "cpu"))
+    red, _, grey = shades(press_bubble_picture.outside(result.state, scene, 1,
+                                                       np.tile([1.0, 0.0, 0.0], (len(faces), 1)), "cpu"))
     assert red > 2000 and grey > 20_000

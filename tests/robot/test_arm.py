@@ -31,8 +31,10 @@ def about_z(angle):
 
 def table():
     """The rows of the published table: name, parent, then seven columns of numbers or words."""
-    rows = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in TABLE.read_text().splitlines() if line.startswith("| ")]
-    return [[name, parent, *(np.array(c.split(), float) if c[0] in "-0123456789" else c for c in rest)] for name, parent, *rest in rows[1:]]
+    rows = [[cell.strip() for cell in line.strip().strip("|").split("|")] for line in TABLE.read_text().splitlines()
+            if line.startswith("| ")]
+    return [[name, parent, *(np.array(c.split(), float) if c[0] in "-0123456789" else c for c in rest)] for name,
+            parent, *rest in rows[1:]]
 
 
 def chain(q):
@@ -49,7 +51,8 @@ def chain(q):
 
 def height_of_weight(q):
     """Potential energy [J] of the table's masses at joint angles (7,)."""
-    return sum(9.81 * mass[0] * (pose[:3, :3] @ com + pose[:3, 3])[2] for pose, (*_, mass, com, _, _) in zip(chain(q), table(), strict=True))
+    return sum(9.81 * mass[0] * (pose[:3, :3] @ com + pose[:3, 3])[2] for pose,
+               (*_, mass, com, _, _) in zip(chain(q), table(), strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -63,12 +66,17 @@ def angles():
 
 
 def test_the_figures_are_those_of_the_table():
-    for link, (name, parent, position, quaternion, limits, mass, com, turn, inertia) in zip(gen3.LINKS, table(), strict=True):
+    for link, (name, parent, position, quaternion, limits, mass, com, turn,
+               inertia) in zip(gen3.LINKS, table(), strict=True):
         assert (link.name, link.parent) == (name, parent)
-        for ours, theirs in ((link.position, position), (link.quaternion, quaternion), (link.mass, mass), (link.com, com),
+        for ours, theirs in ((link.position, position), (link.quaternion, quaternion), (link.mass, mass),
+                             (link.com, com),
                              (link.inertia_quaternion, turn), (link.inertia, inertia)):
             assert np.array_equal(np.atleast_1d(ours), theirs), name
-        assert link.joint_range == {"fixed": None, "continuous": gen3.CONTINUOUS}.get(limits, None if not limits.startswith("±") else (-float(limits[1:]), float(limits[1:])))
+        assert link.joint_range == {"fixed": None,
+                                    "continuous": gen3.CONTINUOUS}.get(limits,
+                                                                       None if not limits.startswith("±")
+                                                                       else (-float(limits[1:]), float(limits[1:])))
 
 
 def test_forward_kinematics_agree_with_a_product_of_transforms(arm, angles):
@@ -76,7 +84,8 @@ def test_forward_kinematics_agree_with_a_product_of_transforms(arm, angles):
     flange = transform((0, 0, -0.061525), (0, 1, 0, 0))
     for q, links, tool in zip(angles, at.links, at.tool, strict=True):
         want = chain(q)
-        assert np.abs(links - want).max() < 1e-12, "the same numbers, so only rounding is between them (1e-6 m is asked)"
+        assert np.abs(links - want).max() < 1e-12, ("the same numbers, so only rounding is between them (1e-6 "
+                                                    "m is asked)")
         assert np.abs(tool - want[-1] @ flange).max() < 1e-12
 
 
@@ -107,11 +116,15 @@ def test_capsules_follow_their_links(arm, angles):
 
 
 def test_capsules_have_the_girth_of_the_meshes(arm):
-    """Points read off the maker's public surface meshes, on the round housings [m]: the capsules' surface is there, to 1.5 mm."""
-    points = {"half_arm_1_link": [(0.045831, -0.187393, -0.006260), (-0.004837, -0.194, 0.039369), (-0.042325, -0.186473, -0.023820)],
-              "forearm_link": [(0.0, 0.046, -0.0194), (0.034996, -0.194, -0.006735), (-0.011586, -0.194, -0.039390), (0.000640, -0.194, 0.028624)],
+    """Points read off the maker's public surface meshes, on the round housings [m]: the capsules' surface is there, to
+    1.5 mm."""
+    points = {"half_arm_1_link": [(0.045831, -0.187393, -0.006260), (-0.004837, -0.194, 0.039369),
+                                  (-0.042325, -0.186473, -0.023820)],
+              "forearm_link": [(0.0, 0.046, -0.0194), (0.034996, -0.194, -0.006735), (-0.011586, -0.194, -0.039390),
+                               (0.000640, -0.194, 0.028624)],
               "shoulder_link": [(0.046, -0.013, -0.128375), (0.039168, -0.024120, -0.015974)],
-              "spherical_wrist_1_link": [(-0.034724, -0.004415, -0.014425), (0.0, 0.035, -0.014425), (0.0, -0.01425, -0.140925)]}
+              "spherical_wrist_1_link": [(-0.034724, -0.004415, -0.014425), (0.0, 0.035, -0.014425),
+                                         (0.0, -0.01425, -0.140925)]}
     for name, known in points.items():
         for p in np.array(known):
             gaps = []
@@ -127,7 +140,8 @@ def test_the_punyo_sits_on_its_mount(angles):
     plain, carrying = load_arm(), load_arm(punyo=True)
     assert len(carrying.shapes) == len(plain.shapes) + 2 and carrying.tool == "punyo"
     mount = np.eye(4)
-    mount[:3] = [[0, -1, 0, 0], [0.34202, 0, -0.93969, 0.02111], [0.93969, 0, 0.34202, 0.096142]]  # design.md, section 7
+    # design.md, section 7
+    mount[:3] = [[0, -1, 0, 0], [0.34202, 0, -0.93969, 0.02111], [0.93969, 0, 0.34202, 0.096142]]
     want = plain.postures(angles).tool @ mount
     at = carrying.postures(angles)
     # the published rows have five digits
@@ -135,7 +149,8 @@ def test_the_punyo_sits_on_its_mount(angles):
     axis = want[:, :3, :3] @ [-0.39394, 0.0, 0.91914]
     assert np.abs(at.tool[:, :3, 2] - axis).max() < 2e-5
     rim = want @ [0.0157, 0.0, 0.0655, 1.0]
-    assert np.linalg.norm(at.tool[:, :3, 3] - rim[:, :3], axis=1) == pytest.approx(np.full(len(angles), 0.0305), abs=1e-5)
+    assert np.linalg.norm(at.tool[:, :3, 3] - rim[:, :3], axis=1) == pytest.approx(np.full(len(angles), 0.0305),
+                                                                                   abs=1e-5)
     # the stand-in's surface is at the apex
     _, chamber = carrying.capsules[-2], carrying.capsules[-1]
     assert chamber.link == "punyo"
@@ -151,7 +166,8 @@ def test_the_punyo_weighs_on_the_joints():
     at = carrying.postures(q)
     com = at.links[0, -1] @ [*gen3.PUNYO_COM, 1.0]
     # each joint holds the weight's moment about its axis
-    want = [axis @ np.cross(com[:3] - anchor, [0, 0, 9.81 * gen3.PUNYO_MASS]) for axis, anchor in zip(at.axes[0], at.anchors[0], strict=True)]
+    want = [axis @ np.cross(com[:3] - anchor, [0, 0, 9.81 * gen3.PUNYO_MASS]) for axis,
+            anchor in zip(at.axes[0], at.anchors[0], strict=True)]
     assert (carrying.gravity_torque(q) - plain.gravity_torque(q))[0] == pytest.approx(want, abs=1e-9)
 
 
@@ -160,9 +176,12 @@ def test_a_base_elsewhere_carries_everything_along(angles):
     here, there = load_arm(), load_arm(base=base)
     assert np.abs(there.body_poses(angles) - base @ here.body_poses(angles)).max() < 1e-12
     assert np.abs(there.postures(angles).tool - base @ here.postures(angles).tool).max() < 1e-12
-    assert np.abs(there.gravity_torque(angles) - here.gravity_torque(angles)).max() < 1e-9, "turned about the vertical it weighs the same"
+    assert np.abs(there.gravity_torque(angles)
+                  - here.gravity_torque(angles)).max() < 1e-9, "turned about the vertical it weighs the same"
     wall = load_arm(base=transform((0, 0, 1), (1, 1, 0, 0)))
-    assert np.abs(wall.gravity_torque(angles[1:2])[0, 0]) > 1.0 > np.abs(here.gravity_torque(angles[1:2])[0, 0]), "on a wall joint 1 carries weight"
+    assert np.abs(wall.gravity_torque(angles[1:2])[0,
+                                                   0]) > 1.0 > np.abs(here.gravity_torque(angles[1:2])[0,
+                                                                                                       0]), "on a wall joint 1 carries weight"
 
 
 @pytest.mark.parametrize(("call", "said"), [

@@ -25,16 +25,19 @@ def test_the_solver_sees_the_capsules_where_they_are():
             along = (b - a)[:3]
             s = np.clip((points - a[:3]) @ along / (along @ along), 0.0, 1.0)
             want = np.linalg.norm(points - a[:3] - s[:, None] * along, axis=1) - c.radius
-            assert bodies.distance(k, (points - poses[t, k, :3, 3]) @ poses[t, k, :3, :3]) == pytest.approx(want, abs=1e-9)
+            assert bodies.distance(k, (points - poses[t, k, :3, 3]) @ poses[t, k, :3,
+                                                                            :3]) == pytest.approx(want, abs=1e-9)
 
 
 def test_the_arm_presses_a_block_with_its_wrist(block, device):
-    """The forearm comes from the side: the force is on the links that reach the block, and its reaction on the block's ground."""
+    """The forearm comes from the side: the force is on the links that reach the block, and its reaction on the block's
+    ground."""
     model = block((0.1, 0.1, 0.2), 0.05, poisson_ratio=0.4)
     base = np.eye(4)
     base[:3, 3] = [-0.42, 0.33, 0.0]
     arm = load_arm(base=base)
-    q = straight_touch(arm, [0.14, 0.13, 0.17], [0.14, 0.086, 0.17], rotation_matrix((0.0, np.pi / 2, 0.0)), frames=12)[[0, 10, 11]]
+    q = straight_touch(arm, [0.14, 0.13, 0.17], [0.14, 0.086, 0.17], rotation_matrix((0.0, np.pi / 2, 0.0)),
+                       frames=12)[[0, 10, 11]]
     frames = Solver(model, arm.shapes, device=device).run(arm.body_poses(q)[:, None])
     assert frames.converged.all()
     force = frames.body_force[:, 0]
@@ -45,7 +48,8 @@ def test_the_arm_presses_a_block_with_its_wrist(block, device):
 
 
 def test_rows_of_one_link_are_those_of_the_particle_model():
-    """SBML eq. 7 twice: here per contact, in `vsf.observe` for a touch on one link, with the joints past it blanked out."""
+    """SBML eq. 7 twice: here per contact, in `vsf.observe` for a touch on one link, with the joints past it blanked
+    out."""
     arm, link = load_arm(), 5
     q = np.array([HOME, np.array(HOME) + 0.1])
     at = arm.postures(q)

@@ -12,7 +12,8 @@ from vsfsim.robot.arm import load_arm
 def test_gaps_are_mujocos(punyo):
     arm = load_arm(punyo=punyo)
     data = mujoco.MjData(arm.model)
-    geom = {(c.link, i): arm.model.geom(f"{c.link}_{i}").id for link in arm.links for i, c in enumerate(c for c in arm.capsules if c.link == link)}
+    geom = {(c.link, i): arm.model.geom(f"{c.link}_{i}").id for link in arm.links for i,
+            c in enumerate(c for c in arm.capsules if c.link == link)}
     ids = list(geom.values())
     q = np.random.default_rng(5).uniform(-2.0, 2.0, (6, 7))
     gaps, pairs = clearance.self_gaps(arm, arm.postures(q))
@@ -26,17 +27,22 @@ def test_gaps_are_mujocos(punyo):
             # MuJoCo stops at 1e-6 m where capsules are nearly parallel
             assert gaps[t, p] == pytest.approx(want, abs=2e-6)
         for m, k in enumerate(moving):
-            ends = data.geom_xpos[ids[k]][2] + np.array([-1, 1]) * arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
+            ends = data.geom_xpos[ids[k]][2] + np.array([-1,
+                                                         1]) * arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
             assert table[t, m] == pytest.approx(ends.min() - arm.shapes[k].radius - 0.1, abs=1e-12)
 
 
 def test_segments_of_every_kind():
     a, b = np.zeros(3), np.array([1.0, 0.0, 0.0])
-    cases = [([0.5, 1, 0], [0.5, 2, 0], 1.0), ([0.5, -1, 1], [0.5, 1, 1], 1.0), ([2, 0, 0], [3, 0, 0], 1.0), ([0.2, 0.3, 0], [0.8, 0.3, 0], 0.3),
-             ([2, 1, 0], [2, -1, 0], 1.0), ([-1, 0, 0.5], [-2, 5, 0.5], np.hypot(1, 0.5)), ([0.5, 0, -1], [0.5, 0, 1], 0.0)]
+    cases = [([0.5, 1, 0], [0.5, 2, 0], 1.0), ([0.5, -1, 1], [0.5, 1, 1], 1.0), ([2, 0, 0], [3, 0, 0], 1.0),
+             ([0.2, 0.3, 0], [0.8, 0.3, 0], 0.3),
+             ([2, 1, 0], [2, -1, 0], 1.0), ([-1, 0, 0.5], [-2, 5, 0.5], np.hypot(1, 0.5)),
+             ([0.5, 0, -1], [0.5, 0, 1], 0.0)]
     for c, d, want in cases:
-        assert clearance.segment_distance(a, b, np.array(c, float), np.array(d, float)) == pytest.approx(want, abs=1e-12)
-        assert clearance.segment_distance(np.array(c, float), np.array(d, float), a, b) == pytest.approx(want, abs=1e-12)
+        assert clearance.segment_distance(a, b, np.array(c, float),
+                                          np.array(d, float)) == pytest.approx(want, abs=1e-12)
+        assert clearance.segment_distance(np.array(c, float), np.array(d, float), a,
+                                          b) == pytest.approx(want, abs=1e-12)
 
 
 def test_the_home_posture_is_free():

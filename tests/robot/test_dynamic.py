@@ -1,4 +1,5 @@
-"""The dynamic arm: its balance of torques, its slow limit, what speed and friction change, and the errors of its sensors."""
+"""The dynamic arm: its balance of torques, its slow limit, what speed and friction change, and the errors of its
+sensors."""
 
 import numpy as np
 import pytest
@@ -30,10 +31,13 @@ def blind():
 @pytest.fixture(scope="module")
 def touch(blind):
     """6 cm with growing forces on forearm and wrist, slow at both ends: angles, forces, moments."""
-    fine = straight_touch(blind, [0.45, 0.05, 0.35], [0.51, 0.05, 0.35], rotation_matrix((0.0, np.pi / 2, 0.0)), frames=201)
+    fine = straight_touch(blind, [0.45, 0.05, 0.35], [0.51, 0.05, 0.35], rotation_matrix((0.0, np.pi / 2, 0.0)),
+                          frames=201)
     q = fine[np.rint(200 * smooth(FRAMES)[:, 0]).astype(int)]
     force, moment = np.zeros((2, FRAMES, len(blind.shapes), 3))
-    force[:, 9], force[:, 14], moment[:, 14] = smooth(FRAMES) * [-3, 1, 0], smooth(FRAMES) * [-8, 0, 2], smooth(FRAMES) * [0, 0.2, 0.1]
+    force[:, 9], force[:, 14], moment[:, 14] = smooth(FRAMES) * [-3, 1,
+                                                                 0], smooth(FRAMES) * [-8, 0, 2], smooth(FRAMES) * [0,
+                                                                                                                    0.2, 0.1]
     return q, force, moment
 
 
@@ -44,10 +48,12 @@ def slow(blind, touch):
 
 
 def test_in_the_slow_limit_both_arms_read_the_same(slow):
-    """6 cm in 6 s: what is left is inertia and that the arm gives way by friction over stiffness. 2 % of the largest torque holds both."""
+    """6 cm in 6 s: what is left is inertia and that the arm gives way by friction over stiffness. 2 % of the largest
+    torque holds both."""
     assert slow.scale > 1.5
     assert slow.largest.max() < 0.02 * slow.scale
-    assert slow.tool < 2.5e-3, "3.5 N m of friction over 2000 N m/rad is 1.75 mrad, in two or three joints of an arm half a metre long"
+    assert slow.tool < 2.5e-3, ("3.5 N m of friction over 2000 N m/rad is 1.75 mrad, in two or three joints of an arm "
+                                "half a metre long")
     assert not slow.motion.saturated.any()
 
 
@@ -96,12 +102,14 @@ def test_a_soft_arm_gives_way_by_torque_over_stiffness():
     torque = body_torque(arm, motion.q, force, moment=moment)
     assert (motion.q - q)[-1] * soft.stiffness == pytest.approx(torque[-1], abs=1e-3)
     assert motion.torque[-1] == pytest.approx(torque[-1], abs=1e-3) and np.abs(torque).max() > 1.0
-    stiff = simulate(arm, q, np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), force, moment), drive=POSITION)
+    stiff = simulate(arm, q, np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), force, moment),
+                     drive=POSITION)
     assert np.abs(stiff.q - q).max() < 0.2 * np.abs(motion.q - q).max()
 
 
 def test_a_wall_that_feels_the_arm(blind, touch):
-    """Two-way contact: a spring between wall and wrist; force and reading belong to where the arm is, not to where it was sent."""
+    """Two-way contact: a spring between wall and wrist; force and reading belong to where the arm is, not to where it
+    was sent."""
     q, _, _ = touch
     wall, stiffness, k = blind.body_poses(q)[-1, 14, 0, 3] - 0.01, 2000.0, 14
 
@@ -120,7 +128,8 @@ def test_a_wall_that_feels_the_arm(blind, touch):
 
 def test_a_motor_at_its_limit_is_marked(blind, touch):
     q, force, moment = touch
-    motion = simulate(blind, q[:3], np.array([0.0, 0.1, 0.2]), series(np.array([0.0, 0.1, 0.2]), 100 * force[-3:], moment[-3:]))
+    motion = simulate(blind, q[:3], np.array([0.0, 0.1, 0.2]),
+                      series(np.array([0.0, 0.1, 0.2]), 100 * force[-3:], moment[-3:]))
     assert motion.saturated.all()
 
 
@@ -145,7 +154,10 @@ def test_an_ideal_sensor_adds_nothing_and_a_seed_gives_its_bits(reading):
     assert np.array_equal(read(*reading, 0, sensor=IDEAL), reading[0])
     key = np.random.SeedSequence(5, spawn_key=(1, 2))
     first = read(*reading, key)
-    assert np.array_equal(first, read(*reading, key)) and np.array_equal(first, read(*reading, np.random.SeedSequence(5, spawn_key=(1, 2))))
+    assert np.array_equal(first, read(*reading, key)) and np.array_equal(first,
+                                                                         read(*reading,
+                                                                              np.random.SeedSequence(5,
+                                                                                                     spawn_key=(1, 2))))
     assert not np.array_equal(first, read(*reading, 6)) and np.array_equal(read(*reading, 6), read(*reading, 6))
 
 
@@ -156,7 +168,8 @@ def test_every_error_has_its_size(reading):
     assert (read(*reading, 1, sensor=noise) - torque).std() == pytest.approx(0.3, rel=0.02)  # 28,000 draws: 0.4 %
     walk = TorqueSensor(zero, zero, (0.2,) * 7, 0.0, 0)
     many = np.stack([read(torque[:101], weight[:101], times[:101], s, sensor=walk) - torque[:101] for s in range(300)])
-    assert (many[:, 0] == 0.0).all() and many[:, 100].std() == pytest.approx(0.2, rel=0.06)  # after one second; 2,100 draws
+    # after one second; 2,100 draws
+    assert (many[:, 0] == 0.0).all() and many[:, 100].std() == pytest.approx(0.2, rel=0.06)
     assert many[:, 25].std() == pytest.approx(0.1, rel=0.06), "grows with the root of time"
     still = TorqueSensor(zero, (0.5,) * 7, zero, 0.0, 0)
     offsets = np.stack([read(torque[:3], weight[:3], times[:3], s, sensor=still) - torque[:3] for s in range(300)])

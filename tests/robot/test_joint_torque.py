@@ -25,7 +25,8 @@ def body(arm, k):
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics(arm, case):
-    """The acceleration that forces on the bodies bring is put into mj_inverse: it asks for J^T f at the joints, friction aside."""
+    """The acceleration that forces on the bodies bring is put into mj_inverse: it asks for J^T f at the joints,
+    friction aside."""
     q, force, moment = case
     got, poses = body_torque(arm, q, force, moment=moment), arm.body_poses(q)
     data = mujoco.MjData(arm.model)
@@ -82,7 +83,9 @@ def test_a_moment_about_the_origin_is_the_same_as_its_force_at_the_point(arm, ca
     q, force, _ = case
     origin = arm.body_poses(q)[..., :3, 3]
     point = origin + np.random.default_rng(9).normal(scale=0.05, size=origin.shape)
-    assert body_torque(arm, q, force, moment=np.cross(point - origin, force)) == pytest.approx(body_torque(arm, q, force, point=point), abs=1e-10)
+    assert body_torque(arm, q, force, moment=np.cross(point - origin,
+                                                      force)) == pytest.approx(body_torque(arm, q, force, point=point),
+                                                                               abs=1e-10)
 
 
 def test_what_does_not_fit_is_refused(arm, case):

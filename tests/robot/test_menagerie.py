@@ -1,6 +1,7 @@
 """Menagerie's arm: an error that helps where it cannot be had, and the same arm as ours where it can.
 
-No test downloads. The model that the made-up package gives is ours in Menagerie's dress: servos, a key frame, meshes' contact, another site.
+No test downloads. The model that the made-up package gives is ours in Menagerie's dress: servos, a key frame, meshes'
+contact, another site.
 """
 
 import sys
@@ -58,7 +59,8 @@ def test_it_is_the_same_arm_as_ours(package):
 def test_friction_reaches_it(package):
     figures = mjcf.JointFigures(coulomb=(1.0,) * 7, viscous=(3.0,) * 7, armature=(0.1,) * 7)
     model = load_arm("menagerie", joints=figures).model
-    assert (model.dof_frictionloss == 1.0).all() and (model.dof_damping == 3.0).all() and (model.dof_armature == 0.1).all()
+    assert ((model.dof_frictionloss == 1.0).all() and (model.dof_damping == 3.0).all()
+            and (model.dof_armature == 0.1).all())
 
 
 def test_without_the_package_the_error_says_what_to_do(monkeypatch):
@@ -69,12 +71,14 @@ def test_without_the_package_the_error_says_what_to_do(monkeypatch):
 
 @pytest.mark.parametrize("inside", [True, False], ids=["all of Menagerie", "its folder kinova_gen3"])
 def test_a_copy_on_this_machine_is_used(monkeypatch, tmp_path, inside):
-    """Ours, written out with a mesh on a link, as a file of Menagerie's name: no package, no network, and the mesh is there."""
+    """Ours, written out with a mesh on a link, as a file of Menagerie's name: no package, no network, and the mesh is
+    there."""
     spec = dressed()
     spec.compile()
     text = spec.to_xml()
     (tmp_path / "kinova_gen3").mkdir()
-    (tmp_path / "kinova_gen3" / "tip.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n")
+    (tmp_path / "kinova_gen3" / "tip.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv 0 0 .1\nf 1 3 2\nf 1 2 4\nf 2 3 "
+                                                      "4\nf 1 4 3\n")
     text = text.replace("<worldbody>", '<asset><mesh name="tip" file="tip.obj"/></asset>\n<worldbody>', 1)
     place = text.index(">", text.index('name="bracelet_link"')) + 1
     text = text[:place] + '<geom type="mesh" mesh="tip" mass="0"/>' + text[place:]
@@ -85,12 +89,16 @@ def test_a_copy_on_this_machine_is_used(monkeypatch, tmp_path, inside):
     theirs, ours = load_arm("menagerie"), load_arm()
     assert theirs.model.nmesh == 1
     # a file holds six digits
-    assert np.abs(theirs.body_poses(q) - ours.body_poses(q)).max() < 1e-5 and np.abs(theirs.gravity_torque(q) - ours.gravity_torque(q)).max() < 1e-3
+    assert np.abs(theirs.body_poses(q)
+                  - ours.body_poses(q)).max() < 1e-5 and np.abs(theirs.gravity_torque(q)
+                                                                - ours.gravity_torque(q)).max() < 1e-3
 
 
 def test_a_folder_without_the_model_says_how_to_get_it(monkeypatch, tmp_path):
     monkeypatch.setenv("VSFSIM_MENAGERIE", str(tmp_path))
-    with pytest.raises(ArmError, match=r"neither kinova_gen3/gen3.xml nor gen3.xml is there.*git clone --depth 1 .*mujoco_menagerie.*or use the arm 'gen3'"):
+    with pytest.raises(ArmError,
+                       match=r"neither kinova_gen3/gen3.xml nor gen3.xml is there.*git clone --depth 1 "
+                             r".*mujoco_menagerie.*or use the arm 'gen3'"):
         load_arm("menagerie")
 
 
@@ -104,6 +112,7 @@ def test_without_the_network_the_error_says_what_to_do(package):
 
 
 def test_another_model_is_refused(package):
-    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=lambda e: mujoco.MjSpec.from_string("<mujoco><worldbody><body name='a'/></worldbody></mujoco>"))
+    package.get = lambda name: types.SimpleNamespace(default_model="gen3",
+                                                     spec=lambda e: mujoco.MjSpec.from_string("<mujoco><worldbody><body name='a'/></worldbody></mujoco>"))
     with pytest.raises(ArmError, match="not the Gen3 that we know: it has no base_link"):
         load_arm("menagerie")

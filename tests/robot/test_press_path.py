@@ -43,7 +43,8 @@ def on_a_line(points, start, stop):
     return np.abs(offset - np.outer(offset @ direction, direction)).max()
 
 
-@pytest.mark.parametrize(("frames", "hold", "retract"), [(10, 0, 0), (4, 3, 0), (6, 1, 6), (6, 0, 3), (5, 2, 9), (1, 0, 1)])
+@pytest.mark.parametrize(("frames", "hold", "retract"), [(10, 0, 0), (4, 3, 0), (6, 1, 6), (6, 0, 3), (5, 2, 9),
+                                                         (1, 0, 1)])
 def test_press_path(frames, hold, retract):
     poses = press_path(PressSpec((START, STOP), (frames,), hold, retract), Sphere(0.01))
     assert poses.shape == (frames + hold + retract, 4, 4)
@@ -87,7 +88,8 @@ def test_touch_depth_may_be_cut():
 
 
 def test_time_runs_at_the_sensors_rate():
-    assert times(4) == pytest.approx(FRAME_SECONDS * np.array([0, 1, 2, 3])) and pytest.approx(30.0) == 1.0 / FRAME_SECONDS
+    assert times(4) == pytest.approx(FRAME_SECONDS * np.array([0, 1, 2,
+                                                               3])) and pytest.approx(30.0) == 1.0 / FRAME_SECONDS
 
 
 def test_rotation_vectors_there_and_back():
@@ -103,7 +105,8 @@ def test_rotation_vectors_there_and_back():
     assert rotation_matrix((0.0, 0.0, np.pi / 2)) @ [1, 0, 0] == pytest.approx([0, 1, 0])
     a, b = rotation_matrix((0.3, 0.1, -0.2)), rotation_matrix((0.1, 0.9, 0.4))
     assert between(a, b, 0.0) == pytest.approx(a) and between(a, b, 1.0) == pytest.approx(b, abs=1e-12)
-    assert between(a, b, 0.5) @ a.T @ between(a, b, 0.5) == pytest.approx(b, abs=1e-12), "half way twice is the whole way"
+    assert between(a, b, 0.5) @ a.T @ between(a, b, 0.5) == pytest.approx(b,
+                                                                          abs=1e-12), "half way twice is the whole way"
 
 
 def test_a_path_with_corners_and_turns():
@@ -111,14 +114,17 @@ def test_a_path_with_corners_and_turns():
     turns = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     poses = press_path(PressSpec(path, (2, 4), 1, 6, turns), Sphere(0.01))
     assert poses.shape == (13, 4, 4)
-    assert poses[:6, :3, 3] == pytest.approx(np.array([[0, 0, 0.065], [0, 0, 0.06], [0.005, 0, 0.06], [0.01, 0, 0.06], [0.015, 0, 0.06], [0.02, 0, 0.06]]))
+    assert poses[:6, :3, 3] == pytest.approx(np.array([[0, 0, 0.065], [0, 0, 0.06], [0.005, 0, 0.06], [0.01, 0, 0.06],
+                                                       [0.015, 0, 0.06], [0.02, 0, 0.06]]))
     assert [rotation_vector(p[:3, :3])[2] for p in poses[:6]] == pytest.approx([0, 0, 0.25, 0.5, 0.75, 1.0])
     assert np.array_equal(poses[6], poses[5])
     # back over the very same poses, then to the first point
     assert np.array_equal(poses[7:12], poses[:5][::-1]) and poses[12, :3, 3] == pytest.approx(path[0])
     # more frames back than in: still on the path
     long = press_path(PressSpec(path, (2, 4), 0, 12, turns), Sphere(0.01))[6:]
-    assert long[1, :3, 3] == pytest.approx([0.015, 0, 0.06]) and long[9, :3, 3] == pytest.approx([0, 0, 0.065]) and long[-1, :3, 3] == pytest.approx(path[0])
+    assert long[1, :3, 3] == pytest.approx([0.015, 0, 0.06]) and long[9, :3,
+                                                                      3] == pytest.approx([0, 0, 0.065]) and long[-1,
+                                                                                                                  :3, 3] == pytest.approx(path[0])
     # without rotation the probe keeps pointing along the first part
     assert (press_path(PressSpec(path, (2, 4)), Box((0.01, 0.02, 0.03)))[:, :3, :3] == np.eye(3)).all()
 

@@ -68,7 +68,8 @@ def test_every_pose_that_the_arm_can_take_is_found(arm):
     ([2.0, 0.0, 0.4], [2.1, 0.0, 0.4], FORWARD, {}, Reason.TOO_FAR),
     ([0.5, 0.0, 0.2], [0.5, 0.0, -0.1], FORWARD, {}, Reason.TABLE),
     ([0.5, 0.0, 0.3], [0.5, 0.0, 0.25], FORWARD, {"table": 0.26}, Reason.TABLE),
-    ([0.4, 0.0, 0.10], [0.0, 0.0, 0.10], rotation_matrix((0.0, -np.pi / 2, 0.0)), {"table": None}, Reason.SELF_COLLISION),
+    ([0.4, 0.0, 0.10], [0.0, 0.0, 0.10], rotation_matrix((0.0, -np.pi / 2, 0.0)), {"table": None},
+     Reason.SELF_COLLISION),
     ([0.35, 0.0, 0.3], [0.18, 0.0, 0.3], FORWARD, {}, Reason.LIMITS),
 ])
 def test_what_cannot_be_had_is_refused_with_its_reason(arm, start, stop, turn, limits, reason):
@@ -83,7 +84,8 @@ def test_what_cannot_be_had_is_refused_with_its_reason(arm, start, stop, turn, l
     ((0.443, 0.686, -2.002, -0.156, 3.092, -2.024, -0.811), (-0.684, -0.318, -0.656)),
 ])
 def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way, monkeypatch):
-    """On these two lines of 0.4 m the first postures found jump by 0.3 and 0.4 rad in a step of 5 mm; others lead along without."""
+    """On these two lines of 0.4 m the first postures found jump by 0.3 and 0.4 rad in a step of 5 mm; others lead along
+    without."""
     poses = np.tile(arm.tool_jacobian(np.array(q))[0], (81, 1, 1))
     poses[:, :3, 3] += np.linspace(0.0, 0.4, 81)[:, None] * np.array(way) / np.linalg.norm(way)
     assert np.abs(np.diff(follow(arm, poses, table=None, restarts=3), axis=0)).max() < 0.25
@@ -95,7 +97,8 @@ def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way, monkeypatch
 
 
 def test_how_far_it_came_is_where_the_arm_ends(arm):
-    """Straight ahead at the height of joint 2 the wrist's reach ends the line: the flange gets to 0.902 m there, less the bends of the links."""
+    """Straight ahead at the height of joint 2 the wrist's reach ends the line: the flange gets to 0.902 m there, less
+    the bends of the links."""
     with pytest.raises(Unreachable) as error:
         straight_touch(arm, [0.6, 0.0, 0.2848], [1.1, 0.0, 0.2848], FORWARD, frames=11)
     assert 0.6 + 0.5 * error.value.progress == pytest.approx(0.9025, abs=0.006), "to a step of 5 mm"
@@ -113,7 +116,8 @@ def test_a_base_elsewhere_makes_the_same_touch(arm):
     base = np.eye(4)
     base[:3, :3], base[:3, 3] = rotation_matrix((0.0, 0.0, 2.0)), [-0.4, 0.3, 0.0]
     there = load_arm(base=base)
-    q = straight_touch(there, base[:3, :3] @ START + base[:3, 3], base[:3, :3] @ STOP + base[:3, 3], base[:3, :3] @ FORWARD, frames=10)
+    q = straight_touch(there, base[:3, :3] @ START + base[:3, 3], base[:3, :3] @ STOP + base[:3, 3],
+                       base[:3, :3] @ FORWARD, frames=10)
     assert q == pytest.approx(straight_touch(arm, START, STOP, FORWARD, frames=10), abs=1e-5)
 
 
@@ -124,7 +128,8 @@ def test_the_given_posture_is_kept_near(arm):
     assert np.abs(near[0] - other).max() < 0.6 and np.abs(near[0] - q[0]).max() > 1e-3
 
 
-@pytest.mark.parametrize("poses", [np.zeros((0, 4, 4)), np.eye(4), np.full((2, 4, 4), np.nan), np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1))])
+@pytest.mark.parametrize("poses", [np.zeros((0, 4, 4)), np.eye(4), np.full((2, 4, 4), np.nan),
+                                   np.tile(np.diag([1.0, 1.0, -1.0, 1.0]), (2, 1, 1))])
 def test_poses_that_are_none_are_refused(arm, poses):
     with pytest.raises(ArmError, match="poses"):
         follow(arm, poses)

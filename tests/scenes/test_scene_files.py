@@ -14,7 +14,8 @@ from vsfsim.physics.rods.family import grow
 
 
 def test_the_shelf_is_complete() -> None:
-    assert {"plants", "plants-mini", "shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball", "punyo"} <= set(shelf.scenes())
+    assert {"plants", "plants-mini", "shoes-mini", "indent", "indent-homogeneous", "rod-bend", "ball",
+            "punyo"} <= set(shelf.scenes())
     assert {"plant", "shoe"} <= set(shelf.families())
 
 
@@ -30,7 +31,8 @@ def test_scene_builds(name: str) -> None:
         assert scene.press.start[2] - apex - scene.obstacles[0].shape.radius == pytest.approx(0.0, abs=3e-5)
         return
     if scene.arm is not None:
-        assert scene.object.tier == "rod" and 50 <= len(grow(scene.object.shape, np.random.default_rng(0), where=name).nodes) - 1 <= 500
+        assert scene.object.tier == "rod" and 50 <= len(grow(scene.object.shape, np.random.default_rng(0),
+                                                             where=name).nodes) - 1 <= 500
         return
     solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
     spec = scene.object
@@ -43,10 +45,12 @@ def test_scene_builds(name: str) -> None:
     if scene.press is not None:
         start, stop = np.array(scene.press.start), np.array(scene.press.stop)
         if scene.sensor is not None:
-            lowest, gap = start[2] - build_bubble(scene.sensor).mesh.points[:, 2].max(), 3e-3  # its first frames are in free air
+            # its first frames are in free air
+            lowest, gap = start[2] - build_bubble(scene.sensor).mesh.points[:, 2].max(), 3e-3
         else:
             assert isinstance(scene.probe, (Sphere, Box))
-            lowest, gap = start[2] - (scene.probe.radius if isinstance(scene.probe, Sphere) else 0.5 * scene.probe.size[2]), 1e-9
+            lowest, gap = start[2] - (scene.probe.radius if isinstance(scene.probe, Sphere)
+                                      else 0.5 * scene.probe.size[2]), 1e-9
         # The probe just touches the highest point under it (a bubble is a little above it), then goes in along -z.
         assert 0.0 <= lowest - solid.vertices[:, 2].max() + 1e-12 < gap
         assert stop[2] < start[2] and (stop[:2] == start[:2]).all()

@@ -65,7 +65,8 @@ def cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
 
 
 def crossings(corners: np.ndarray, x: float, z: float) -> np.ndarray:
-    """Sorted y [m] where the line along y through (x, z) crosses triangles (f, 3, 3) (trimesh's rays would need rtree)."""
+    """Sorted y [m] where the line along y through (x, z) crosses triangles (f, 3, 3) (trimesh's rays would need
+    rtree)."""
     a, b, c = np.moveaxis(corners, 1, 0)
     flat = [0, 2]
     twice = cross((b - a)[:, flat], (c - a)[:, flat])
@@ -92,7 +93,8 @@ def test_cells_are_at_most_three_walls_long_and_usual_shoes_keep_theirs() -> Non
     def longest(wall: float, resolution: float) -> float:
         solid = make(0, style="sneaker", wall=wall, resolution=resolution)
         upper = solid.tets[solid.region != 0]
-        edge = np.linalg.norm(solid.vertices[upper[:, (0, 0, 0, 1, 1, 2)]] - solid.vertices[upper[:, (1, 2, 3, 2, 3, 3)]], axis=-1)
+        edge = np.linalg.norm(solid.vertices[upper[:, (0, 0, 0, 1, 1, 2)]]
+                              - solid.vertices[upper[:, (1, 2, 3, 2, 3, 3)]], axis=-1)
         return float(np.median(edge.max(axis=1)))
 
     # a cell's diagonal is 1.4 cells, a bent one's somewhat more
@@ -171,10 +173,12 @@ def test_graded_shoes_look_like_those_of_any_material_and_are_of_five_narrow_gra
     grades = sorted(m.young_modulus for name, m in GRADED.items() if name != SOLE_MATERIAL)
     assert all(high < after[0] for (_, high), after in itertools.pairwise(grades)), "no two overlap"
     for seed in range(8):
-        graded, wide = (make(seed, resolution=0.03, materials=materials, appearance_informative=1.0) for materials in ("graded", "any"))
+        graded, wide = (make(seed, resolution=0.03, materials=materials, appearance_informative=1.0)
+                        for materials in ("graded", "any"))
         assert graded.appearance.texture == wide.appearance.texture
         for region, (modulus, texture) in enumerate(zip(graded.young_modulus, graded.appearance.texture)):
-            allowed = [m for name, m in GRADED.items() if m.texture == texture and (name == SOLE_MATERIAL) == (REGIONS[region] == "sole")]
+            allowed = [m for name, m in GRADED.items() if m.texture == texture
+                       and (name == SOLE_MATERIAL) == (REGIONS[region] == "sole")]
             assert any(m.young_modulus[0] <= modulus <= m.young_modulus[1] for m in allowed)
 
 
@@ -184,7 +188,8 @@ def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
         solid = make(seed, resolution=0.03, materials="any", appearance_informative=1.0)
         look = solid.appearance
         for region, modulus in enumerate(solid.young_modulus):
-            (name,) = {c for c, m in TEXTURED.items() if m.young_modulus[0] <= modulus <= m.young_modulus[1] and (c == SOLE_MATERIAL) == (REGIONS[region] == "sole")}
+            (name,) = {c for c, m in TEXTURED.items() if m.young_modulus[0] <= modulus <= m.young_modulus[1]
+                       and (c == SOLE_MATERIAL) == (REGIONS[region] == "sole")}
             assert look.texture[region] == TEXTURED[name].texture
         moduli.append(np.log(solid.young_modulus[1:]))
         bright.append(np.log(look.albedo.mean(axis=1))[1:])
@@ -194,9 +199,11 @@ def test_shoes_of_any_material_tell_it_by_texture_and_by_nothing_else() -> None:
     moduli, bright, contrast = (np.array(x) for x in (moduli, bright, contrast))
     # Four sigma of 150 shoes, whose parts are drawn alone.
     assert abs(np.corrcoef(moduli.ravel(), bright.ravel())[0, 1]) < 4.0 / math.sqrt(150.0)
-    assert np.abs(moduli.mean(axis=0) - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(150.0), "no part is softer than another"
+    assert np.abs(moduli.mean(axis=0)
+                  - moduli.mean()).max() < 4.0 * moduli.std() / math.sqrt(150.0), "no part is softer than another"
     assert np.corrcoef(moduli.ravel(), contrast.ravel())[0, 1] < -0.8
-    # Two parts are of the shoe's own class in 0.8^2 of the shoes; classes follow each other on a scale that each fills a fifth of.
+    # Two parts are of the shoe's own class in 0.8^2 of the shoes; classes follow each other on a scale that each fills
+    # a fifth of.
     assert 0.4 < np.corrcoef(moduli[:, 0], moduli[:, 1])[0, 1] < 0.85
 
 

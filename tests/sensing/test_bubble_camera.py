@@ -28,7 +28,8 @@ def test_it_stands_where_the_notes_say():
     assert np.linalg.det(pose[:3, :3]) == pytest.approx(1.0)
     assert np.degrees(np.arccos(pose[2, 2])) == pytest.approx(25.0)
     assert pose[2, 3] == -0.054
-    # the public mesh, in its camera's frame: rim centre (0.0157, 0, 0.0655) m (openvsf_format.md); our round figures are 25 and not 23.2 degrees
+    # the public mesh, in its camera's frame: rim centre (0.0157, 0, 0.0655) m (openvsf_format.md); our round figures
+    # are 25 and not 23.2 degrees
     centre = np.linalg.inv(pose) @ [0.0, 0.0, 0.0, 1.0]
     assert centre[:3] == pytest.approx([0.0157, 0.0, 0.0655], abs=0.003)
     assert camera.intrinsics[0, 0] == 430.0 and (camera.width, camera.height) == (640, 480)
@@ -56,7 +57,8 @@ def test_depth_lies_on_the_triangles(device):
 
 
 def test_dots_ride_on_the_skin(device):
-    # the same material carried 3 mm to the right, on a plane: the picture moves by focal * 3 mm / depth and is otherwise the same
+    # the same material carried 3 mm to the right, on a plane: the picture moves by focal * 3 mm / depth and is
+    # otherwise the same
     flat, triangles, _ = disc(10)
     camera = BubbleCamera(width=160, height=120, focal=160.0, tilt=0.0, offset=0.0)
     shift = 0.00675  # 20 pixels at 54 mm

@@ -40,12 +40,15 @@ def test_weights_interpolate_what_is_linear(fine, coarse):
     assert weight.sum(axis=1) == pytest.approx(1.0) and weight.min() >= 0.0
     found = np.einsum("ka,kai->ki", weight, fine.points[nodes])
     assert found[~coarse.rim] == pytest.approx(coarse.points[~coarse.rim], abs=1e-12)
-    # rims are polygons: the other mesh's rim nodes bulge out by at most the sagitta of a chord, here of 1/102 and 1/36 of the way round
+    # rims are polygons: the other mesh's rim nodes bulge out by at most the sagitta of a chord, here of 1/102 and 1/36
+    # of the way round
     assert np.linalg.norm(found - coarse.points, axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 102))
     nodes, weight = locate(fine.points, coarse)
-    assert np.linalg.norm(np.einsum("ka,kai->ki", weight, coarse.points[nodes]) - fine.points, axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 36))
+    assert np.linalg.norm(np.einsum("ka,kai->ki", weight, coarse.points[nodes]) - fine.points,
+                          axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 36))
     own, weight = locate(fine.points, fine)
-    assert own[np.arange(len(own)), weight.argmax(axis=1)].tolist() == list(range(len(fine.points))) and weight.max(axis=1) == pytest.approx(1.0)
+    assert own[np.arange(len(own)),
+               weight.argmax(axis=1)].tolist() == list(range(len(fine.points))) and weight.max(axis=1) == pytest.approx(1.0)
 
 
 def test_positions_follow_the_skin(fine, coarse):
@@ -85,7 +88,8 @@ def test_frames_hold_everything(fine, coarse):
     points = np.stack([dome(fine.points)] * 3)
     force = np.zeros_like(points)
     force[2, 0] = [0.0, 0.0, -2.0]  # at the apex, the first point of the disc
-    out = BubbleReadout(fine, coarse).frames(points, force, np.array([7000.0, 7010.0, 7300.0]), rest_pressure=7000.0, origin=np.array([0.1, 0.0, 0.0]))
+    out = BubbleReadout(fine, coarse).frames(points, force, np.array([7000.0, 7010.0, 7300.0]), rest_pressure=7000.0,
+                                             origin=np.array([0.1, 0.0, 0.0]))
     assert out.pressure_change.tolist() == [0.0, 10.0, 300.0]
     assert out.force[2].tolist() == [0.0, 0.0, -2.0] and (out.force[:2] == 0).all()
     assert out.moment[2] == pytest.approx([0.0, -0.2, 0.0])  # (-0.1, 0, h) x (0, 0, -2)
@@ -117,7 +121,8 @@ def test_the_real_sensor_is_read_on_its_390_nodes(model):
     from vsfsim.sensing.bubble import readout_of
 
     readout = readout_of(model)
-    assert len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714 and readout.readout.rim.sum() == 64
+    assert (len(readout.readout.points) == 390 and len(readout.readout.triangles) == 714
+            and readout.readout.rim.sum() == 64)
     nodes = readout.positions(model.mesh.points[None])[0]
     inner = ~readout.readout.rim
     # the sensor's own interpolation, which differs outside the finer rim alone
@@ -126,7 +131,8 @@ def test_the_real_sensor_is_read_on_its_390_nodes(model):
     # and a force on any node keeps its moment
     force = np.zeros((1, len(model.mesh.points), 3))
     force[0, ::7] = np.random.default_rng(0).standard_normal((len(force[0, ::7]), 3))
-    before, after = wrench(model.mesh.points[None], force), wrench(nodes[None], readout.forces(model.mesh.points[None], force))
+    before, after = wrench(model.mesh.points[None], force), wrench(nodes[None],
+                                                                   readout.forces(model.mesh.points[None], force))
     assert after[0] == pytest.approx(before[0], abs=1e-12) and after[1] == pytest.approx(before[1], abs=1e-13)
 
 
@@ -140,10 +146,12 @@ def test_the_pressure_is_that_of_the_solvers_gas(model):
     u[:, 2] = -0.2 * model.mesh.points[:, 2]
     elastic = Elasticity(model, device="cpu", real=wp.float64)
     elastic.begin(1)
-    elastic.forces(wp.zeros(1, dtype=wp.int32, device="cpu"), wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))
+    elastic.forces(wp.zeros(1, dtype=wp.int32, device="cpu"),
+                   wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))
     found = gauge_pressure(model, np.stack([model.mesh.points, model.mesh.points + u]))
     assert found[0] == pytest.approx(model.pressure, rel=1e-9)
-    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]), rel=1e-9) and found[1] > model.pressure + 1000.0
+    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]),
+                                     rel=1e-9) and found[1] > model.pressure + 1000.0
 
 
 def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
@@ -169,18 +177,24 @@ def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
     converged = touch.converged.copy()
     converged[5] = False
     world[5] = np.nan
-    more = touch_fields(model, world, force, pressure, pose, converged=converged, camera=BubbleCamera(width=64, height=48, focal=43.0))
-    write_view(tmp_path / "x.h5", dataclasses.replace(view, touches=(dataclasses.replace(touch, mount_pose=pose, converged=converged, **more),)))
+    more = touch_fields(model, world, force, pressure, pose, converged=converged,
+                        camera=BubbleCamera(width=64, height=48, focal=43.0))
+    write_view(tmp_path / "x.h5",
+               dataclasses.replace(view, touches=(dataclasses.replace(touch, mount_pose=pose, converged=converged,
+                                                                      **more),)))
     back = read_view(tmp_path / "x.h5").touches[0]
-    assert back.rest_pressure == model.pressure and np.isnan(back.pressure[5]) and np.isfinite(np.delete(back.pressure, 5)).all()
+    assert (back.rest_pressure == model.pressure and np.isnan(back.pressure[5])
+            and np.isfinite(np.delete(back.pressure, 5)).all())
     # float32 of half a metre
     assert back.node_force[3].sum(axis=0) == pytest.approx(force[3, 150], abs=1e-6)
     arm = back.node_position[3] - pose[3, :3, 3]
     assert back.moment[3] == pytest.approx(np.cross(world[3, 150] - pose[3, :3, 3], force[3, 150]), abs=1e-15)
     assert np.cross(arm, back.node_force[3]).sum(axis=0) == pytest.approx(back.moment[3], abs=2e-7)
     assert ((back.node_position[0] - pose[0, :3, 3]) @ pose[0, :3, :3]) == pytest.approx(back.node_rest, abs=1e-7)
-    assert back.node_reference * model.spec.pre_stretch == pytest.approx(model.read_out.flat) and back.node_triangles.shape == (714, 3)
-    assert np.isnan(back.inside_depth[5]).all() and (back.inside_depth[4] > 0).mean() > 0.7 and back.inside_rgb.shape == (frames, 48, 64, 3)
+    assert (back.node_reference * model.spec.pre_stretch == pytest.approx(model.read_out.flat)
+            and back.node_triangles.shape == (714, 3))
+    assert (np.isnan(back.inside_depth[5]).all() and (back.inside_depth[4] > 0).mean() > 0.7
+            and back.inside_rgb.shape == (frames, 48, 64, 3))
     with pytest.raises(SensorError, match="not finite"):
         touch_fields(model, world, force, pressure, pose)
     with pytest.raises(SensorError, match="mount poses"):

@@ -77,7 +77,8 @@ def test_depth_error_on_a_sphere_is_that_of_its_tessellation():
     # Away from the silhouette a chord of edge h lies at most h^2 / 8R / cos(60 deg) behind the sphere.
     edge = 0.005
     inner = disc / (b**2) > 1e-2
-    facing = np.abs(np.einsum("ijk,ijk->ij", pose[:3, 3] + exact[..., None] * direction, direction) / radius / np.sqrt(a)) > 0.5
+    facing = np.abs(np.einsum("ijk,ijk->ij", pose[:3, 3] + exact[..., None] * direction,
+                              direction) / radius / np.sqrt(a)) > 0.5
     inner &= facing & (disc > 0)
     assert inner.sum() > 500 and view.mask[inner].all()
     error = view.depth[inner] - exact[inner]
@@ -225,6 +226,7 @@ def test_missing_gl_is_one_paragraph_that_says_what_to_install(monkeypatch):
 
 def test_importing_the_camera_brings_no_gl_and_no_warp():
     # In a fresh process, as this one has both.
-    code = "import sys, vsfsim.sensing.camera; print([m for m in ('warp', 'pyrender', 'OpenGL', 'matplotlib') if m in sys.modules])"
+    code = ("import sys, vsfsim.sensing.camera; print([m for m in ('warp', 'pyrender', 'OpenGL', 'matplotlib') if m in "
+            "sys.modules])")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert out.strip() == "[]"

@@ -1,4 +1,5 @@
-"""The force estimator: its elements against closed forms, its program against exact solutions, its answers against known pushes."""
+"""The force estimator: its elements against closed forms, its program against exact solutions, its answers against
+known pushes."""
 
 import sys
 from dataclasses import replace
@@ -67,7 +68,8 @@ def test_a_uniform_strain_is_carried_by_the_rim_alone():
 
 
 def test_a_taut_drum_bulges_as_its_closed_form_says():
-    # w(0) = p a^2 b^2 / (2 T (a^2 + b^2)) (bubble.md, case 2); linear triangles of 1/12 of the radius err by some (1/12)^2
+    # w(0) = p a^2 b^2 / (2 T (a^2 + b^2)) (bubble.md, case 2); linear triangles of 1/12 of the radius err by some
+    # (1/12)^2
     flat, triangles, rim = disc(12)
     points = np.column_stack([flat, np.zeros(len(flat))])
     inner = np.setdiff1d(np.arange(len(flat)), rim)
@@ -109,7 +111,8 @@ def test_neo_hookean_equal_stretch_and_its_derivatives(toy):
     assert slope(toy.membrane.energy) == pytest.approx(np.sum(toy.membrane.forces(x) * step), rel=1e-5)
     assert slope(toy.membrane.forces).ravel() == pytest.approx(toy.membrane.tangent(x) @ step.ravel(), abs=1e-3)
     assert np.abs(toy.membrane.tangent(x) @ step.ravel()).max() > 1e2
-    assert slope(lambda y: nodal_areas(y, toy.triangles)).ravel() == pytest.approx(pressure_stiffness(x, toy.triangles) @ step.ravel(), abs=1e-9)
+    assert slope(lambda y: nodal_areas(y, toy.triangles)).ravel() == pytest.approx(pressure_stiffness(x, toy.triangles)
+                                                                                   @ step.ravel(), abs=1e-9)
 
 
 def test_without_stretch_the_two_laws_agree():
@@ -123,11 +126,13 @@ def test_without_stretch_the_two_laws_agree():
 
 
 def test_one_node_is_shrunk_and_put_on_its_cone():
-    # K = k I, c = 0: with v = k d the program is |f - v|^2 w/(2 k^2) + lambda |f| over the cone, whose answer is in closed form
+    # K = k I, c = 0: with v = k d the program is |f - v|^2 w/(2 k^2) + lambda |f| over the cone, whose answer is in
+    # closed form
     k, w, lasso = 300.0, 1e6, 5.0
     inward = np.array([[[0.0, 0.0, -1.0]]])
     for d in ([0.0, 0.0, -1e-3], [8e-4, 0.0, -1e-3], [2e-3, 0.0, -1e-3], [1e-3, 0.0, 2e-3]):
-        found = solve(sparse.identity(3) * k, np.zeros((3, 1)), np.array(d)[:, None], ForceProgram(w, lasso=lasso, friction=0.5, tolerance=1e-9), inward=inward)
+        found = solve(sparse.identity(3) * k, np.zeros((3, 1)), np.array(d)[:, None],
+                      ForceProgram(w, lasso=lasso, friction=0.5, tolerance=1e-9), inward=inward)
         v = k * np.array(d)
         normal, slide = -v[2], v[:2]
         if np.linalg.norm(slide) <= 0.5 * normal:
@@ -142,7 +147,8 @@ def test_one_node_is_shrunk_and_put_on_its_cone():
 
 
 @pytest.mark.parametrize(("lasso", "ridge", "smooth", "friction"), [
-    (0.0, 3.0, 0.0, None), (0.0, 1.0, 2.0, None), (4.0, 0.0, 0.0, None), (4.0, 1.0, 0.0, 0.6), (4.0, 0.0, 3.0, 0.6), (2.0, 0.0, 0.0, np.inf)])
+    (0.0, 3.0, 0.0, None), (0.0, 1.0, 2.0, None), (4.0, 0.0, 0.0, None), (4.0, 1.0, 0.0, 0.6), (4.0, 0.0, 3.0, 0.6),
+                                                                    (2.0, 0.0, 0.0, np.inf)])
 def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, ridge, smooth, friction):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((12, 12))
@@ -151,7 +157,8 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, r
     inward /= np.linalg.norm(inward, axis=2, keepdims=True)
     c, d, w = rng.standard_normal((12, 1)), 1e-2 * rng.standard_normal((12, 1)), 4e4
     edges = np.array([[0, 1], [1, 2], [0, 3]])
-    program = ForceProgram(w, lasso=lasso, ridge=ridge, smooth=smooth, friction=friction, tolerance=1e-8, iterations=100_000)
+    program = ForceProgram(w, lasso=lasso, ridge=ridge, smooth=smooth, friction=friction, tolerance=1e-8,
+                           iterations=100_000)
     found = solve(sparse.csr_matrix(k), c, d, program, inward=inward, edges=edges)
     f = found.force.reshape(4, 3)
     # KKT: with y = -K^-T w (u - d) the force must be the fixed point f = prox(f + y), node by node
@@ -167,7 +174,9 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, r
         assert again.iterations <= 20 and again.force == pytest.approx(found.force, abs=1e-6)
 
     def cost(x):
-        return 0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c) - d) ** 2) + lasso * np.linalg.norm(x.reshape(4, 3), axis=1).sum() + 0.5 * ridge * x @ x \
+        return 0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c)
+                                 - d) ** 2) + lasso * np.linalg.norm(x.reshape(4, 3),
+                                                                     axis=1).sum() + 0.5 * ridge * x @ x \
             + 0.5 * smooth * sum(np.sum((x[3 * i:3 * i + 3] - x[3 * j:3 * j + 3]) ** 2) for i, j in edges)
 
     constraint = [] if friction is None else [{"type": "ineq", "fun": lambda x: np.concatenate([
@@ -207,7 +216,8 @@ def test_columns_together_and_apart_are_the_same():
     assert together.converged.all() and (together.residual < 1e-8).all()
     for t in range(3):
         alone = solve(k, c[:, t:t + 1], d[:, t:t + 1], program, inward=inward[:, t:t + 1])
-        assert together.force[:, t] == pytest.approx(alone.force[:, 0], abs=1e-6) and alone.iterations <= together.iterations
+        assert together.force[:, t] == pytest.approx(alone.force[:, 0],
+                                                     abs=1e-6) and alone.iterations <= together.iterations
     none = solve(k, c[:, :0], d[:, :0], program, inward=inward[:, :0])
     assert none.force.shape == (30, 0) and none.iterations == 0
 
@@ -217,7 +227,9 @@ def test_columns_together_and_apart_are_the_same():
 
 def test_exact_readings_give_back_the_pushes(calibration, presses):
     position, pressure, true = presses
-    found = DenseForceEstimator(calibration, method="membrane", options=EstimatorOptions(force_scale=1.0, neighbour_scale=np.inf)).estimate(position, pressure)
+    found = DenseForceEstimator(calibration, method="membrane",
+                                options=EstimatorOptions(force_scale=1.0,
+                                                         neighbour_scale=np.inf)).estimate(position, pressure)
     size = np.sqrt((true**2).sum(axis=2).mean(axis=1))
     error = np.sqrt(((found.force - true) ** 2).sum(axis=2).mean(axis=1))
     # what is left is the lasso's pull, lambda K^2 / w, far under a thousandth of the push
@@ -229,12 +241,16 @@ def test_a_small_push_is_found_by_the_linear_tangent_and_missed_without_tension(
     # 0.05 N: linear theory holds; `paper`, which has no tension, spreads the force over the dome and loses the patch
     true = patch(toy, (0.012, 0.004), 0.016, 0.05)
     x, p = toy.push(true)
-    options = EstimatorOptions(displacement_std=1e-6, model_std=1e-6, force_scale=1.0)  # exact readings: next to no shrinkage
-    error = {m: np.linalg.norm(DenseForceEstimator(calibration, method=m, options=options).estimate(x[None], np.array([p])).force[0] - true) / np.linalg.norm(true)
+    # exact readings: next to no shrinkage
+    options = EstimatorOptions(displacement_std=1e-6, model_std=1e-6, force_scale=1.0)
+    error = {m: np.linalg.norm(DenseForceEstimator(calibration, method=m,
+                                                   options=options).estimate(x[None], np.array([p])).force[0] - true)
+             / np.linalg.norm(true)
              for m in METHODS}
 
     assert error["membrane"] < 0.02
-    # deterministic: 0.68 and 0.98 of the push; a soap film's even tension is not a rubber dome's, so `taut` is a half-way house
+    # deterministic: 0.68 and 0.98 of the push; a soap film's even tension is not a rubber dome's, so `taut` is a
+    # half-way house
     assert error["taut"] < 0.8 < 0.9 < min(error["residual"], error["paper"], error["released"])
 
 
@@ -262,7 +278,8 @@ def test_noise_alone_is_hardly_a_force_and_a_push_is_found_through_it(toy, calib
         errors[method] = np.sqrt(((found.force[2:] - true) ** 2).sum(axis=2).mean(axis=1))
         if method == "membrane":
             assert found.converged.all()
-            assert np.linalg.norm(found.force[:2].sum(axis=1), axis=1).max() < 0.3  # N, where 5.4 Pa over the base alone is 0.04 N
+            # N, where 5.4 Pa over the base alone is 0.04 N
+            assert np.linalg.norm(found.force[:2].sum(axis=1), axis=1).max() < 0.3
             inward = -np.einsum("tni,tni->tn", found.force, np.stack([nodal_areas(x, toy.triangles) for x in noisy]))
             assert (inward >= -1e-9).all()  # nothing pulls
     # ours is better than what it is based on, in every frame, and the regularised better than the raw
@@ -285,7 +302,8 @@ def test_a_touch_of_a_dataset_in_the_world(toy, calibration, presses):
     converged = np.array([True, False, True, True])
     world = position @ turn.T + pose[:, None, :3, 3]
     world[1] = np.nan
-    touch = replace(mock, mount_pose=pose, converged=converged, pressure=pressure, rest_pressure=toy.pressure, node_position=world, node_rest=toy.rest,
+    touch = replace(mock, mount_pose=pose, converged=converged, pressure=pressure, rest_pressure=toy.pressure,
+                    node_position=world, node_rest=toy.rest,
                     node_reference=toy.flat, node_triangles=toy.triangles)
     found = estimate_forces(touch, stiffness=680.0)
     local = DenseForceEstimator(calibration, method="membrane").estimate(position[converged], pressure[converged])

@@ -17,7 +17,8 @@ from vsfsim.sensing.membrane_fe import SensorError
 
 def test_scores_by_hand():
     true, found = np.zeros((3, 4, 3)), np.zeros((3, 4, 3))
-    true[0, 0], true[0, 1], true[0, 2] = [0, 0, -2.0], [0, 0, -1.0], [0, 0, -0.1]  # the third is under a tenth of the first
+    # the third is under a tenth of the first
+    true[0, 0], true[0, 1], true[0, 2] = [0, 0, -2.0], [0, 0, -1.0], [0, 0, -0.1]
     found[0, 1], found[0, 3] = [0, 0, -1.0], [0, 3.0, 0]
     true[1] = found[1] = [[0, 0, -1.0]] * 4
     out = score(found, true)
@@ -39,7 +40,8 @@ def test_calibration_finds_the_better_weights():
         x, p = toy.push(force, start=x)
         states.append((x, p, force))
     position, pressure, true = (np.array(part) for part in zip(*states))
-    press = noisy(PressRecord("toy", np.zeros(3), position, pressure, true), np.random.default_rng(0), displacement_std=5e-5, pressure_std=5.4)
+    press = noisy(PressRecord("toy", np.zeros(3), position, pressure, true), np.random.default_rng(0),
+                  displacement_std=5e-5, pressure_std=5.4)
     assert np.std(press.position - position) == pytest.approx(5e-5, rel=0.1) and (press.force == true).all()
     nominal = BubbleCalibration(toy.rest, toy.triangles, rim, 680.0, toy.pressure)
     chosen, options, error = calibrate(nominal, [press], method="paper", options=EstimatorOptions())

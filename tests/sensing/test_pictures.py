@@ -76,7 +76,8 @@ def object_view(index: int, touches: int) -> ObjectView:
         poses[:, 2, 3] = 0.09 - depth
         force = np.zeros((4, 3))
         force[:, 2] = (k + 1) * 100 * np.maximum(depth - 0.005, 0)
-        made.append(Touch(np.arange(4) / 30, poses, np.array([0, 0, -1.0]), cloud[k * 50], np.array([0, 0, 1.0]), force, -force,
+        made.append(Touch(np.arange(4) / 30, poses, np.array([0, 0, -1.0]), cloud[k * 50], np.array([0, 0, 1.0]), force,
+                          -force,
                           np.array([True, True, k != 1, True]), np.zeros(4), np.ones(4, int), k != 2, np.zeros(4, int)))
     return ObjectView(f"block-{index:04d}-v0", index, 0, "test", Sphere(0.02), view, tuple(made), None)
 

@@ -35,7 +35,8 @@ def disc(rings: int, *, rim=RIM):
 
 @dataclass
 class Toy:
-    """membrane: its elements. flat: material coordinates (n, 2). rest: inflated (n, 3) [m]. triangles, rim. pressure: gauge [Pa]. gas: volume [m^3]."""
+    """membrane: its elements. flat: material coordinates (n, 2). rest: inflated (n, 3) [m]. triangles, rim. pressure:
+    gauge [Pa]. gas: volume [m^3]."""
 
     membrane: NeoHookeanMembrane
     flat: np.ndarray
@@ -103,12 +104,14 @@ def bubble(rings, *, shear=680.0 / 3.0, pressure=7400.0, gas=150e-6):
 
 
 def patch(toy, centre, radius, newtons, *, slant=(0.0, 0.0)):
-    """Nodal forces (n, 3) [N] of a round patch about ``centre`` (x, y) on the rest dome: Hertz-like, inwards, plus ``slant`` times that along x, y."""
+    """Nodal forces (n, 3) [N] of a round patch about ``centre`` (x, y) on the rest dome: Hertz-like, inwards, plus
+    ``slant`` times that along x, y."""
     out = np.zeros_like(toy.rest)
     inner = np.setdiff1d(np.arange(len(toy.rest)), toy.rim)
     weight = np.zeros(len(toy.rest))
     far = np.linalg.norm(toy.rest[inner, :2] - centre, axis=1)
-    weight[inner] = np.sqrt(np.maximum(1.0 - (far / radius) ** 2, 0.0)) * np.linalg.norm(nodal_areas(toy.rest, toy.triangles)[inner], axis=1)
+    weight[inner] = np.sqrt(np.maximum(1.0 - (far / radius) ** 2,
+                                       0.0)) * np.linalg.norm(nodal_areas(toy.rest, toy.triangles)[inner], axis=1)
     out -= weight[:, None] * nodal_normals(toy.rest, toy.triangles)
     out[:, :2] += weight[:, None] * np.asarray(slant)
     return out * newtons / np.linalg.norm(out.sum(axis=0))

@@ -1,7 +1,8 @@
 """A forked branch as beams and as quadratic tetrahedra: the same push on both.
 
-The tetrahedra fill three round tubes that meet in a mitred joint: each tube is a disc swept along its axis, cut by the planes that halve the angles to its two
-neighbours, so that the halves of two discs share a cut. A cut's place is linear in the distance from the fork's axis, and mirrored points meet.
+The tetrahedra fill three round tubes that meet in a mitred joint: each tube is a disc swept along its axis, cut by the
+planes that halve the angles to its two neighbours, so that the halves of two discs share a cut. A cut's place is linear
+in the distance from the fork's axis, and mirrored points meet.
 """
 
 from __future__ import annotations
@@ -16,14 +17,16 @@ from stems import loaded, plant, touch
 from vsfsim.core.shape import Capsule
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
-from vsfsim.physics.mesh.quadratic import structured as blocks
+from vsfsim.physics.mesh import structured as blocks
 from vsfsim.physics.model import build_model
 from vsfsim.physics.solve.touches import Solver
 
 RADIUS, E, NU = 0.006, 5e8, 0.35
 TRUNK, BRANCH, SPREAD = 0.15, 0.15, np.radians(35.0)
 JOINT = np.array([0.0, 0.0, TRUNK])
-AXES = [np.array([0.0, 0.0, -1.0]), np.array([0.0, np.sin(SPREAD), np.cos(SPREAD)]), np.array([0.0, -np.sin(SPREAD), np.cos(SPREAD)])]  # outwards from the fork
+# outwards from the fork
+AXES = [np.array([0.0, 0.0, -1.0]), np.array([0.0, np.sin(SPREAD), np.cos(SPREAD)]),
+        np.array([0.0, -np.sin(SPREAD), np.cos(SPREAD)])]
 LENGTHS = (TRUNK, BRANCH, BRANCH)
 OUT = np.array([1.0, 0.0, 0.0])  # across the plane of the fork
 
@@ -54,7 +57,8 @@ def fork(rings: int, step: float) -> Solid:
                 low = first + k * len(disc) + np.array([a, b, c])
                 tets += prism(low, low + len(disc), np.array([a, b, c]))
     together = np.concatenate(points)
-    _, kept, number = np.unique(np.rint(together / 1e-8).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, kept, number = np.unique(np.rint(together / 1e-8).astype(np.int64), axis=0, return_index=True,
+                                return_inverse=True)
     cells = number.ravel()[np.array(tets)]
     corners = together[kept][cells]
     flipped = np.linalg.det(corners[:, 1:] - corners[:, :1]) < 0.0
@@ -69,7 +73,8 @@ def prism(low: np.ndarray, high: np.ndarray, rank: np.ndarray) -> list[list[int]
 
 
 def push(travel: np.ndarray) -> np.ndarray:
-    """Poses (T, 1, 1, 4, 4) of a capsule along one branch's level, driven across the plane of the fork from where it just touches."""
+    """Poses (T, 1, 1, 4, 4) of a capsule along one branch's level, driven across the plane of the fork from where it
+    just touches."""
     place = JOINT + 0.8 * BRANCH * AXES[1]
     out = np.tile(np.eye(4), (len(travel), 1, 1, 1, 1))
     out[:, 0, 0, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]
@@ -89,7 +94,8 @@ def beams(cut: int, travel: np.ndarray):
 def fork_of_beams(cut: int) -> tuple[np.ndarray, list[int]]:
     """Nodes (3 cut + 1, 3) [m] and parents; the ends of the branches are the nodes 2 cut and 3 cut."""
     nodes, parent = [np.zeros(3)], [-1]
-    for axis, start, length, at in [(-AXES[0], np.zeros(3), TRUNK, 0), (AXES[1], JOINT, BRANCH, cut), (AXES[2], JOINT, BRANCH, cut)]:
+    for axis, start, length, at in [(-AXES[0], np.zeros(3), TRUNK, 0), (AXES[1], JOINT, BRANCH, cut),
+                                    (AXES[2], JOINT, BRANCH, cut)]:
         for k in range(1, cut + 1):
             nodes.append(start + k / cut * length * axis)
             parent.append(at if k == 1 else len(nodes) - 2)
@@ -98,8 +104,10 @@ def fork_of_beams(cut: int) -> tuple[np.ndarray, list[int]]:
 
 def solid(rings: int, step: float, travel: np.ndarray):
     body = fork(rings, step)
-    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6, where="fork")
-    solver = Solver(model, Capsule(0.02, 0.04), options=dataclasses.replace(tiers.options("fem"), newton=120, seconds=600.0))
+    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
+                        where="fork")
+    solver = Solver(model, Capsule(0.02, 0.04), options=dataclasses.replace(tiers.options("fem"), newton=120,
+                                                                            seconds=600.0))
     frames = solver.run(push(travel)[:, :, 0], keep=True)
     assert frames.converged.all(), frames.reason
     ends = [np.linalg.norm(model.mesh.points - (JOINT + BRANCH * axis), axis=1).argmin() for axis in AXES[1:]]
@@ -110,7 +118,8 @@ def solid(rings: int, step: float, travel: np.ndarray):
 def test_the_tubes_join_without_a_gap():
     body = fork(2, 0.01)
     # three straight tubes of the circle's area up to the fork; what mitres add on one half they take on the other
-    cuts = sum(np.trapezoid(np.abs(u) / np.tan(0.5 * np.arccos(a @ b)) * 2 * np.sqrt(np.maximum(RADIUS**2 - u**2, 0)), u) / 2
+    cuts = sum(np.trapezoid(np.abs(u) / np.tan(0.5 * np.arccos(a @ b)) * 2 * np.sqrt(np.maximum(RADIUS**2 - u**2, 0)),
+                            u) / 2
                for a in AXES for b in AXES if a is not b for u in [np.linspace(-RADIUS, RADIUS, 2001)])
     assert body.volume() == pytest.approx(np.pi * RADIUS**2 * sum(LENGTHS) - cuts, rel=1e-3)
     faces, _ = body.surface()
@@ -120,16 +129,19 @@ def test_the_tubes_join_without_a_gap():
 
 @pytest.mark.slow
 def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
-    """Pushed by 20 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch follows."""
+    """Pushed by 20 mm across its plane at four fifths of one branch: the trunk bends and twists, the other branch
+    follows."""
     travel = np.array([0.001, 0.003, 0.006, 0.01, 0.015, 0.02])
     force, ends = beams(16, travel)
     theirs, their_ends, many, _ = solid(1, 0.008, travel)
     # from 6 mm on, so that it does not matter that the six corners of a tube stand out of the circle by 0.6 mm
     ratio = (force[3:, 0] - force[2, 0]) / (theirs[3:, 0] - theirs[2, 0]) - 1
     moved, they_moved = (1e3 * (e[-1] - e[2]) for e in (ends, their_ends))
-    print(f"force from 6 to 10, 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; {force[-1, 0]:.4f} and {theirs[-1, 0]:.4f} N in all")
+    print(f"force from 6 to 10, 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; {force[-1, 0]:.4f} "
+          f"and {theirs[-1, 0]:.4f} N in all")
     print("ends, mm, beams:", np.round(moved, 3).tolist(), "tetrahedra:", np.round(they_moved, 3).tolist())
-    # a hexagon of the circle's area is 0.8 % stiffer in bending; the fork of beams is a point, that of tetrahedra a body of about a radius, 4 % of a branch
+    # a hexagon of the circle's area is 0.8 % stiffer in bending; the fork of beams is a point, that of tetrahedra a
+    # body of about a radius, 4 % of a branch
     assert np.abs(ratio).max() < 0.03
     assert np.abs(moved - they_moved).max() < 0.02 * np.abs(they_moved).max()
 
@@ -137,16 +149,19 @@ def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
 def tip_compliance(rings: int, step: float) -> np.ndarray:
     """Displacement of both ends per force on the first one's section, small strain, no contact (2, 3, 3) [m/N]."""
     body = fork(rings, step)
-    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6, where="fork")
+    model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
+                        where="fork")
     points, sections = model.mesh.points, []
     for axis in AXES[1:]:
         faces = model.mesh.faces[((points - JOINT) @ axis > BRANCH - 1e-6)[model.mesh.faces].all(axis=1)]
         a, b, c = points[faces[:, :3]].transpose(1, 0, 2)
         share = np.zeros(len(points))
-        np.add.at(share, faces[:, 3:], np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None] / 6.0)  # a uniform traction on a quadratic triangle: a third on each middle node
+        # a uniform traction on a quadratic triangle: a third on each middle node
+        np.add.at(share, faces[:, 3:], np.linalg.norm(np.cross(b - a, c - a), axis=1)[:, None] / 6.0)
         sections.append(share / share.sum())
     free = np.flatnonzero(model.free)
-    factor = splu(model.factor.stiffness[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    factor = splu(model.factor.stiffness[free][:, free].tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
+                  options={"SymmetricMode": True})
     out = np.zeros((2, 3, 3))
     for k in range(3):
         load, moved = np.zeros((len(points), 3)), np.zeros(3 * len(points))
@@ -158,7 +173,8 @@ def tip_compliance(rings: int, step: float) -> np.ndarray:
 
 @pytest.mark.slow
 def test_the_compliance_of_a_fork_converges_to_that_of_beams_but_for_the_joints_body():
-    """Small loads at the end of one branch, in all directions, both ends observed: three meshes of tetrahedra against the beams' nodes, which are exact at small strain."""
+    """Small loads at the end of one branch, in all directions, both ends observed: three meshes of tetrahedra against
+    the beams' nodes, which are exact at small strain."""
     nodes, parent = fork_of_beams(16)
     body = dataclasses.replace(plant(nodes, parent, radius=RADIUS, young_modulus=E), poisson_ratio=NU)
     ends, small = [32, 48], 1e-4
@@ -170,7 +186,9 @@ def test_the_compliance_of_a_fork_converges_to_that_of_beams_but_for_the_joints_
     large = np.abs(beam) > 0.1 * np.abs(beam).max(axis=(1, 2), keepdims=True)
     ratio = np.array([(m[large] / beam[large]) for m in meshes])
     print("tetrahedra over beams, each large entry of the compliance, three meshes:\n", np.round(ratio, 4))
-    # where three tubes meet there is a body of 2 % of the stem's and the branch's length, stiffer than the beams that go on to the middle line's fork: tetrahedra are stiffer by up to 2.5 %
+    # where three tubes meet there is a body of 2 % of the stem's and the branch's length, stiffer than the beams that
+    # go on to the middle line's fork: tetrahedra are stiffer by up to 2.5 %
     assert (np.abs(ratio[2] - 1.0) < 0.025).all()
     # the meshes settle, and the coarse one of the press above is stiffer by 1 % than the finest
-    assert (np.abs(ratio[2] - ratio[1]) < 0.35 * np.abs(ratio[1] - ratio[0])).all() and (ratio[2] - ratio[0] > 0.003).all()
+    assert (np.abs(ratio[2] - ratio[1]) < 0.35 * np.abs(ratio[1]
+                                                        - ratio[0])).all() and (ratio[2] - ratio[0] > 0.003).all()

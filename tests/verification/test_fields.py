@@ -1,4 +1,5 @@
-"""Fields known in full: an affine one on a distorted mesh, a manufactured one under varying E(x), and one random E(x) on three meshes."""
+"""Fields known in full: an affine one on a distorted mesh, a manufactured one under varying E(x), and one random E(x)
+on three meshes."""
 
 import dataclasses
 
@@ -20,14 +21,16 @@ TIGHT = SolverOptions(tolerance=1e-9, cg_tolerance=1e-4)
 
 
 def stress(f, mu, lam):
-    """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the law of tet10.py: mu F + ((lambda + mu)(J - 1) - mu) cof F."""
+    """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the law of tet10.py: mu F + ((lambda + mu)(J - 1) - mu) cof
+    F."""
     j = np.linalg.det(f)
     cof = j[..., None, None] * np.swapaxes(np.linalg.inv(f), -1, -2)
     return mu[..., None, None] * f + ((lam + mu) * (j - 1.0) - mu)[..., None, None] * cof
 
 
 def collapsed_rule(n):
-    """Quadrature of a tetrahedron: barycentric points (n^3, 4) and weights that add up to 1, exact to degree 2 n - 3 (Stroud's conical product)."""
+    """Quadrature of a tetrahedron: barycentric points (n^3, 4) and weights that add up to 1, exact to degree 2 n - 3
+    (Stroud's conical product)."""
     t, w = np.polynomial.legendre.leggauss(n)
     t, w = 0.5 * (t + 1.0), 0.5 * w
     r, s, q = (a.ravel() for a in np.meshgrid(t, t, t, indexing="ij"))
@@ -46,7 +49,8 @@ def shape_gradients(bary):
 
 
 def load_of(mesh, deformation_gradient, modulus, nu):
-    """Nodal forces (3 n,) [N] under which a body takes the field of ``deformation_gradient``: the weak form, integral of P : grad N."""
+    """Nodal forces (3 n,) [N] under which a body takes the field of ``deformation_gradient``: the weak form, integral
+    of P : grad N."""
     bary, weight = collapsed_rule(5)
     x = np.einsum("qk,mkc->mqc", bary, mesh.points[mesh.tets[:, :4]])
     p = stress(deformation_gradient(x), *(np.asarray(v) for v in lame(modulus(x), nu)))
@@ -62,7 +66,8 @@ def distorted(cells, seed=0):
     shape = tuple(len(t) for t in ticks)
     vertices = np.stack(np.meshgrid(*ticks, indexing="ij"), axis=-1).reshape(-1, 3)
     number = np.arange(len(vertices))
-    tets, _ = split_hexes(grid_hexes(number.reshape(shape)), np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
+    tets, _ = split_hexes(grid_hexes(number.reshape(shape)),
+                          np.indices(shape).sum(axis=0).reshape(-1) % 2 * len(number) + number)
     inside = ((vertices > 1e-9) & (vertices < SIZE - 1e-9)).all(axis=1)
     vertices[inside] += 0.2 * np.random.default_rng(seed).uniform(-1, 1, (int(inside.sum()), 3)) * SIZE / cells
     return Solid(vertices, tets, np.zeros(len(tets), int), ("body",))
@@ -70,7 +75,8 @@ def distorted(cells, seed=0):
 
 def loaded(solid, modulus, nu, deformation_gradient):
     """A model of ``solid``, held at its base, under the load that belongs to a field that is zero there."""
-    model = build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9, where="test")
+    model = build_model(solid, modulus(gauss_points(solid)), poisson_ratio=nu, fixed="bottom", bottom_tolerance=1e-9,
+                        where="test")
     return dataclasses.replace(model, load=load_of(model.mesh, deformation_gradient, modulus, nu))
 
 
@@ -86,9 +92,11 @@ def solve(model, line, device):
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
 def test_patch_test_of_a_large_affine_field_on_a_distorted_mesh(line, device, nu):
-    """A base held, a load on the rest: stretched by 8 % and sheared by 0.25 and 0.15, the same everywhere inside whatever the tetrahedra."""
+    """A base held, a load on the rest: stretched by 8 % and sheared by 0.25 and 0.15, the same everywhere inside
+    whatever the tetrahedra."""
     f = np.eye(3) + np.outer([0.25, -0.15, 0.08], [0.0, 0.0, 1.0])
-    model = loaded(distorted((3, 2, 3)), lambda x: np.full(x.shape[:-1], 1e5), nu, lambda x: np.broadcast_to(f, (*x.shape[:-1], 3, 3)))
+    model = loaded(distorted((3, 2, 3)), lambda x: np.full(x.shape[:-1], 1e5), nu,
+                   lambda x: np.broadcast_to(f, (*x.shape[:-1], 3, 3)))
     u = solve(model, line, device)
     # the quadratic element holds it exactly; left is the solver's 1e-9 of unbalanced force, and rounding
     assert np.abs(u - model.mesh.points @ (f - np.eye(3)).T).max() < 1e-7 * SIZE.max()
@@ -133,7 +141,8 @@ def test_manufactured_solution_with_varying_modulus_converges_at_its_order(line,
         nodal = u[mesh.tets]
         integral = lambda v, mesh=mesh: float(np.sqrt(np.einsum("m,q,mq->", mesh.volume, weight, v)))  # noqa: E731
         value = integral(((np.einsum("qa,mac->mqc", shape, nodal) - exact) ** 2).sum(-1)) / integral((exact**2).sum(-1))
-        first = integral(((np.einsum("mqaj,mai->mqij", grad, nodal) - slope) ** 2).sum((-1, -2))) / integral((slope**2).sum((-1, -2)))
+        first = integral(((np.einsum("mqaj,mai->mqij", grad, nodal)
+                           - slope) ** 2).sum((-1, -2))) / integral((slope**2).sum((-1, -2)))
         errors.append((value, first))
     errors = np.array(errors)
     order = np.log2(errors[:-1] / errors[1:])
@@ -147,7 +156,8 @@ def test_manufactured_solution_with_varying_modulus_converges_at_its_order(line,
 
 
 def random_modulus(seed=3, correlation=0.012, spread=1.0):
-    """A log-normal E(x) [Pa] with a Gaussian correlation: 60 plane waves, the same field whatever mesh asks (Shinozuka and Deodatis 1991)."""
+    """A log-normal E(x) [Pa] with a Gaussian correlation: 60 plane waves, the same field whatever mesh asks (Shinozuka
+    and Deodatis 1991)."""
     rng = np.random.default_rng(seed)
     k, phase = rng.standard_normal((60, 3)) / correlation, rng.uniform(0, 2 * np.pi, 60)
     return lambda x: 1e5 * np.exp(spread * np.sqrt(2.0 / 60) * np.cos(x @ k.T + phase).sum(axis=-1))
@@ -168,6 +178,7 @@ def test_one_random_field_gives_one_force_on_three_meshes(line, device):
         force.append(frames.force[-1, 0, 2])
     print(f"forces {force}, E over a factor of {max(span):.0f}, changes {np.diff(force) / force[-1]}")
     assert max(span) > 50
-    # cells of half the correlation length: the field itself is then held to a few per cent where it matters; 1 % is asked of the last pair
+    # cells of half the correlation length: the field itself is then held to a few per cent where it matters; 1 % is
+    # asked of the last pair
     assert force[1] == pytest.approx(force[2], rel=0.01)
     assert abs(force[2] - force[1]) < abs(force[1] - force[0]) or abs(force[2] / force[0] - 1) < 0.01

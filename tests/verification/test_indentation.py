@@ -1,7 +1,7 @@
 """Indentation by a sphere: the reference cases S1 and S2, and Hertz on a bonded layer.
 
-References: shared/physics.md, "Reference cases". S1 is extrapolated from 27-node hexahedra at 4 and 2 mm (own error 0.4 %), S2
-from conforming quadratic tetrahedra at 4, 2.5 and 1.8 mm (1 %); both by a solver that is not ours.
+References: shared/physics.md, "Reference cases". S1 is extrapolated from 27-node hexahedra at 4 and 2 mm (own error 0.4
+%), S2 from conforming quadratic tetrahedra at 4, 2.5 and 1.8 mm (1 %); both by a solver that is not ours.
 """
 
 import dataclasses
@@ -28,12 +28,13 @@ def run(name, tier, device, frames=10):
     # the probe's force is what the supports give back; the solver's tolerance bounds the difference
     assert result.audit["force_balance"].max() <= 1e-3
     assert result.audit["penetration"].max() < 0.01 * result.element_size
-    print(f"{name} {tier}: {result.tets} tets, {result.seconds.mean():.2f} s a frame, forces {np.round(result.force[:, 2], 3)}")
+    print(f"{name} {tier}: {result.tets} tets, {result.seconds.mean():.2f} s a frame, forces "
+          f"{np.round(result.force[:, 2], 3)}")
     return result.force[:, 2]
 
 
-# Elements of 10 mm (fem-coarse) hold contacts of radius sqrt(R d) = 7 .. 10 mm at 2.5 .. 5 mm depth: +2 % there. At 1 mm the
-# radius is 4.5 mm, less than half an element, and a patch that small is only known to a fifth.
+# Elements of 10 mm (fem-coarse) hold contacts of radius sqrt(R d) = 7 .. 10 mm at 2.5 .. 5 mm depth: +2 % there. At 1
+# mm the radius is 4.5 mm, less than half an element, and a patch that small is only known to a fifth.
 @pytest.mark.parametrize(("tier", "full", "deep", "shallow"), [
     ("fem-coarse", 0.05, 0.05, 0.2),
     pytest.param("fem", 0.025, 0.03, 0.15, marks=pytest.mark.slow),
@@ -47,17 +48,19 @@ def test_homogeneous_block(device, tier, full, deep, shallow):
 
 
 # an inclusion of radius 12 mm under elements of 9 mm (fem): its facets cost a few per cent
-@pytest.mark.parametrize(("tier", "tolerance", "frames"), [("fem", 0.05, 5), pytest.param("fem-fine", 0.02, 10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("tier", "tolerance", "frames"), [("fem", 0.05, 5),
+                                                           pytest.param("fem-fine", 0.02, 10, marks=pytest.mark.slow)])
 def test_block_with_a_stiff_inclusion(device, tier, tolerance, frames):
     assert run("indent", tier, device, frames=frames)[-1] == pytest.approx(S2, rel=tolerance)
 
 
 @pytest.mark.slow
 def test_hertz_with_the_bonded_layers_correction(block, graded, device):
-    """0.1 mm into a block of 0.2 x 0.2 x 0.1 m: 0.02399 N, Hertz's law with the correction of a bonded layer (physics.md).
+    """0.1 mm into a block of 0.2 x 0.2 x 0.1 m: 0.02399 N, Hertz's law with the correction of a bonded layer
+    (physics.md).
 
-    Hertz alone: 4/3 E / (1 - nu^2) sqrt(R) d^1.5 = 0.02364 N. A quarter of the block between rollers, on a mesh that grows from 0.22 mm
-    under the contact (radius sqrt(R d) = 1.41 mm) to the walls.
+    Hertz alone: 4/3 E / (1 - nu^2) sqrt(R) d^1.5 = 0.02364 N. A quarter of the block between rollers, on a mesh that
+    grows from 0.22 mm under the contact (radius sqrt(R d) = 1.41 mm) to the walls.
     """
     height = 0.1
     ticks = graded(4e-4, 4, 1.8, height)
@@ -71,27 +74,33 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     frames = Solver(model, Sphere(0.02), device=device).run(poses)
     assert frames.converged.all()
     force = 4.0 * frames.force[-1, 0, 2]
-    print(f"Hertz: {force:.5f} N, {force / 0.02399 - 1:+.2%}; {len(model.mesh.tets)} tets, {frames.seconds.mean():.1f} s a frame")
-    # observed +0.84 %: cells that grow 1.8-fold are stiff by about that much; the law differs from the linear one by a fraction of the
-    # strain d / a = 7 %, and the correction is a truncated series
+    print(f"Hertz: {force:.5f} N, {force / 0.02399 - 1:+.2%}; {len(model.mesh.tets)} tets, "
+          f"{frames.seconds.mean():.1f} s a frame")
+    # observed +0.84 %: cells that grow 1.8-fold are stiff by about that much; the law differs from the linear one by a
+    # fraction of the strain d / a = 7 %, and the correction is a truncated series
     assert force == pytest.approx(0.02399, rel=0.02)
 
 
 # ------------------------------------------------------------------------------------------ 15 mm deep
 
-# S1 pressed on to 15 mm, three quarters of the probe's radius: this solver on a quarter of the block between rollers, cells of 10, 7.5, 5, 3.5 and
-# 2.8 mm that coarsen to 3x away from the contact: 52.84, 53.19, 52.97, 52.86, 52.90 N. The last three differ by 0.2 %. Not an
-# independent reference: it holds the default meshes to their own limit, and the element and law are held by the other tests
+# S1 pressed on to 15 mm, three quarters of the probe's radius: this solver on a quarter of the block between rollers,
+# cells of 10, 7.5, 5, 3.5 and 2.8 mm that coarsen to 3x away from the contact: 52.84, 53.19, 52.97, 52.86, 52.90 N. The
+# last three differ by 0.2 %. Not an independent reference: it holds the default meshes to their own limit, and the
+# element and law are held by the other tests
 S1_DEEP = 52.9
 
 
 @pytest.mark.parametrize(("tier", "tolerance"), [
     # the contact is 30 mm wide here and every tier resolves it
-    ("fem-coarse", 0.02), pytest.param("fem", 0.015, marks=pytest.mark.slow), pytest.param("fem-fine", 0.01, marks=pytest.mark.slow)])
+    ("fem-coarse", 0.02), pytest.param("fem", 0.015, marks=pytest.mark.slow),
+                                                 pytest.param("fem-fine", 0.01, marks=pytest.mark.slow)])
 def test_fifteen_millimetres_into_the_homogeneous_block(line, device, tier, tolerance):
     scene = load_scene(find_scene("indent-homogeneous")).sample(0)
     model = tiers.build(scene, tier, focus=np.array([[0.0, 0.0, 0.045]]))
-    frames = Solver(model, scene.probe, device=device, options=tiers.options(tier)).run(line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)], scene.probe))
-    print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, {len(model.mesh.tets)} tets, {frames.seconds.mean():.1f} s a frame")
+    frames = Solver(model, scene.probe, device=device,
+                    options=tiers.options(tier)).run(line([[0, 0, 0.07 - d] for d in (0.005, 0.010, 0.015)],
+                                                          scene.probe))
+    print(f"{tier}: {frames.force[:, 0, 2]} N, {frames.force[-1, 0, 2] / S1_DEEP - 1:+.2%}, {len(model.mesh.tets)} "
+          f"tets, {frames.seconds.mean():.1f} s a frame")
     assert frames.converged.all() and frames.min_det_f.min() > 0.5
     assert frames.force[-1, 0, 2] == pytest.approx(S1_DEEP, rel=tolerance)

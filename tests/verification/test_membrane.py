@@ -1,4 +1,5 @@
-"""Closed forms of membranes, plates and gas: cases 1 to 6 of the bubble's reference sheet, with the order of convergence of two."""
+"""Closed forms of membranes, plates and gas: cases 1 to 6 of the bubble's reference sheet, with the order of
+convergence of two."""
 
 import dataclasses
 import math
@@ -10,12 +11,13 @@ import warp as wp
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Plane
-from vsfsim.physics.bubble.sensor import build_bubble, inflation
+from vsfsim.physics.bubble import inflation
+from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.bubble.sheet import Sheet
 from vsfsim.physics.contact.rigid_points import WEIGHTS
 from vsfsim.physics.elements import gas, hinge, triangle
+from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.mesh.quadratic import assemble
-from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import SolverOptions
@@ -30,7 +32,8 @@ def disc(nodes, *, law=NEO, nu=0.5, a=A, b=None, stretch=1.0, modulus=EH, bendin
     b = a if b is None else b
     flat, faces, rim = membrane_mesh.ellipse(a, b, nodes)
     points = np.column_stack([flat, np.zeros(len(flat))])
-    blocks = [triangle.block(faces, points, flat[faces] / stretch, modulus, law=law, poisson_ratio=nu, tension_field=tension_field)]
+    blocks = [triangle.block(faces, points, flat[faces] / stretch, modulus, law=law, poisson_ratio=nu,
+                             tension_field=tension_field)]
     if bending is not None:
         blocks.append(hinge.block(faces, points, flat / stretch, bending, poisson_ratio=nu))
     free = np.ones_like(points)
@@ -97,14 +100,17 @@ def test_taut_elliptical_drum():
     expected = w0 * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
     assert w.max() == pytest.approx(w0, rel=2e-3)
     assert np.abs(w - expected).max() < 2e-3 * w0
-    assert found.volume == pytest.approx(0.5 * math.pi * a * b * w0, rel=4e-3)  # 0.2 % of the height, and the polygon's missing area, 0.12 %
+    # 0.2 % of the height, and the polygon's missing area, 0.12 %
+    assert found.volume == pytest.approx(0.5 * math.pi * a * b * w0, rel=4e-3)
 
 
 # ------------------------------------------------------------------------------------------ 3: Adkins and Rivlin
 
-# pole stretch: p a/(mu h), w0/a, V/a^3; Adkins and Rivlin 1952, integrated by shooting. The dome of the last row leans 12.7 degrees over its rim, so
-# it must be integrated by arc length; in radius alone the slope is cut off at the vertical, which gives 1.89997, 1.08847, 2.42619
-BLOWN = {1.10: (0.52778, 0.38347, 0.65711), 1.20: (0.99925, 0.53098, 0.95315), 1.30: (1.30987, 0.63796, 1.19182), 1.50: (1.64358, 0.79879, 1.59520), 2.0: (1.86955, 1.08307, 2.46651)}
+# pole stretch: p a/(mu h), w0/a, V/a^3; Adkins and Rivlin 1952, integrated by shooting. The dome of the last row leans
+# 12.7 degrees over its rim, so it must be integrated by arc length; in radius alone the slope is cut off at the
+# vertical, which gives 1.89997, 1.08847, 2.42619
+BLOWN = {1.10: (0.52778, 0.38347, 0.65711), 1.20: (0.99925, 0.53098, 0.95315), 1.30: (1.30987, 0.63796, 1.19182),
+         1.50: (1.64358, 0.79879, 1.59520), 2.0: (1.86955, 1.08307, 2.46651)}
 
 
 def blown(nodes):
@@ -183,7 +189,8 @@ def test_sphere_passes_its_limit_point_under_volume_control():
     for s in at:
         found = sheet.at_volume(swollen(mesh, sheet.free, s), exact(s), v0 * s**3)
         pressure.append(found.pressure)
-        assert abs(np.abs(sheet.forces(found.displacement) - found.pressure * gas.gradient(mesh.points + found.displacement.reshape(-1, 3), mesh.faces)).max()) < 1e-9
+        assert abs(np.abs(sheet.forces(found.displacement) - found.pressure
+                          * gas.gradient(mesh.points + found.displacement.reshape(-1, 3), mesh.faces)).max()) < 1e-9
     # 642 nodes: the faceted sphere is 0.3 % off in V^(1/3) and area
     assert np.array(pressure) == pytest.approx(exact(at), rel=4e-3)
     assert int(np.argmax(pressure)) == 3
@@ -194,7 +201,8 @@ def test_sphere_under_pressure_control_stops_at_its_limit_point():
     top = 1.23946 * MU_H / R0
     found = inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 0.9 * top, where="test")
     s = (found.volume / float(mesh.volume[0])) ** (1 / 3)
-    assert found.pressure == pytest.approx(0.9 * top, rel=1e-9) and exact(s) == pytest.approx(0.9 * top, rel=5e-3)  # 642 nodes: 0.4 %
+    # 642 nodes: 0.4 %
+    assert found.pressure == pytest.approx(0.9 * top, rel=1e-9) and exact(s) == pytest.approx(0.9 * top, rel=5e-3)
     assert s < 7.0 ** (1 / 6), "the branch that comes from rest"
     with pytest.raises(SceneError, match="limit point is at ") as error:
         inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 1.1 * top, where="test")
@@ -202,7 +210,8 @@ def test_sphere_under_pressure_control_stops_at_its_limit_point():
     assert named == pytest.approx(top, rel=5e-3)
 
 
-SEALED = {(0.95, 1.0): (1.218946, 5702.8), (0.95, 1.4): (1.213621, 5661.0), (1.05, 1.0): (1.182255, 5360.8), (1.05, 1.4): (1.187163, 5414.4)}
+SEALED = {(0.95, 1.0): (1.218946, 5702.8), (0.95, 1.4): (1.213621, 5661.0), (1.05, 1.0): (1.182255, 5360.8),
+          (1.05, 1.4): (1.187163, 5414.4)}
 
 
 @pytest.fixture(scope="module")
@@ -216,19 +225,23 @@ def balls():
     return out
 
 
-@pytest.mark.parametrize(("ambient", "gamma"), [(0.95, 1.0), (1.05, 1.4), *(pytest.param(*k, marks=pytest.mark.slow) for k in ((0.95, 1.4), (1.05, 1.0)))])
+@pytest.mark.parametrize(("ambient", "gamma"), [(0.95, 1.0), (1.05, 1.4),
+                                                *(pytest.param(*k, marks=pytest.mark.slow)
+                                                  for k in ((0.95, 1.4), (1.05, 1.0)))])
 def test_sealed_sphere_under_another_ambient_pressure(balls, ambient, gamma, device):
     """With the gas's own kernels: Newton's method on the whole tangent, in which every node meets every other."""
     found = [sealed(*b, ambient * AMBIENT, gamma, device) for b in balls]
     s, p = SEALED[ambient, gamma]
-    # errors fall with the square of the edge: a quarter each time, so a third of the difference is what is left (Richardson)
+    # errors fall with the square of the edge: a quarter each time, so a third of the difference is what is left
+    # (Richardson)
     best = [fine + (fine - coarse) / 3.0 for coarse, fine in zip(*found, strict=True)]
     assert best[0] == pytest.approx(s, rel=2e-4) and best[1] == pytest.approx(p, rel=2e-3)
 
 
 def sealed(sheet, mesh, start, ambient, gamma, device):
     n = mesh.points.size
-    air = gas.block(mesh.faces, mesh.points, pressure=start.pressure + AMBIENT - ambient, volume=start.volume, gamma=gamma, ambient=ambient)
+    air = gas.block(mesh.faces, mesh.points, pressure=start.pressure + AMBIENT - ambient, volume=start.volume,
+                    gamma=gamma, ambient=ambient)
     free = sheet.free
     model = Model(mesh, (*sheet.blocks, air), np.ones(1), free, np.zeros(n), np.ones(1), None, 1.0, None)
     elements = Elasticity(model, device=device, real=wp.float64)
@@ -252,15 +265,17 @@ def sealed(sheet, mesh, start, ambient, gamma, device):
 # ------------------------------------------------------------------------------------------ 5: the plate
 
 
-# load [Pa]: deflection of the middle [m]. Foeppl's and von Karman's equations of the clamped disc, integrated over the radius as a boundary value
-# problem. The handbook's w0 + 0.488 w0^3/h^2 = q a^4/(64 D) gives 0.04364, 0.4045, 1.244 and 2.356 mm: its cubic term is too soft, by 6 % in the last
+# load [Pa]: deflection of the middle [m]. Foeppl's and von Karman's equations of the clamped disc, integrated over the
+# radius as a boundary value problem. The handbook's w0 + 0.488 w0^3/h^2 = q a^4/(64 D) gives 0.04364, 0.4045, 1.244 and
+# 2.356 mm: its cubic term is too soft, by 6 % in the last
 PLATE = {0.1: 0.043635e-3, 1.0: 0.40136e-3, 5.0: 1.20154e-3, 20.0: 2.21751e-3}
 
 
 def plate(nodes):
     """Deflections over those of `PLATE`."""
     a, e, h, nu = 0.04, 1e6, 1e-3, 0.3
-    sheet, flat = disc(nodes, law=LINEAR, nu=nu, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)), tension_field=False)
+    sheet, flat = disc(nodes, law=LINEAR, nu=nu, a=a, modulus=e * h, bending=e * h**3 / (12.0 * (1.0 - nu**2)),
+                       tension_field=False)
     u, out = dome(flat, 4e-5, a), []
     for q, w0 in PLATE.items():
         found = sheet.at_pressure(u, q)
@@ -298,34 +313,41 @@ def test_bending_does_not_depend_on_the_mesh(nodes):
     w = 0.5 * k11 * flat[:, 0] ** 2 + 0.5 * k22 * flat[:, 1] ** 2 + k12 * flat[:, 0] * flat[:, 1]
     block = hinge.block(faces, np.column_stack([flat, w]), flat, d, poisson_ratio=nu, clamped=False)
     inner = ~np.isin(faces, rim).any(axis=1)
-    energy = 0.5 * np.einsum("mac,mab,mbc->m", block.parameters["edges"], block.parameters["out"], block.parameters["edges"])[inner]
+    energy = 0.5 * np.einsum("mac,mab,mbc->m", block.parameters["edges"], block.parameters["out"],
+                             block.parameters["edges"])[inner]
     a, b, c = (flat[faces[inner, k]] for k in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     density = 0.5 * d * ((1.0 - nu) * (k11**2 + k22**2 + 2.0 * k12**2) + nu * (k11 + k22) ** 2)
-    # rounding of second differences, worst where six nodes lie near a conic: 8e-9 with 1,000 nodes. Every patch is exact
+    # rounding of second differences, worst where six nodes lie near a conic: 8e-9 with 1,000 nodes. Every patch is
+    # exact
     assert np.abs(energy / (density * area) - 1.0).max() < 1e-7
 
 
 # ------------------------------------------------------------------------------------------ 6: the flat plate
 
 
-@pytest.mark.parametrize(("nodes", "depth", "within"), [(1493, 0.003, 0.18), pytest.param(1493, 0.008, 0.03, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("nodes", "depth", "within"), [(1493, 0.003, 0.18),
+                                                        pytest.param(1493, 0.008, 0.03, marks=pytest.mark.slow)])
 def test_flat_plate_carries_the_pressure_times_its_area(tmp_path, line, device, nodes, depth, within):
-    spec = dataclasses.replace(Bubble(), young_modulus=6.8e7, thickness=1e-5, nodes=nodes, friction=0.0)  # E h as ever, no bending
+    # E h as ever, no bending
+    spec = dataclasses.replace(Bubble(), young_modulus=6.8e7, thickness=1e-5, nodes=nodes, friction=0.0)
     model = build_bubble(spec, cache=tmp_path)
     top = model.mesh.points[:, 2].max()
     solver = Solver(model, Plane(), friction=0.0, device=device, options=SolverOptions(tolerance=1e-4))
     frames = solver.run(line([[0, 0, top - depth * k / 3] for k in range(1, 4)], Plane()), keep=True)
     assert frames.converged.all() and frames.force_balance[-1, 0] < 1e-3
     area = frames.force[-1, 0, 2] / float(solver.elasticity.pressure.numpy()[0])
-    corners = (model.mesh.points + solver.history[-1][:, 0].reshape(-1, 3))[model.mesh.faces[solver.touching.patches[0].faces]]
+    corners = (model.mesh.points + solver.history[-1][:,
+                                                      0].reshape(-1,
+                                                                 3))[model.mesh.faces[solver.touching.patches[0].faces]]
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
     touch = (solver.touching.gap[0].numpy() < 0.0).reshape(len(size), 6)
     measured = (size[:, None] * WEIGHTS * touch).sum()
     # the contact's edge runs through a row of triangles: a third of that row may be off
     margin = 2.0 * math.sqrt(math.pi * measured) * model.element_size / 3.0
-    print(f"flat plate, {nodes} nodes: F/p {1e6 * area:.1f} mm^2, contact {1e6 * measured:.1f} +- {1e6 * margin:.1f} mm^2")
+    print(f"flat plate, {nodes} nodes: F/p {1e6 * area:.1f} mm^2, contact {1e6 * measured:.1f} +- "
+          f"{1e6 * margin:.1f} mm^2")
     assert abs(area - measured) < margin
     assert area == pytest.approx(measured, rel=within)  # 2.9 mm triangles under contacts of 10 and 23 mm radius
 
@@ -335,17 +357,20 @@ def test_flat_plate_carries_the_pressure_times_its_area(tmp_path, line, device, 
 
 @pytest.mark.parametrize("law", [NEO, LINEAR])
 def test_wrinkles_bear_no_compression(law, device):
-    """A sheet pulled to 1.4 and narrowed to half its natural width pulls as a strip in simple tension does, and pushes nowhere."""
+    """A sheet pulled to 1.4 and narrowed to half its natural width pulls as a strip in simple tension does, and pushes
+    nowhere."""
     nu = 0.5 if law == NEO else 0.3
     flat, faces, _ = membrane_mesh.ellipse(0.05, 0.04, 200)
     points = np.column_stack([flat, np.zeros(len(flat))])
     block = triangle.block(faces, points, flat[faces], EH, law=law, poisson_ratio=nu)
     model = Model(None, (block,), np.ones(1), np.ones(points.size), np.zeros(points.size), np.ones(1), None, 1.0, None)
-    model = dataclasses.replace(model, mesh=membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int), np.zeros(1)))
+    model = dataclasses.replace(model, mesh=membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int),
+                                                                       np.zeros(1)))
     elements = Elasticity(model, device=device, real=wp.float64)
     elements.begin(2)
     stretch = 1.4
-    stress = EH / 3.0 * (stretch - stretch**-2) if law == NEO else EH * 0.5 * (stretch**2 - 1.0) * stretch  # N/m of rest width
+    # N/m of rest width
+    stress = EH / 3.0 * (stretch - stretch**-2) if law == NEO else EH * 0.5 * (stretch**2 - 1.0) * stretch
     u = np.stack([(points * [stretch - 1.0, narrow - 1.0, 0.0]).ravel() for narrow in (0.4, 0.2)], axis=1)
     elements.forces(wp.array([0, 1], dtype=wp.int32, device=device), wp.array(u, dtype=wp.float64, device=device))
     force = elements.internal.numpy().reshape(-1, 3, 2)
@@ -362,14 +387,17 @@ def test_the_rest_factor_of_a_bubble_inverts_the_whole_tangent(tmp_path):
     model = build_bubble(dataclasses.replace(Bubble(), nodes=200), cache=tmp_path)
     gradient, rate = model.factor.coupling
     moves = np.flatnonzero(model.free)
-    whole = (assemble(len(model.mesh.points), model.blocks).toarray() + rate * np.outer(gradient, gradient))[np.ix_(moves, moves)]
+    whole = (assemble(len(model.mesh.points), model.blocks).toarray() + rate
+             * np.outer(gradient, gradient))[np.ix_(moves, moves)]
     right = np.random.default_rng(0).standard_normal((len(model.free), 3)) * model.free[:, None]
     answer = model.factor.solve(right)
-    assert answer[moves] == pytest.approx(np.linalg.solve(whole, right[moves]), rel=1e-8, abs=1e-10 * np.abs(answer).max())
+    assert answer[moves] == pytest.approx(np.linalg.solve(whole, right[moves]), rel=1e-8,
+                                          abs=1e-10 * np.abs(answer).max())
     assert (answer[model.free == 0.0] == 0.0).all()
     nodes = np.arange(40, 50)
     compliance = model.factor.compliance(nodes, nodes)
     place = np.searchsorted(moves, (3 * nodes[:, None] + np.arange(3)).ravel())
     held = np.isin((3 * nodes[:, None] + np.arange(3)).ravel(), moves)
     inverse = np.linalg.inv(whole)
-    assert compliance[np.ix_(held, held)] == pytest.approx(inverse[np.ix_(place[held], place[held])], rel=1e-7, abs=1e-9 * np.abs(inverse).max())
+    assert compliance[np.ix_(held, held)] == pytest.approx(inverse[np.ix_(place[held], place[held])], rel=1e-7,
+                                                           abs=1e-9 * np.abs(inverse).max())

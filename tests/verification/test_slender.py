@@ -34,7 +34,8 @@ def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5
     """Deflection w(x, y) [m] of a Kirchhoff plate clamped at x = 0, free elsewhere, under uniform ``pressure`` [Pa].
 
     Ritz's method: w = sum of c x^2 T_i(x) T_j(y), even j, minimises
-    D/2 integral of (w_xx + w_yy)^2 - 2 (1 - nu)(w_xx w_yy - w_xy^2) less the work of the pressure (Timoshenko and Woinowsky-Krieger, ch. 10).
+    D/2 integral of (w_xx + w_yy)^2 - 2 (1 - nu)(w_xx w_yy - w_xy^2) less the work of the pressure (Timoshenko and
+    Woinowsky-Krieger, ch. 10).
     """
     terms = [(Polynomial([0, 0, 1]) * Polynomial(chebyshev.cheb2poly([0] * i + [1]))(Polynomial([-1, 2])),
               Polynomial(chebyshev.cheb2poly([0] * j + [1]))) for i in range(along) for j in range(0, 2 * across, 2)]
@@ -47,16 +48,19 @@ def cantilever_plate(length, width, bending, nu, pressure, *, along=10, across=5
         return np.array([np.outer(p.deriv(dx)(0.5 * x + 0.5), q.deriv(dy)(y)).ravel() / scale for p, q in terms])
 
     xx, yy, xy, w = values(2, 0), values(0, 2), values(1, 1), values(0, 0)
-    stiffness = bending * (((xx + yy) * weight) @ (xx + yy).T - (1 - nu) * ((xx * weight) @ yy.T + (yy * weight) @ xx.T - 2 * (xy * weight) @ xy.T))
+    stiffness = bending * (((xx + yy) * weight) @ (xx + yy).T - (1 - nu)
+                           * ((xx * weight) @ yy.T + (yy * weight) @ xx.T - 2 * (xy * weight) @ xy.T))
     c = np.linalg.solve(stiffness, pressure * (w @ weight))
-    return lambda at, side: float(sum(k * p(at / length) * q(2 * side / width) for k, (p, q) in zip(c, terms, strict=True)))
+    return lambda at, side: float(sum(k * p(at / length) * q(2 * side / width) for k,
+                                      (p, q) in zip(c, terms, strict=True)))
 
 
 def test_the_reference_is_a_beam_without_poissons_effect():
     w = cantilever_plate(0.06, 0.04, 2.0, 0.0, 3.0)
     assert w(0.06, 0.0) == pytest.approx(3.0 * 0.06**4 / (8 * 2.0), rel=1e-9) == w(0.06, 0.02)
     # with it, more terms change nothing that matters here
-    coarse, fine = (cantilever_plate(0.06, 0.04, 2.0, 0.3, 3.0, along=a, across=b)(0.06, 0.02) for a, b in ((10, 5), (14, 8)))
+    coarse, fine = (cantilever_plate(0.06, 0.04, 2.0, 0.3, 3.0, along=a, across=b)(0.06, 0.02) for a,
+                    b in ((10, 5), (14, 8)))
     assert coarse == pytest.approx(fine, rel=1e-3)
 
 
@@ -90,7 +94,9 @@ def test_a_scanned_thin_plate_bends_as_plate_theory_says(tmp_path):
     length, width, thick, nu, gravity = 0.06, 0.04, 0.002, 0.3, 1e-4
     trimesh.creation.box((length, width, thick)).export(tmp_path / "plate.stl")
     scene = clamped(f'{{ mesh = "{tmp_path}/plate.stl" }}', -0.5 * length, nu=nu, gravity=gravity)
-    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, fixed=(-1.0, -1.0, -1.0, -0.5 * length + 1e-4, 1.0, 1.0)))
+    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object,
+                                                                  fixed=(-1.0, -1.0, -1.0, -0.5 * length + 1e-4, 1.0,
+                                                                         1.0)))
     model = tiers.build(scene, tiers.choose(scene), cache=tmp_path)
     u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
     # the filler may move the surface by a twentieth of an element
@@ -135,7 +141,8 @@ def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, devic
     load = 1.0
     gravity = load * E * INERTIA / (DENSITY * SECTION * LENGTH**3)
     s = np.linspace(0.0, 1.0, 101)
-    found = solve_bvp(lambda t, y: np.array([y[1], -load * (1 - t) * np.cos(y[0])]), lambda a, b: np.array([a[0], b[1]]),
+    found = solve_bvp(lambda t, y: np.array([y[1], -load * (1 - t) * np.cos(y[0])]), lambda a,
+                      b: np.array([a[0], b[1]]),
                       s, np.zeros((2, len(s))), tol=1e-8)
     assert found.success
     angle = found.sol(fine := np.linspace(0.0, 1.0, 4001))[0]
@@ -146,7 +153,8 @@ def test_a_rod_that_sags_by_five_times_its_thickness_is_the_elastica(line, devic
     frames = solver.run(line(np.full((1, 3), 10.0), Sphere(0.01)), keep=True)
     end = np.abs(model.mesh.points[:, 0] - LENGTH) < 1e-9
     place = (model.mesh.points + np.asarray(solver.history[0]).reshape(-1, 3))[end].mean(axis=0)
-    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; {frames.seconds[0]:.1f} s, {frames.iterations[0, 0]} iterations, "
+    print(f"elastica {load}: tip {place[[0, 2]] - [0, RADIUS]} against {tip}; {frames.seconds[0]:.1f} s, "
+          f"{frames.iterations[0, 0]} iterations, "
           f"converged {frames.converged[0, 0]}")
     assert frames.converged.all()
     # the mesh takes 0.5 % (above), the thickness (r / l)^2

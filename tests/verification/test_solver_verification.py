@@ -33,7 +33,8 @@ def far_away(line, probe, frames=1):
     return line(np.full((frames, 3), 10.0), probe)
 
 
-# ------------------------------------------------------------------------------------------ homogeneous states (patch tests)
+# ------------------------------------------------------------------------------------------ homogeneous states (patch
+# tests)
 
 SIZE = (0.03, 0.02, 0.025)
 STRETCHES = [0.99, 0.95, 0.85, 0.7]
@@ -68,18 +69,20 @@ def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confin
         assert own == pytest.approx(s, abs=1e-3 * (1.0 - s) * (lam + 2.0 * mu) / young_modulus)
         side = 1.0 if confined else brentq(lambda a, own=own: side_stress(own, a, mu, lam), 0.5, 2.0, xtol=1e-14)
         exact = -nominal_stress(own, side, mu, lam) * SIZE[0] * SIZE[1]
-        # the field is homogeneous, which the element holds exactly; left is the solver's tolerance, 1e-7 of unbalanced force,
-        # and pressures that differ between triangles of different size, second order in the penetration
+        # the field is homogeneous, which the element holds exactly; left is the solver's tolerance, 1e-7 of unbalanced
+        # force, and pressures that differ between triangles of different size, second order in the penetration
         assert frames.force[t, 0] == pytest.approx([0.0, 0.0, exact], rel=2e-6, abs=2e-6 * exact)
         assert frames.min_det_f[t, 0] == pytest.approx(own * side**2, rel=1e-4)
         deformed = model.mesh.points + shift
-        homogeneous = (model.mesh.points - model.mesh.points.min(axis=0)) * [side, side, own] + model.mesh.points.min(axis=0)
+        homogeneous = (model.mesh.points - model.mesh.points.min(axis=0)) * [side, side,
+                                                                             own] + model.mesh.points.min(axis=0)
         assert np.abs(deformed - homogeneous).max() < 1e-6 * SIZE[2]
 
 
 @pytest.mark.parametrize(("resolution", "contrast"), [(0.02, 1e3), (0.01, 1e3), (0.02, 1e6), (0.02, 1e8)])
 def test_two_layers_are_springs_in_series(block, line, device, resolution, contrast):
-    """Heterogeneous E: at confined sides the law is linear, P = (lambda + 2 mu)(s - 1), so this holds at any depth and on any mesh."""
+    """Heterogeneous E: at confined sides the law is linear, P = (lambda + 2 mu)(s - 1), so this holds at any depth and
+    on any mesh."""
     size, soft, stiff, nu = (0.04, 0.04, 0.04), 1e4, 1e4 * contrast, 0.3
     model = block(size, resolution, young_modulus=lambda x: np.where(x[..., 2] > 0.02, soft, stiff), poisson_ratio=nu)
     model = rollers(model, walls(model, all_sides=True))
@@ -94,23 +97,28 @@ def test_two_layers_are_springs_in_series(block, line, device, resolution, contr
 
 def test_bonded_base_does_not_matter_without_poissons_effect(block, line, device):
     """With supports as scenes have them: nu = 0, small strain, force = E A strain, two layers in series."""
-    model = block((0.04, 0.04, 0.04), 0.02, young_modulus=lambda x: np.where(x[..., 2] > 0.02, 1e5, 3e5), poisson_ratio=0.0)
+    model = block((0.04, 0.04, 0.04), 0.02, young_modulus=lambda x: np.where(x[..., 2] > 0.02, 1e5, 3e5),
+                  poisson_ratio=0.0)
     frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.04 - 4e-6]], Plane()))
     exact = (4e-6 - frames.penetration[0, 0]) * 0.04**2 / (0.02 / 1e5 + 0.02 / 3e5)
     # nonlinear terms are of the order of the strain, 1e-4
     assert frames.force[0, 0, 2] == pytest.approx(exact, rel=3e-4)
 
 
-# ------------------------------------------------------------------------------------------ beams under their own weight
+# ------------------------------------------------------------------------------------------ beams under their own
+# weight
 
 
 def beam(block, line, device, resolution, *, nu, length=0.2, side=0.02, gravity=-1e-3, options=TIGHT):
     """Tip deflection [m] and elastic energy [J] of a cantilever along x."""
     young_modulus, density = 1e6, 1000.0
-    # cells of exactly this size: the default meshing gives a thin body two layers, and meshes that do not halve show no order
+    # cells of exactly this size: the default meshing gives a thin body two layers, and meshes that do not halve show no
+    # order
     long, thick = round(length / resolution), round(side / resolution)
-    ticks = (np.linspace(-0.5, 0.5, long + 1) * length, np.linspace(-0.5, 0.5, thick + 1) * side, np.linspace(0.0, side, thick + 1))
-    model = block((length, side, side), resolution, ticks=ticks, young_modulus=young_modulus, poisson_ratio=nu, density=density, gravity=(0, 0, gravity),
+    ticks = (np.linspace(-0.5, 0.5, long + 1) * length, np.linspace(-0.5, 0.5, thick + 1) * side,
+             np.linspace(0.0, side, thick + 1))
+    model = block((length, side, side), resolution, ticks=ticks, young_modulus=young_modulus, poisson_ratio=nu,
+                  density=density, gravity=(0, 0, gravity),
                   fixed=(-0.5 * length - 1e-6, -1, -1, -0.5 * length + 1e-6, 1, 1))
     solver = Solver(model, Sphere(0.01), device=device, options=options)
     frames = solver.run(far_away(line, Sphere(0.01)), keep=True)
@@ -127,15 +135,17 @@ def test_cantilever_under_its_own_weight(block, line, device, nu):
     tip, _ = beam(block, line, device, 0.01, nu=nu, length=length)
     load, area, inertia = 1e-3 * 1000.0 * side**2, side**2, side**4 / 12
     shear = 10 * (1 + nu) / (12 + 11 * nu)  # Cowper 1966, rectangle
-    exact = load * length**4 / (8 * young_modulus * inertia) + load * length**2 / (2 * shear * young_modulus / (2 * (1 + nu)) * area)
-    # without Poisson's effect the two theories are one (what is left is shear near the clamp); with it the clamped face hinders the
-    # section's contraction, which beam theory leaves out: E / (1 - nu^2) over ~0.3 sides of 20, where the moment bends most:
-    # 4 * 0.3 / 20 * nu^2 = 0.5 %, and two elements through the thickness cost 0.2 %
+    exact = load * length**4 / (8 * young_modulus * inertia) + load * length**2 / (2 * shear * young_modulus
+                                                                                   / (2 * (1 + nu)) * area)
+    # without Poisson's effect the two theories are one (what is left is shear near the clamp); with it the clamped face
+    # hinders the section's contraction, which beam theory leaves out: E / (1 - nu^2) over ~0.3 sides of 20, where the
+    # moment bends most: 4 * 0.3 / 20 * nu^2 = 0.5 %, and two elements through the thickness cost 0.2 %
     assert tip == pytest.approx(exact, rel=5e-4 if nu == 0.0 else 0.01)
 
 
 def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
-    """A column between smooth walls under its own weight, E rising smoothly fivefold: the energy's error falls as h^4 (degree 2)."""
+    """A column between smooth walls under its own weight, E rising smoothly fivefold: the energy's error falls as h^4
+    (degree 2)."""
     height, nu, density, g = 0.04, 0.3, 1000.0, 1e-2
 
     def modulus(z):
@@ -143,13 +153,16 @@ def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
 
     factor = float(lame(1.0, nu)[1] + 2 * lame(1.0, nu)[0])
     # u' = rho g (H - z) / M(z): twice the energy is the work of the weight
-    exact = 0.02**2 * quad(lambda z: (density * g * (height - z)) ** 2 / (2 * factor * modulus(z)), 0.0, height, epsabs=0, epsrel=1e-12)[0]
+    exact = 0.02**2 * quad(lambda z: (density * g * (height - z)) ** 2 / (2 * factor * modulus(z)), 0.0, height,
+                           epsabs=0, epsrel=1e-12)[0]
     errors = []
     for cells in (2, 4, 8):
-        model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]), poisson_ratio=nu,
+        model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]),
+                      poisson_ratio=nu,
                       density=density, gravity=(0, 0, -g))
         model = rollers(model, walls(model, all_sides=True))
-        frames = Solver(model, Sphere(0.01), device=device, options=SolverOptions(tolerance=1e-10, cg_tolerance=1e-6)).run(far_away(line, Sphere(0.01)))
+        frames = Solver(model, Sphere(0.01), device=device, options=SolverOptions(tolerance=1e-10,
+                                                                                  cg_tolerance=1e-6)).run(far_away(line, Sphere(0.01)))
         errors.append(abs(frames.energy[0, 0] / exact - 1.0))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     print(f"energy errors {errors}, orders {order}")
@@ -163,8 +176,9 @@ def test_order_of_convergence_of_a_bent_beam(block, line, device):
     order = np.log2((energy[1] - energy[0]) / (energy[2] - energy[1]))
     print(f"energies {energy}, order {order}")
     assert energy[0] < energy[1] < energy[2], "displacement elements are too stiff: the energy rises to the limit"
-    # 4 where all is smooth (above); the edges of a clamped face have mildly singular shear even at nu = 0: 2.57 observed here and 2.96 on
-    # meshes of half the size (too slow to keep); at nu = 0.3, where the singularity is strong, 1.75
+    # 4 where all is smooth (above); the edges of a clamped face have mildly singular shear even at nu = 0: 2.57
+    # observed here and 2.96 on meshes of half the size (too slow to keep); at nu = 0.3, where the singularity is
+    # strong, 1.75
     assert order > 2.4
 
 
@@ -173,7 +187,8 @@ def test_order_of_convergence_of_a_bent_beam(block, line, device):
 
 def test_a_symmetric_press_has_no_sideways_force(block, line, device):
     model = block((0.06, 0.06, 0.03), 0.015)
-    frames = Solver(model, Sphere(0.02), device=device).run(line([[0, 0, 0.05 - d] for d in (0.002, 0.005)], Sphere(0.02)))
+    frames = Solver(model, Sphere(0.02), device=device).run(line([[0, 0, 0.05 - d] for d in (0.002, 0.005)],
+                                                                 Sphere(0.02)))
     assert frames.converged.all() and frames.force[-1, 0, 2] > 1.0
     # the mesh is its own mirror image: what is left is the unbalanced force, 1e-4 at most
     assert (np.abs(frames.force[:, 0, :2]).max(axis=1) < 1e-4 * frames.force[:, 0, 2]).all()

@@ -1,4 +1,5 @@
-"""The inverse along a band: against the dense inverse, on readings coupled like those of a mesh, in any order and for any part of them."""
+"""The inverse along a band: against the dense inverse, on readings coupled like those of a mesh, in any order and for
+any part of them."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""From contact forces to the pose of a buried object, through every estimator (Neural VSF section IV-C): the chain, end to end."""
+"""From contact forces to the pose of a buried object, through every estimator (Neural VSF section IV-C): the chain, end
+to end."""
 
 import numpy as np
 import pytest
@@ -44,7 +45,8 @@ def errors(scene, found):
 def point_estimate(scene, w, z, noise):
     _known, _, _, particles, _contacts = scene
     volume = SPACING**2 * 0.5 * SPACING
-    stiffness = map_estimate(w, z, noise_std=noise, prior_mean=SOFT * volume, prior_var=(STIFF * volume) ** 2).mean / volume
+    stiffness = map_estimate(w, z, noise_std=noise, prior_mean=SOFT * volume,
+                             prior_var=(STIFF * volume) ** 2).mean / volume
     touched = np.diff(w.tocsc().indptr) > 0
     return particles[touched], stiffness[touched]
 
@@ -52,7 +54,8 @@ def point_estimate(scene, w, z, noise):
 @pytest.mark.slow
 def test_dense_forces_on_particles_find_it(scene):
     known, _, touches, particles, contacts = scene
-    w = sparse.vstack([dense_force_rows(c, len(particles), t.triangles, t.vertices.shape[1]) for c, t in zip(contacts, touches)]).tocsr()
+    w = sparse.vstack([dense_force_rows(c, len(particles), t.triangles, t.vertices.shape[1]) for c,
+                       t in zip(contacts, touches)]).tocsr()
     points, stiffness = point_estimate(scene, w, np.concatenate([t.force.ravel() for t in touches]), NOISE)
     shift, turn = errors(scene, stiffness_pose(known, points, stiffness, threshold=THRESHOLD))
     assert shift < 0.015 and turn < 0.35
@@ -64,8 +67,10 @@ def test_the_fast_continuous_field_finds_it(scene):
     bounds = np.array([[-0.1, -0.1, -0.014], [0.1, 0.1, 0.002]])
     model = fit("grid", touches, bounds, Fitting(iterations=600, samples=25, rate=3e-2, free_space=1e-3), cell=SPACING)
     touched = np.unique(np.concatenate([c.particle for c in contacts]))
-    # A smooth field has no sharp step at the object's border: the threshold is lower, still four times the cover's density.
-    shift, turn = errors(scene, stiffness_pose(known, particles[touched], density(model, particles[touched]), threshold=4e8, tries=16))
+    # A smooth field has no sharp step at the object's border: the threshold is lower, still four times the cover's
+    # density.
+    shift, turn = errors(scene, stiffness_pose(known, particles[touched], density(model, particles[touched]),
+                                               threshold=4e8, tries=16))
     # Blurred over cells of 4 mm, on an object of which 9 mm are felt.
     assert shift < 0.012 and turn < 0.4
 

@@ -48,25 +48,30 @@ def test_map_and_std_are_those_of_the_dense_program(m, n, s):
     w = rng.uniform(0, 0.02, (m, n)) * (rng.uniform(size=(m, n)) < 0.3)
     z, noise = rng.normal(0.5, 1, m), rng.uniform(0.1, 0.5, m)
     g = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(s, 1))), shape=(n, max(s, 1)))[:, :s]
-    prior = GaussianPrior(rng.uniform(-20, 60, n), rng.uniform(1, 1e3, n), sparse.csr_matrix(g), rng.uniform(-10, 50, s), rng.uniform(1, 1e3, s))
+    prior = GaussianPrior(rng.uniform(-20, 60, n), rng.uniform(1, 1e3, n), sparse.csr_matrix(g),
+                          rng.uniform(-10, 50, s), rng.uniform(1, 1e3, s))
     result = structured_map(sparse.csr_matrix(w), z, noise_std=noise, prior=prior)
     covariance = np.diag(prior.var) + (g.toarray() * prior.group_var) @ g.toarray().T
     root = np.linalg.inv(np.linalg.cholesky(covariance))
     # Lawson and Hanson's active set on the stacked least squares problem: exact, and it shares no line with ours.
-    expected, _ = optimize.nnls(np.concatenate([w / noise[:, None], root]), np.concatenate([z / noise, root @ prior.total_mean()]), maxiter=10_000)
+    expected, _ = optimize.nnls(np.concatenate([w / noise[:, None], root]),
+                                np.concatenate([z / noise, root @ prior.total_mean()]), maxiter=10_000)
     assert 0 < np.count_nonzero(expected == 0.0) < n
     np.testing.assert_allclose(result.mean, expected, atol=1e-9 * expected.max())
     std = structured_std(sparse.csr_matrix(w), noise_std=noise, prior=prior)
-    np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))), rtol=1e-9)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w))),
+                               rtol=1e-9)
     query = rng.normal(size=(7, n))
     posterior = np.linalg.inv(np.linalg.inv(covariance) + (w.T / noise**2) @ w)
     std = reading_std(sparse.csr_matrix(w), sparse.csr_matrix(query), noise_std=noise, prior=prior)
     np.testing.assert_allclose(std, np.sqrt(np.einsum("ij,jk,ik->i", query, posterior, query)), rtol=1e-8)
-    np.testing.assert_allclose(reading_std(sparse.csr_matrix((0, n)), sparse.csr_matrix(query), noise_std=noise[:0], prior=prior), np.sqrt(np.einsum("ij,jk,ik->i", query, covariance, query)))
+    np.testing.assert_allclose(reading_std(sparse.csr_matrix((0, n)), sparse.csr_matrix(query), noise_std=noise[:0],
+                                           prior=prior), np.sqrt(np.einsum("ij,jk,ik->i", query, covariance, query)))
 
 
 def test_a_shared_component_carries_a_touch_to_untouched_particles():
-    prior = GaussianPrior(np.full(6, 10.0), np.full(6, 1.0), sparse.csr_matrix(np.repeat(np.eye(2), 3, axis=0)), np.zeros(2), np.full(2, 400.0))
+    prior = GaussianPrior(np.full(6, 10.0), np.full(6, 1.0), sparse.csr_matrix(np.repeat(np.eye(2), 3, axis=0)),
+                          np.zeros(2), np.full(2, 400.0))
     w = sparse.csr_matrix(np.array([[0.01, 0, 0, 0, 0, 0]]))
     result = structured_map(w, np.array([0.5]), noise_std=0.01, prior=prior)
     assert result.mean[1] == pytest.approx(result.mean[2]) and result.mean[1] > 40.0

@@ -1,4 +1,5 @@
-"""Particles and surface points under the free dome of a bubble: what a method that does not know the dent makes of a touch."""
+"""Particles and surface points under the free dome of a bubble: what a method that does not know the dent makes of a
+touch."""
 
 import numpy as np
 import pytest
@@ -25,16 +26,20 @@ def down(depths):
 
 
 def test_particles_stick_to_the_skin_and_are_carried(dome):
-    assert dome.base_area == pytest.approx(np.pi * 0.03**2, rel=0.02) and dome.heights(np.zeros((1, 2)))[0] == pytest.approx(0.015)
+    assert dome.base_area == pytest.approx(np.pi * 0.03**2,
+                                           rel=0.02) and dome.heights(np.zeros((1, 2)))[0] == pytest.approx(0.015)
     particles = np.array([[0.0, 0.0, -0.001], [0.006, 0.0, -0.002], [0.0, 0.0, -0.02], [0.05, 0.0, -0.001]])
     depths = np.array([-0.004, 0.0, 0.003, 0.005, -0.004])
     moved = simulate(particles, dome, down(depths), friction=0.0)
     assert moved.frames == 5
     found = [dict(zip(*(x.tolist() for x in moved.frame(t)))) for t in range(5)]
-    assert [sorted(f) for f in found] == [[], [], [0, 1], [0, 1], []], "one lies too deep, one beside; all are let go at the end"
+    assert [sorted(f) for f in found] == [[], [], [0, 1], [0, 1],
+                                          []], "one lies too deep, one beside; all are let go at the end"
     # met where the skin passes over them, then as deep as the mount goes on
-    assert found[2][0] == pytest.approx([0.0, 0.0, -0.002], abs=1e-6) and found[3][0] == pytest.approx([0.0, 0.0, -0.004], abs=1e-6)
-    below = dome.heights(np.array([[0.006, 0.0]]))[0] - 0.015 - 0.002  # of the skin over the second one when the apex is at 0, and the particle's own depth
+    assert found[2][0] == pytest.approx([0.0, 0.0, -0.002],
+                                        abs=1e-6) and found[3][0] == pytest.approx([0.0, 0.0, -0.004], abs=1e-6)
+    # of the skin over the second one when the apex is at 0, and the particle's own depth
+    below = dome.heights(np.array([[0.006, 0.0]]))[0] - 0.015 - 0.002
     assert found[3][1] == pytest.approx([0.0, 0.0, -0.005 - below], abs=1e-6)
     sideways = simulate(particles, dome, down(depths), friction=np.inf)
     assert np.array_equal(sideways.displacement, moved.displacement), "rubber sticks, whatever friction is asked for"

@@ -22,7 +22,9 @@ def path(*corners: tuple, frames: int = 5, rotation: np.ndarray | None = None) -
     for a, b in itertools.pairwise(corners):
         for s in np.linspace(0, 1, frames + 1)[0 if not poses else 1:]:
             pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = np.eye(3) if rotation is None else rotation, np.asarray(a) + s * (np.asarray(b) - np.asarray(a))
+            pose[:3, :3], pose[:3,
+                               3] = (np.eye(3) if rotation is None else rotation,
+                                     np.asarray(a) + s * (np.asarray(b) - np.asarray(a)))
             poses.append(pose)
     return np.array(poses)
 
@@ -105,7 +107,8 @@ def test_particle_is_let_go_when_its_pull_points_outwards():
             np.testing.assert_allclose(u, [0, 0, poses[t, 2, 3] - R], atol=1e-14)
 
 
-@pytest.mark.parametrize("probe", [Sphere(R), Capsule(0.01, 0.03), Cylinder(0.015, 0.03), Box((0.03, 0.02, 0.03)), Plane()])
+@pytest.mark.parametrize("probe", [Sphere(R), Capsule(0.01, 0.03), Cylinder(0.015, 0.03), Box((0.03, 0.02, 0.03)),
+                                   Plane()])
 @pytest.mark.parametrize("friction", [0.0, 0.5, 1e9])
 def test_every_probe_releases_what_it_moved(probe, friction):
     rng = np.random.default_rng(1)
@@ -113,7 +116,8 @@ def test_every_probe_releases_what_it_moved(probe, friction):
     turn = DOWN if isinstance(probe, Plane) else Rotation.from_euler("xyz", [0.2, -0.3, 0.5]).as_matrix()
     # With boundless friction a probe may hook what it met from the side, so there it goes straight in and out.
     aside = (0.01 if friction < 1.0 else 0.0, 0, -0.005)
-    moved = simulate(cloud, probe, path((0, 0, 0.04), (0, 0, -0.005), aside, (0, 0, 0.04), rotation=turn), friction=friction)
+    moved = simulate(cloud, probe, path((0, 0, 0.04), (0, 0, -0.005), aside, (0, 0, 0.04), rotation=turn),
+                     friction=friction)
     count = np.diff(moved.pointer)
     assert count[5] > 20 and count[10] > 20
     assert count[-1] == 0
@@ -251,7 +255,8 @@ def test_nothing_touched_is_empty():
     ({"probe": "ball"}, "Sphere"),
 ])
 def test_bad_input_is_told(change, words):
-    given = {"particles": np.zeros((1, 3)), "probe": Sphere(R), "poses": path((0, 0, 1), (0, 0, 2)), "friction": 0.5, **change}
+    given = {"particles": np.zeros((1, 3)), "probe": Sphere(R), "poses": path((0, 0, 1), (0, 0, 2)), "friction": 0.5,
+             **change}
     with pytest.raises(VsfError) as error:
         simulate(given.pop("particles"), given.pop("probe"), given.pop("poses"), **given)
     assert words in str(error.value)

@@ -56,7 +56,8 @@ def test_every_balance_of_prior_and_noise(var, noise, m, n):
     result = map_estimate(w, z, noise_std=noise, prior_mean=15.0, prior_var=var)
     expected, a, b = brute(w, z, noise, 15.0, var)
     assert result.kkt_residual <= 1e-9
-    # Both minimise the same convex function; where the prior is next to none K itself is badly determined, the cost is not.
+    # Both minimise the same convex function; where the prior is next to none K itself is badly determined, the cost is
+    # not.
     ours, theirs = (cost(k, a, b, np.full(n, var)) for k in (result.mean, expected))
     assert ours <= theirs * (1 + 1e-9)
     condition = 1 + np.linalg.norm(a, 2) ** 2
@@ -78,7 +79,8 @@ def test_rank_deficient_rows_and_columns():
 
 
 def test_no_touch_gives_the_prior_cut_at_zero():
-    result = map_estimate(sparse.csr_matrix((5, 4)), np.ones(5), noise_std=1.0, prior_mean=np.array([1.0, -2, 3, 0]), prior_var=1.0)
+    result = map_estimate(sparse.csr_matrix((5, 4)), np.ones(5), noise_std=1.0, prior_mean=np.array([1.0, -2, 3, 0]),
+                          prior_var=1.0)
     np.testing.assert_array_equal(result.mean, [1, 0, 3, 0])
     assert result.iterations == 0 and result.kkt_residual == 0.0 and result.active == 0
     empty = map_estimate(sparse.csr_matrix((0, 3)), np.zeros(0), noise_std=1.0, prior_mean=2.0, prior_var=1.0)
@@ -117,7 +119,8 @@ def test_twenty_thousand_particles_and_nine_hundred_readings():
     seconds = time.perf_counter() - start
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    print(f"20k x 900: {seconds:.2f} s, {result.iterations} steps, KKT {result.kkt_residual:.1e}, peak {peak / 1e6:.0f} MB")
+    print(f"20k x 900: {seconds:.2f} s, {result.iterations} steps, KKT {result.kkt_residual:.1e}, peak "
+          f"{peak / 1e6:.0f} MB")
     assert result.kkt_residual <= 1e-9 and result.iterations < 50
     # n x n alone would be 3.2 GB.
     assert peak < 200e6

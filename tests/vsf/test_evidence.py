@@ -1,4 +1,5 @@
-"""Eq. 15 of SBML: against the joint Gaussian written out in full, against quadrature, and on the matrices it says it needs."""
+"""Eq. 15 of SBML: against the joint Gaussian written out in full, against quadrature, and on the matrices it says it
+needs."""
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ def case(m, n, s, seed=0):
     rng = np.random.default_rng(seed)
     w = rng.uniform(-0.002, 0.02, (m, n)) * (rng.uniform(size=(m, n)) < 0.3)
     z, noise = rng.normal(0, 2, m), rng.uniform(0.1, 0.5, m)
-    g = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(s, 1))), shape=(n, s)) if s else sparse.csr_matrix((n, 0))
+    g = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(s, 1))),
+                          shape=(n, s)) if s else sparse.csr_matrix((n, 0))
     prior = [rng.uniform(0, 100, n), rng.uniform(1, 1e4, n), rng.uniform(0, 50, s), rng.uniform(1, 1e3, s)]
     return w, z, noise, g, np.arange(m) // 4, [torch.tensor(x, requires_grad=True) for x in prior]
 
@@ -29,11 +31,13 @@ def test_value_and_gradient_are_those_of_the_joint_gaussian(m, n, s):
     # Brute force: (phi, z) is jointly Gaussian; take the marginal of z out of its full covariance.
     a = torch.tensor(np.concatenate([w, w @ g.toarray()], axis=1))
     mean, var = torch.cat([prior[0], prior[2]]), torch.cat([prior[1], prior[3]])
-    joint = torch.cat([torch.cat([torch.diag(var), (var * a).T], dim=1), torch.cat([var * a, (var * a) @ a.T + torch.diag(torch.tensor(noise**2))], dim=1)])
+    joint = torch.cat([torch.cat([torch.diag(var), (var * a).T], dim=1),
+                       torch.cat([var * a, (var * a) @ a.T + torch.diag(torch.tensor(noise**2))], dim=1)])
     marginal = torch.distributions.MultivariateNormal(a @ mean, joint[len(var):, len(var):])
     expected = -marginal.log_prob(torch.tensor(z))
     assert value.item() == pytest.approx(expected.item(), rel=1e-11)
-    for ours, theirs in zip(torch.autograd.grad(value, prior, allow_unused=True), torch.autograd.grad(expected, prior, allow_unused=True)):
+    for ours, theirs in zip(torch.autograd.grad(value, prior, allow_unused=True),
+                            torch.autograd.grad(expected, prior, allow_unused=True)):
         if theirs is not None and theirs.numel():
             torch.testing.assert_close(ours, theirs, rtol=1e-9, atol=1e-10 * float(theirs.abs().max()))
 
@@ -46,7 +50,8 @@ def test_against_quadrature_over_two_springs():
         k = np.array([k0, k1])
         return np.prod(stats.norm.pdf(z, w @ k, noise)) * np.prod(stats.norm.pdf(k, mean, std))
 
-    mass = integrate.dblquad(density, *(mean[0] + 9 * std[0] * np.array([-1, 1])), *(mean[1] + 9 * std[1] * np.array([-1, 1])), epsabs=1e-10)[0]
+    mass = integrate.dblquad(density, *(mean[0] + 9 * std[0] * np.array([-1, 1])),
+                             *(mean[1] + 9 * std[1] * np.array([-1, 1])), epsabs=1e-10)[0]
     evidence = Evidence.of(sparse.csr_matrix(w), z, noise_std=noise)
     assert evidence.nll(torch.tensor(mean), torch.tensor(std**2)).item() == pytest.approx(-np.log(mass), rel=1e-6)
 
@@ -86,7 +91,8 @@ def test_no_contact_is_a_constant():
 
 
 @pytest.mark.parametrize("change, words", [
-    ({"z": np.ones(4)}, "must fit"), ({"z": np.array([1, np.nan, 1])}, "finite"), ({"noise_std": 0.0}, "noise_std greater than 0"),
+    ({"z": np.ones(4)}, "must fit"), ({"z": np.array([1, np.nan, 1])}, "finite"),
+                                           ({"noise_std": 0.0}, "noise_std greater than 0"),
 ])
 def test_bad_input_is_refused(change, words):
     given = {"w": sparse.csr_matrix(np.ones((3, 5))), "z": np.ones(3), "noise_std": 1.0, **change}

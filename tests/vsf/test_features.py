@@ -26,7 +26,8 @@ def view():
 def test_bilinear_on_the_seen_and_mean_of_ten_on_the_hidden(view):
     # A feature that is linear in the pixel is read without error by bilinear interpolation.
     rows, columns = np.indices(view.mask.shape)
-    image = FeatureImage(np.stack([columns, 2.0 * rows], axis=-1).astype(np.float32), np.ones_like(view.mask), np.zeros(1))
+    image = FeatureImage(np.stack([columns, 2.0 * rows], axis=-1).astype(np.float32), np.ones_like(view.mask),
+                         np.zeros(1))
     geometry = see(view, particles(), 0.005)
     out = project(image, geometry)
     seen = geometry.visible
@@ -42,7 +43,8 @@ def test_bilinear_on_the_seen_and_mean_of_ten_on_the_hidden(view):
 
 def test_a_coarse_grid_of_features_reads_the_same_place(view):
     rows, columns = np.indices((16, 16))
-    coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32), np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
+    coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32),
+                          np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
     geometry = see(view, particles(), 0.005)
     np.testing.assert_allclose(project(coarse, geometry)[geometry.visible], geometry.pixel[geometry.visible], atol=1e-4)
 
@@ -83,8 +85,10 @@ def test_a_camera_twice_as_far_sees_much_the_same(view):
     k[1, 1] *= 2
     pose = view.camera_pose.copy()
     pose[2, 3] += 0.37
-    far = dataclasses.replace(view, depth=np.where(view.mask, 0.74, 0).astype(np.float32), intrinsics=k, camera_pose=pose)
-    near, away = (particle_features("local-full", v, particles()[particles()[:, 2] > 0.025], spacing=0.005) for v in (view, far))
+    far = dataclasses.replace(view, depth=np.where(view.mask, 0.74, 0).astype(np.float32), intrinsics=k,
+                              camera_pose=pose)
+    near, away = (particle_features("local-full", v, particles()[particles()[:, 2] > 0.025], spacing=0.005)
+                  for v in (view, far))
     np.testing.assert_allclose(near[:, :18], away[:, :18], atol=0.05)
 
 
@@ -103,7 +107,8 @@ def test_one_particle_and_particles_out_of_sight(view):
     for name in ("local", "local-full", "xyzrgb"):
         assert np.isfinite(particle_features(name, view, np.array([[0.0, 0.0, 0.02]]), spacing=0.005)).all()
         # Behind the object and far from its surface: the least deep particle stands for what is seen.
-        assert np.isfinite(particle_features(name, view, np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.01]]), spacing=1e-6)).all()
+        assert np.isfinite(particle_features(name, view, np.array([[0.0, 0.0, 0.02], [0.0, 0.0, 0.01]]),
+                                             spacing=1e-6)).all()
         with pytest.raises(VsfError, match="none of the 2 particles lies on a ray through the view's mask"):
             particle_features(name, view, np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 9.0]]), spacing=0.005)
 

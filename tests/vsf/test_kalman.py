@@ -17,7 +17,8 @@ def literal(mean, var, w, z, noise):
     return np.maximum(mean + gain @ (z - w @ mean), 0.0), np.diag((np.eye(len(mean)) - gain @ w) @ v)
 
 
-@pytest.mark.parametrize("m, n, fill", [(1, 30, 1.0), (7, 30, 0.5), (30, 7, 1.0), (60, 40, 0.05), (40, 60, 0.05), (12, 12, 1.0)])
+@pytest.mark.parametrize("m, n, fill", [(1, 30, 1.0), (7, 30, 0.5), (30, 7, 1.0), (60, 40, 0.05), (40, 60, 0.05),
+                                        (12, 12, 1.0)])
 def test_frames_are_those_of_the_literal_filter(m, n, fill):
     rng = np.random.default_rng(m)
     mean, var = rng.uniform(0, 100, n), rng.uniform(1, 1e4, n)
@@ -36,7 +37,8 @@ def test_one_particle_is_bayes():
     for _ in range(3):
         ours.update(sparse.csr_matrix([[0.02]]), np.array([0.5]), noise_std=0.1)
     precision = 1 / 4 + 3 * 4e-4 / 0.01
-    assert ours.mean[0] == pytest.approx((10 / 4 + 3 * 0.02 * 0.5 / 0.01) / precision) and ours.var[0] == pytest.approx(1 / precision)
+    assert ours.mean[0] == pytest.approx((10 / 4 + 3 * 0.02 * 0.5 / 0.01)
+                                         / precision) and ours.var[0] == pytest.approx(1 / precision)
 
 
 def test_particles_that_no_frame_moves_keep_their_prior_and_springs_never_push():
@@ -46,7 +48,8 @@ def test_particles_that_no_frame_moves_keep_their_prior_and_springs_never_push()
 
 
 def test_twenty_thousand_particles_with_dense_forces_in_seconds():
-    # 90 frames of 120 vertices x 3 components and about 1,000 particles a frame, as a bubble of 390 vertices has them; 900 frames are ten times that.
+    # 90 frames of 120 vertices x 3 components and about 1,000 particles a frame, as a bubble of 390 vertices has them;
+    # 900 frames are ten times that.
     rng = np.random.default_rng(0)
     truth = rng.uniform(5, 50, 20_000)
     frames = []
@@ -58,7 +61,8 @@ def test_twenty_thousand_particles_with_dense_forces_in_seconds():
         for depth in np.linspace(0.1, 1, 15):
             value = -depth * weight[:, :, None] * u[:, None, :]
             row = 3 * corner[:, :, None] + np.arange(3)
-            frames.append(sparse.csr_matrix((value.ravel(), (row.ravel(), np.repeat(particle, 9))), shape=(360, 20_000)))
+            frames.append(sparse.csr_matrix((value.ravel(), (row.ravel(), np.repeat(particle, 9))),
+                                            shape=(360, 20_000)))
     w = sparse.vstack(frames).tocsr()
     z = w @ truth + 0.01 * rng.standard_normal(w.shape[0])
     ours = DiagonalFilter.start(20_000, mean=20.0, var=400.0)

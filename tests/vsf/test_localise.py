@@ -35,7 +35,8 @@ def pose(angle, shift, tilt=0.0):
 
 
 def buried(known, truth, *, noise, seed=0):
-    """Touched points, the upper 1.5 cm of a soft block down to just under the object's top, and stiffnesses with the object's a hundred times the cover's."""
+    """Touched points, the upper 1.5 cm of a soft block down to just under the object's top, and stiffnesses with the
+    object's a hundred times the cover's."""
     axes = [np.arange(-0.1, 0.1, 0.004), np.arange(-0.1, 0.1, 0.004), np.arange(-0.012, 0.018, 0.004)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = known.contains((points - truth[:3, 3]) @ truth[:3, :3])
@@ -72,14 +73,16 @@ def test_a_buried_object_is_found(angle):
     # The loss is what tells a good pose: it is far lower than that of the same object turned round.
     wrong = truth @ pose(np.pi, [0, 0, 0])
     inside = known.contains((points - wrong[:3, 3]) @ wrong[:3, :3])
-    assert found.loss < 0.5 * float(np.maximum(100.0 - stiffness, 0)[inside].sum() + 100.0 * np.count_nonzero((stiffness > 100) & ~inside))
+    assert found.loss < 0.5 * float(np.maximum(100.0 - stiffness,
+                                               0)[inside].sum() + 100.0 * np.count_nonzero((stiffness > 100) & ~inside))
 
 
 def test_contact_points_alone_place_it_roughly():
     known = KnownObject.of(*wedge())
     truth = pose(0.8, [0.0, 0.02, 0.0])
     surface = KnownObject.of(*wedge(), seed=3).surface @ truth[:3, :3].T + truth[:3, 3]
-    top = surface[surface[:, 2] > 0.0] + np.random.default_rng(0).normal(0, 0.001, (np.count_nonzero(surface[:, 2] > 0.0), 3))
+    top = surface[surface[:, 2] > 0.0] + np.random.default_rng(0).normal(0, 0.001,
+                                                                         (np.count_nonzero(surface[:, 2] > 0.0), 3))
     shift, _ = pose_errors(contact_pose(known, top, tries=5).transform, truth)
     assert shift < 0.02
 

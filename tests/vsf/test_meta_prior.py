@@ -14,7 +14,8 @@ torch.set_num_threads(1)
 
 
 def objects(count, seed, *, level=0.0, structure="HE"):
-    """Objects of 60 springs: 200 N/m where the first feature is positive, else 40, each times a factor of its own; 12 touches of 5 springs."""
+    """Objects of 60 springs: 200 N/m where the first feature is positive, else 40, each times a factor of its own; 12
+    touches of 5 springs."""
     rng = np.random.default_rng(seed)
     out = []
     for _ in range(count):
@@ -22,10 +23,13 @@ def objects(count, seed, *, level=0.0, structure="HE"):
         stiffness = np.where(features[:, 0] > 0, 200.0, 40.0) * rng.lognormal(0, 0.1, 60) + level * rng.normal()
         w = np.zeros((48, 60))
         for touch in range(12):
-            w[4 * touch:4 * touch + 4, rng.choice(60, 5, replace=False)] = np.arange(1, 5)[:, None] * rng.uniform(0.001, 0.003, 5)
+            w[4 * touch:4 * touch + 4,
+              rng.choice(60, 5, replace=False)] = np.arange(1, 5)[:, None] * rng.uniform(0.001, 0.003, 5)
         part = Composition.of(structure, features)
-        evidence = Evidence.of(sparse.csr_matrix(w), w @ stiffness + 0.05 * rng.standard_normal(48), noise_std=0.05, membership=part.membership, touch=np.arange(48) // 4)
-        out.append((MetaTask(torch.tensor(features[evidence.touched]), torch.tensor(part.features.astype(np.float32)), evidence), features, part))
+        evidence = Evidence.of(sparse.csr_matrix(w), w @ stiffness + 0.05 * rng.standard_normal(48), noise_std=0.05,
+                               membership=part.membership, touch=np.arange(48) // 4)
+        out.append((MetaTask(torch.tensor(features[evidence.touched]), torch.tensor(part.features.astype(np.float32)),
+                             evidence), features, part))
     return out
 
 
@@ -37,7 +41,8 @@ def build(structure="HE", output="softplus", dropout=0.0):
 @pytest.mark.parametrize("output", ["softplus", "relu"])
 def test_it_starts_as_the_naive_prior(output):
     mean, var, _, _ = build(output=output)(torch.randn(500, 4), torch.zeros(0, 4))
-    assert mean.mean().item() == pytest.approx(120.0, rel=0.1) and var.sqrt().mean().item() == pytest.approx(80.0, rel=0.1)
+    assert mean.mean().item() == pytest.approx(120.0,
+                                               rel=0.1) and var.sqrt().mean().item() == pytest.approx(80.0, rel=0.1)
     assert mean.std() < 20.0
 
 
@@ -47,7 +52,8 @@ def test_training_finds_what_the_feature_tells(output):
     prior = build(output=output)
     before = score(prior, tasks[30:])
     history = train(prior, tasks[:30], tasks[30:], rate=1e-3, epochs=60, patience=15)
-    # A touch of four readings tells one number; knowing it to 15 instead of 80 N/m a spring is worth log(80/15) / 4 = 0.4 a reading; half of it must be found.
+    # A touch of four readings tells one number; knowing it to 15 instead of 80 N/m a spring is worth log(80/15) / 4 =
+    # 0.4 a reading; half of it must be found.
     assert score(prior, tasks[30:]) == pytest.approx(min(history.validation)) and min(history.validation) < before - 0.2
     _, features, part = objects(1, 99)[0]
     found = prior.of(features, part)
@@ -73,9 +79,11 @@ def test_early_stopping_keeps_the_best_and_repeats():
     tasks = [row[0] for row in objects(3, 4)]
     first, second = build(dropout=0.3), build(dropout=0.3)
     history = train(first, tasks[:2], tasks[2:], rate=3e-3, epochs=300, patience=5, seed=3)
-    assert len(history.validation) - 1 == history.best + 5 and history.validation[history.best] == min(history.validation)
+    assert (len(history.validation) - 1 == history.best + 5
+            and history.validation[history.best] == min(history.validation))
     again = train(second, tasks[:2], tasks[2:], rate=3e-3, epochs=300, patience=5, seed=3)
-    assert again == history and all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
+    assert again == history and all(torch.equal(a, b) for a, b in zip(first.state_dict().values(),
+                                                                      second.state_dict().values()))
 
 
 def test_refusals():

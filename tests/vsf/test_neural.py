@@ -42,12 +42,14 @@ def test_a_uniform_field_answers_as_eq_4_says():
     depth, area = 0.01 * frame / 5, oriented_areas(touch.vertices[0], touch.triangles)[vertex, 2]
     np.testing.assert_allclose(force[:, 2], np.abs(area) * depth**2 / 2, rtol=1e-4)
     np.testing.assert_allclose(force[:, :2], 0.0, atol=1e-12)
-    assert torch.allclose(points[:, :, 2].amin(dim=1), torch.as_tensor(touch.vertices[frame, vertex, 2] + depth / 200, dtype=torch.float32), atol=1e-6)
+    assert torch.allclose(points[:, :, 2].amin(dim=1), torch.as_tensor(touch.vertices[frame, vertex, 2] + depth / 200,
+                                                                       dtype=torch.float32), atol=1e-6)
 
 
 def test_in_and_out_again_leaves_nothing():
     touch = straight()
-    both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles, np.zeros((11, *touch.force.shape[1:])))
+    both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles,
+                      np.zeros((11, *touch.force.shape[1:])))
     seen = VertexForces.of([both])
     last = torch.nonzero(seen.index[:, 1] == 10)[:, 0]
     points, factor, _ = seen.rows(last, 100)
@@ -89,11 +91,13 @@ def test_the_fast_field_finds_the_rope():
 
 
 def test_the_papers_field_learns():
-    # Far fewer steps than it needs, at a higher rate: the misfit must fall a good way from that of the best uniform field.
+    # Far fewer steps than it needs, at a higher rate: the misfit must fall a good way from that of the best uniform
+    # field.
     field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
     touches = palpate(field, touches=6, frames=6, extent=(0.05, 0.05), rings=4)
     told = []
-    fit("nerf", touches, BOUNDS, Fitting(iterations=101, batch=200, samples=20, rate=3e-3), progress=lambda i, n, text: told.append(float(text.split()[0])))
+    fit("nerf", touches, BOUNDS, Fitting(iterations=101, batch=200, samples=20, rate=3e-3), progress=lambda i, n,
+        text: told.append(float(text.split()[0])))
     assert told[-1] < 0.7 * told[0], told
 
 
@@ -108,7 +112,8 @@ def test_a_field_is_under_a_hundred_kilobytes_and_comes_back(tmp_path):
             assert (tmp_path / "field.npz").stat().st_size < 100_000
         points = np.random.default_rng(0).uniform(*BOUNDS, (500, 3))
         # Half precision: 5e-4 of every weight.
-        np.testing.assert_allclose(density(load_field(tmp_path / "field.npz"), points), density(model, points), rtol=0.02)
+        np.testing.assert_allclose(density(load_field(tmp_path / "field.npz"), points), density(model, points),
+                                   rtol=0.02)
 
 
 def test_the_same_seed_gives_the_same_field():
@@ -143,13 +148,15 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     _, factor, force = together.rows(torch.arange(4), 30)
     every = factor.sum(dim=1)[:, 0]
     _, single, _ = each.rows(torch.arange(len(each.index)), 30)
-    by_frame = torch.stack([-(single.sum(dim=1)[each.index[:, 1] == t].sum(dim=0) @ torch.tensor(axis, dtype=torch.float32)) for t in range(1, 5)])
+    by_frame = torch.stack([-(single.sum(dim=1)[each.index[:, 1] == t].sum(dim=0)
+                              @ torch.tensor(axis, dtype=torch.float32)) for t in range(1, 5)])
     torch.testing.assert_close(every, by_frame, rtol=1e-4, atol=1e-12)
     np.testing.assert_allclose(force[:, 0], total.force[1:5], rtol=1e-6)
 
 
 def test_a_soft_and_a_stiff_half_are_told_from_totals_alone():
-    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=16, frames=6, extent=(0.08, 0.08), rings=4)
+    touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=16, frames=6,
+                      extent=(0.08, 0.08), rings=4)
     totals = [TotalTouch(t.vertices, t.triangles, np.array([0, 0, -1.0]), t.force.sum(axis=1)[:, 2]) for t in touches]
     model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
     left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))
@@ -159,7 +166,8 @@ def test_a_soft_and_a_stiff_half_are_told_from_totals_alone():
 
 
 def test_adam_takes_the_steps_of_the_published_rule():
-    # By hand for one number: m = 0.1 g, v = 0.001 g^2, both corrected to g and g^2: the first step is the rate, whatever the gradient.
+    # By hand for one number: m = 0.1 g, v = 0.001 g^2, both corrected to g and g^2: the first step is the rate,
+    # whatever the gradient.
     p = torch.tensor([1.0, -2.0], dtype=torch.float64, requires_grad=True)
     still = torch.ones(2, requires_grad=True)
     ours = Adam([p, still], rate=0.1)

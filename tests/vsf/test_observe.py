@@ -1,4 +1,5 @@
-"""Observation matrices against mechanics: an arm's virtual power, the elastic energy's derivative, and each other; and the sticking that feeds them."""
+"""Observation matrices against mechanics: an arm's virtual power, the elastic energy's derivative, and each other; and
+the sticking that feeds them."""
 
 import math
 
@@ -67,7 +68,8 @@ def test_joint_torques_are_virtual_power():
         for j in range(3):
             step = np.zeros(3)
             step[j] = 1e-6
-            way = np.array([(carried(rest[i] + x, q[t], q[t] + step) - carried(rest[i] + x, q[t], q[t] - step)) / 2e-6 for i, x in zip(particle, u)])
+            way = np.array([(carried(rest[i] + x, q[t], q[t] + step) - carried(rest[i] + x, q[t], q[t] - step)) / 2e-6
+                            for i, x in zip(particle, u)])
             assert torque[t, j] == pytest.approx(-np.sum(k[particle, None] * u * way), rel=1e-6)
     # A joint past the touched link feels nothing.
     axes[:, 2] = 0.0
@@ -78,7 +80,8 @@ def test_dense_forces_are_the_derivative_of_the_springs_energy():
     base, triangles = plate()
     vertices = base + np.linspace(0.004, -0.01, 8)[:, None, None] * [0.0, 0.0, 1.0]
     rng = np.random.default_rng(0)
-    vertices = vertices + 0.002 * np.linspace(0, 1, 8)[:, None, None] * rng.normal(size=base.shape)  # a surface that bends as it goes
+    # a surface that bends as it goes
+    vertices = vertices + 0.002 * np.linspace(0, 1, 8)[:, None, None] * rng.normal(size=base.shape)
     particles = grid([-0.015, -0.015, -0.02], [0.015, 0.015, 0.0], 0.004)
     k = rng.uniform(10, 100, len(particles))
     contacts = stick(particles, vertices, triangles)
@@ -97,9 +100,12 @@ def test_dense_forces_are_the_derivative_of_the_springs_energy():
         for axis in range(3):
             step = np.zeros_like(base)
             step[vertex, axis] = 1e-6
-            assert force[t, vertex, axis] == pytest.approx(-(energy(vertices[t] + step) - energy(vertices[t] - step)) / 2e-6, rel=1e-6, abs=1e-9)
+            assert force[t, vertex,
+                         axis] == pytest.approx(-(energy(vertices[t] + step) - energy(vertices[t] - step)) / 2e-6,
+                                                rel=1e-6, abs=1e-9)
     # Together they are the force of all springs.
-    np.testing.assert_allclose(force[t].sum(axis=0), -(k[index, None] * contacts.displacement[part]).sum(axis=0), rtol=1e-10)
+    np.testing.assert_allclose(force[t].sum(axis=0), -(k[index, None] * contacts.displacement[part]).sum(axis=0),
+                               rtol=1e-10)
     assert np.diff(w.tocsc().indptr).max() <= 9 * 8
 
 
@@ -110,19 +116,22 @@ def test_a_plate_takes_particles_along_from_where_it_met_them_and_lets_go():
     contacts = stick(particles, base + height[:, None, None] * [0, 0, 1.0], triangles)
     for t, z in enumerate(height):
         part = slice(contacts.pointer[t], contacts.pointer[t + 1])
-        expected = np.flatnonzero(particles[:, 2] > z) if t < 7 else np.flatnonzero((particles[:, 2] > z) & (particles[:, 2] > -0.010))
+        expected = np.flatnonzero(particles[:, 2] > z) if t < 7 else np.flatnonzero((particles[:, 2] > z)
+                                                                                    & (particles[:, 2] > -0.010))
         np.testing.assert_array_equal(contacts.particle[part], expected)
         # Straight down: stuck at its own place, and as deep as the plate.
         np.testing.assert_allclose(contacts.displacement[part][:, :2], 0, atol=1e-12)
         np.testing.assert_allclose(contacts.displacement[part][:, 2], z - particles[expected, 2], atol=1e-12)
-    np.testing.assert_allclose(force_sum_rows(contacts.displacements(), len(particles)).sum(), np.linalg.norm(contacts.displacement, axis=1).sum())
+    np.testing.assert_allclose(force_sum_rows(contacts.displacements(), len(particles)).sum(),
+                               np.linalg.norm(contacts.displacement, axis=1).sum())
 
 
 def test_a_rigid_sphere_of_triangles_moves_particles_like_the_exact_sphere():
     # Latitude-longitude sphere, fine; sticking of both models is the same law.
     rings, around, radius = 40, 80, 0.02
     polar, azimuth = np.linspace(0.02, np.pi - 0.02, rings), np.arange(around) * 2 * np.pi / around
-    base = radius * np.stack([np.sin(polar)[:, None] * np.cos(azimuth), np.sin(polar)[:, None] * np.sin(azimuth), np.broadcast_to(np.cos(polar)[:, None], (rings, around))], axis=-1).reshape(-1, 3)
+    base = radius * np.stack([np.sin(polar)[:, None] * np.cos(azimuth), np.sin(polar)[:, None] * np.sin(azimuth),
+                              np.broadcast_to(np.cos(polar)[:, None], (rings, around))], axis=-1).reshape(-1, 3)
     i = np.arange(rings * around).reshape(rings, around)
     a, b, c, d = i[:-1], np.roll(i, -1, axis=1)[:-1], np.roll(i, -1, axis=1)[1:], i[1:]
     triangles = np.concatenate([np.stack([x.ravel() for x in t], axis=1) for t in ((a, d, c), (a, c, b))])

@@ -29,7 +29,9 @@ def test_it_finds_the_minimiser(m, n, strength):
 def test_the_held_ones_are_guessed_together(monkeypatch):
     load = Workload.of(6000, 15, 8)
     touched = np.unique(load.dense.indices)
-    a, b, x0 = sparse.csr_matrix(load.dense[:, touched]) * (STD / NOISE), load.dense_z / NOISE, np.full(len(touched), MEAN / STD)
+    a, b, x0 = sparse.csr_matrix(load.dense[:, touched]) * (STD
+                                                            / NOISE), load.dense_z / NOISE, np.full(len(touched),
+                                                                                                    MEAN / STD)
     x, quick = projected_cg(a, b, x0, start=x0)
     monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y, goal: (y, 0))
     plain, slow = projected_cg(a, b, x0, start=x0)
@@ -41,31 +43,36 @@ def test_a_guess_that_goes_astray_costs_time_only(monkeypatch):
     rng = np.random.default_rng(3)
     a, b, x0 = sparse.csr_matrix(30.0 * rng.normal(size=(60, 40))), 30.0 * rng.normal(size=60), rng.normal(size=40)
     expected, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
-    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y, goal: (1e3 * rng.uniform(size=len(y)), 7))
+    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y,
+                        goal: (1e3 * rng.uniform(size=len(y)), 7))
     x, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
     np.testing.assert_allclose(x, expected, atol=1e-8 * expected.max())
 
 
 def test_no_unknown_and_no_reading():
     assert len(projected_cg(sparse.csr_matrix((3, 0)), np.ones(3), np.zeros(0), start=np.zeros(0))[0]) == 0
-    np.testing.assert_allclose(projected_cg(sparse.csr_matrix((0, 2)), np.zeros(0), np.array([1.0, -1.0]), start=np.zeros(2))[0], [1.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(projected_cg(sparse.csr_matrix((0, 2)), np.zeros(0), np.array([1.0, -1.0]),
+                                            start=np.zeros(2))[0], [1.0, 0.0], atol=1e-7)
 
 
 def test_dense_contact_forces_of_ten_thousand_particles():
     touches = palpate(layer_with_inclusion(), touches=20, frames=8, extent=(0.12, 0.08), noise=0.002)
     axes = [np.arange(-0.09, 0.09, 0.003), np.arange(-0.07, 0.07, 0.003), np.arange(-0.0145, 0.0, 0.003)]
     particles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    rows = [dense_force_rows(stick(particles, t.vertices, t.triangles), len(particles), t.triangles, t.vertices.shape[1]) for t in touches]
+    rows = [dense_force_rows(stick(particles, t.vertices, t.triangles), len(particles), t.triangles,
+                             t.vertices.shape[1]) for t in touches]
     w, z = sparse.vstack(rows).tocsr(), np.concatenate([t.force.ravel() for t in touches])
     start = time.process_time()
     result = map_estimate(w, z, noise_std=0.002, prior_mean=0.0, prior_var=200.0**2)
     seconds = time.process_time() - start
-    print(f"{len(particles)} particles, {w.shape[0]} readings: {seconds:.2f} s, {result.iterations} products, KKT {result.kkt_residual:.1e}, "
+    print(f"{len(particles)} particles, {w.shape[0]} readings: {seconds:.2f} s, {result.iterations} products, KKT "
+          f"{result.kkt_residual:.1e}, "
           f"peak {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB of the process")
     assert result.kkt_residual < 1e-3
     # The optimality conditions in the units of the problem: no free stiffness wants to move, no held one wants to rise.
     gradient = w.T @ (w @ result.mean - z) / 0.002**2 + result.mean / 200.0**2
     size = np.linalg.norm(w.T @ z) / 0.002**2
-    assert np.linalg.norm(gradient[result.mean > 0]) < 1e-5 * size and np.linalg.norm(np.minimum(gradient[result.mean == 0], 0)) < 1e-5 * size
+    assert (np.linalg.norm(gradient[result.mean > 0]) < 1e-5 * size
+            and np.linalg.norm(np.minimum(gradient[result.mean == 0], 0)) < 1e-5 * size)
     assert np.linalg.norm(w @ result.mean - z) < 0.6 * np.linalg.norm(z)
     assert seconds < 20.0

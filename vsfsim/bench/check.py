@@ -1,4 +1,5 @@
-"""`vsfsim check`: does a method keep the contract of `vsfsim.bench.method.Method`? Seconds, on mock objects, no dataset."""
+"""`vsfsim check`: does a method keep the contract of `vsfsim.bench.method.Method`? Seconds, on mock objects, no
+dataset."""
 
 from __future__ import annotations
 
@@ -103,7 +104,8 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Fi
         ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), _mock())),
         ("copes with frames that have no reading", lambda: _run(fitted(), mock, _with_gap(mock.support))),
         ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
-        ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
+        ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values),
+                                                                   mock)),
         ("stiffness is finite and not negative", lambda: _stiffness(fitted(), mock)),
         ("predict_std is finite and not negative", lambda: _predict_std(fitted(), mock)),
     )
@@ -115,7 +117,8 @@ def report(name: str, findings: Sequence[Finding]) -> str:
     width = max(len(f.clause) for f in findings)
     lines = [f"{f.outcome:<12}{f.clause:<{width}}  {f.detail}".rstrip() for f in findings]
     failed = sum(f.outcome == "failed" for f in findings)
-    lines.append(f"{name} conforms" if not failed else f"{name} does not conform: {failed} of {len(findings)} clauses failed")
+    lines.append(f"{name} conforms" if not failed
+                 else f"{name} does not conform: {failed} of {len(findings)} clauses failed")
     return "\n".join(lines)
 
 
@@ -139,7 +142,8 @@ def _mock() -> _Mock:
     test, other = mock_view(2), mock_view(3, stiffness=4.0)
     recording = record(test, task)
     train: list[ObjectView] = [mock_view(i, split="train") for i in range(2)]
-    return _Mock(tuple(specimen(view, task) for view in train), frozen_view(test.view), recording.readings, recording.clean, record(other, task).readings)
+    return _Mock(tuple(specimen(view, task) for view in train), frozen_view(test.view), recording.readings,
+                 recording.clean, record(other, task).readings)
 
 
 def _answer(method: Method, mock: _Mock, support: Sequence[Reading]) -> list[np.ndarray]:
@@ -164,7 +168,8 @@ def _plain(values: Mapping[str, Any]) -> None:
     try:
         json.dumps(dict(values), allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, text, lists.") from error
+        raise MethodError(f"a parameter cannot be written into a result file: {error}. Use numbers, "
+                          f"text, lists.") from error
 
 
 def _run(method: Method, mock: _Mock, support: Sequence[Reading]) -> str:
@@ -181,7 +186,8 @@ def _empty(method: Method, mock: _Mock) -> None:
 
 def _deterministic(fitted: Callable[[], Method], mock: _Mock) -> None:
     if not _same(_answer(fitted(), mock, mock.support), _answer(fitted(), mock, mock.support)):
-        raise MethodError("two fresh instances answered the same question differently. Draw random numbers from a generator with a fixed seed, or take a constructor argument `seed`.")
+        raise MethodError("two fresh instances answered the same question differently. Draw random numbers from a "
+                          "generator with a fixed seed, or take a constructor argument `seed`.")
 
 
 def _forgets(fitted: Callable[[], Method], mock: _Mock) -> None:
@@ -189,7 +195,8 @@ def _forgets(fitted: Callable[[], Method], mock: _Mock) -> None:
     method = fitted()
     method.adapt(mock.view, list(mock.other))
     if not _same(_answer(method, mock, mock.support), straight):
-        raise MethodError("after adapting to another object first, the answer is another one. adapt must start from what meta_fit learned.")
+        raise MethodError("after adapting to another object first, the answer is another one. adapt must start from "
+                          "what meta_fit learned.")
 
 
 def _twice(method: Method, mock: _Mock) -> None:
@@ -226,7 +233,8 @@ def _refuses_nan(method: Method, mock: _Mock) -> None:
         method.adapt(mock.view, support)
     except (VsfsimError, ValueError):
         return
-    raise MethodError("a NaN in a frame marked valid was accepted by adapt. Raise MethodError (or ValueError) that names the touch.")
+    raise MethodError("a NaN in a frame marked valid was accepted by adapt. Raise MethodError (or ValueError) that "
+                      "names the touch.")
 
 
 def _save_load(fitted: Callable[[], Method], fresh: Callable[[], Method], mock: _Mock) -> None:
@@ -260,7 +268,8 @@ def _predict_std(method: Method, mock: _Mock) -> None:
         raise _NotOffered("no predict_std()")
     for support in ([], mock.support):
         method.adapt(mock.view, support)
-        spread = checked_prediction(method.predict_std(mock.actions), mock.actions, [f"touch {i} (predict_std)" for i in range(len(mock.actions))])
+        spread = checked_prediction(method.predict_std(mock.actions), mock.actions,
+                                    [f"touch {i} (predict_std)" for i in range(len(mock.actions))])
         if any((std < 0.0).any() for std in spread):
             raise MethodError("predict_std gave a negative standard deviation; it must be 0 or greater.")
 

@@ -1,12 +1,14 @@
-"""What lies hidden in an object, and how well a method found it: the mask of a stiff inclusion, and the pose of a known stiff object.
+"""What lies hidden in an object, and how well a method found it: the mask of a stiff inclusion, and the pose of a known
+stiff object.
 
 mask_f1, mask_precision, mask_recall
-    Seen from above, a pixel of 3 mm is stiff if an inclusion lies within 15 mm under it (Neural VSF table I). A method's pixel is the largest
-    stiffness that it gives where the probe swept the column below; pixels that no touch swept do not count. The threshold is the one that is best
-    for the method on this object, as in the paper; precision and recall are at that threshold.
+    Seen from above, a pixel of 3 mm is stiff if an inclusion lies within 15 mm under it (Neural VSF table I). A
+    method's pixel is the largest stiffness that it gives where the probe swept the column below; pixels that no touch
+    swept do not count. The threshold is the one that is best for the method on this object, as in the paper; precision
+    and recall are at that threshold.
 translation_error [mm], rotation_error [deg]
-    Of the pose a method gives for the union of the inclusions, whose shape it knows (Neural VSF section IV-C): distance between centres, and
-    angle of the rotation that is left.
+    Of the pose a method gives for the union of the inclusions, whose shape it knows (Neural VSF section IV-C): distance
+    between centres, and angle of the rotation that is left.
 
 The inclusions are those of the dataset's own scene text, drawn again with its seed.
 """
@@ -42,7 +44,8 @@ _SECTORS = 12  # of a capsule's mesh
 
 @dataclass(frozen=True)
 class Hidden:
-    """The inclusions of one object. parts: in the object's frame. rotation (3, 3), shift (3,) [m]: from there to the world."""
+    """The inclusions of one object. parts: in the object's frame. rotation (3, 3), shift (3,) [m]: from there to the
+    world."""
 
     parts: tuple[Inclusion, ...]
     rotation: np.ndarray
@@ -55,10 +58,14 @@ class Hidden:
         Raises:
             TaskError: the scene has no inclusions.
         """
-        scene = parse_scene(recipe.scene_text, f"{recipe.scene}.toml").sample(np.random.SeedSequence(recipe.seed, spawn_key=(_SCENE, view.object_index)))
+        scene = parse_scene(recipe.scene_text,
+                            f"{recipe.scene}.toml").sample(np.random.SeedSequence(recipe.seed,
+                                                                                  spawn_key=(_SCENE,
+                                                                                             view.object_index)))
         parts = scene.object.young_modulus.inclusions
         if not parts:
-            raise TaskError(f"object view '{view.name}' has no inclusions, so that there is nothing hidden to find; use a scene with [object.young_modulus] inclusions.")
+            raise TaskError(f"object view '{view.name}' has no inclusions, so that there is nothing hidden to find; "
+                            f"use a scene with [object.young_modulus] inclusions.")
         c, s = np.cos(scene.object.yaw), np.sin(scene.object.yaw)
         return cls(parts, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(scene.object.pose))
 
@@ -68,7 +75,8 @@ class Hidden:
         return np.min([part.distance(local) for part in self.parts], axis=0) <= 0.0
 
     def known_object(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Vertices (n, 3) [m] and triangles (m, 3) of the union, closed parts that may overlap, around its centre; and its pose (4, 4)."""
+        """Vertices (n, 3) [m] and triangles (m, 3) of the union, closed parts that may overlap, around its centre; and
+        its pose (4, 4)."""
         vertices, triangles, count = [], [], 0
         for part in self.parts:
             v, t = _mesh(part)
@@ -86,7 +94,8 @@ class Hidden:
 class Mask:
     """What touches say about an object seen from above.
 
-    points: query points, world (q, 3) [m]: those that the probe swept. pixel: of each (q,) int. stiff: an inclusion lies under the pixel (p,) bool.
+    points: query points, world (q, 3) [m]: those that the probe swept. pixel: of each (q,) int. stiff: an inclusion
+    lies under the pixel (p,) bool.
     """
 
     points: np.ndarray
@@ -102,7 +111,8 @@ class Mask:
         """
         assert view.truth is not None
         surface = view.truth.probe_points
-        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL) for low, high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0))]
+        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL) for low,
+                high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0))]
         plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
         top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
@@ -113,7 +123,8 @@ class Mask:
             swept |= reached(points, view.probe, touch.mount_pose, reach=0.0)
         pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[swept], return_inverse=True)
         if not len(pixel):
-            raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; generate touches that go deeper.")
+            raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
+                            f"generate touches that go deeper.")
         return cls(points[swept], index, hidden.inside(points).reshape(columns.shape[:2]).any(axis=1)[pixel])
 
     def scores(self, stiffness: np.ndarray) -> dict[str, float]:
@@ -123,7 +134,8 @@ class Mask:
         f1, threshold = best_threshold(value, self.stiff)
         found = value >= threshold
         hit = float((found & self.stiff).sum())
-        return {"mask_f1": f1, "mask_precision": hit / max(int(found.sum()), 1), "mask_recall": hit / max(int(self.stiff.sum()), 1)}
+        return {"mask_f1": f1, "mask_precision": hit / max(int(found.sum()), 1),
+                "mask_recall": hit / max(int(self.stiff.sum()), 1)}
 
 
 def pose_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
@@ -149,10 +161,13 @@ def _mesh(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:
     frame = np.stack([side, np.cross(axis, side), axis], axis=1)
     # Rings from the lower pole to the upper one; the equator comes twice, once at each end of the axis.
     angle = np.linspace(-0.5 * np.pi, 0.0, _SECTORS // 2 + 1)[1:]
-    rings = [(radius * np.cos(a), radius * np.sin(a)) for a in angle] + [(radius * np.cos(a), radius * np.sin(-a) + length) for a in angle[::-1]]
+    rings = [(radius * np.cos(a), radius * np.sin(a)) for a in angle] + [(radius * np.cos(a),
+                                                                          radius * np.sin(-a) + length)
+                                                                         for a in angle[::-1]]
     turn = 2.0 * np.pi * np.arange(_SECTORS) / _SECTORS
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    local = [np.array([[0.0, 0.0, -radius]]), *(np.concatenate([r * circle, np.full((_SECTORS, 1), h)], axis=1) for r, h in rings), np.array([[0.0, 0.0, length + radius]])]
+    local = [np.array([[0.0, 0.0, -radius]]), *(np.concatenate([r * circle, np.full((_SECTORS, 1), h)], axis=1) for r,
+                                                h in rings), np.array([[0.0, 0.0, length + radius]])]
     triangles, last = [], 1 + _SECTORS * len(rings)
     for j in range(_SECTORS):
         k = (j + 1) % _SECTORS

@@ -16,15 +16,18 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
 
 _SAME = 1e-3
-"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds otherwise: an error moves by about that share of the
-readings at the most. Rounding alone gives 1e-8 where a touch has one equilibrium to find; other seeds, scenes or physics differ by tens of per cent."""
+"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds
+otherwise: an error moves by about that share of the readings at the most. Rounding alone gives 1e-8 where a touch has
+one equilibrium to find; other seeds, scenes or physics differ by tens of per cent."""
 _AGAIN = 1e-4  # of a score: a method that is made again on such a dataset
 
 
 @dataclass(frozen=True)
 class Row:
-    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came from.
-    apart: how far the readings of its dataset are from those of the others [-], 0 where they are the same bits, None where that is not known."""
+    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came
+    from.
+    apart: how far the readings of its dataset are from those of the others [-], 0 where they are the same bits, None
+    where that is not known."""
 
     rank: int | None
     mark: str
@@ -35,7 +38,8 @@ class Row:
 
 @dataclass(frozen=True)
 class Board:
-    """A task's rows, best first, then those that are not ranked. dataset_sha256: what the ranked ones were scored on."""
+    """A task's rows, best first, then those that are not ranked. dataset_sha256: what the ranked ones were scored
+    on."""
 
     task: Task
     dataset_sha256: str
@@ -43,11 +47,13 @@ class Board:
 
 
 def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
-    """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of them).
+    """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of
+    them).
 
-    A result on another dataset or of another text of the task is shown, marked and not ranked: its numbers do not compare. The board's own dataset is the task's, or,
-    if the task names none, that of most shipped results (of most results, if none ships). One with other bits is the same if its readings are (`_SAME`): the
-    same command on another machine. Equal results are one row.
+    A result on another dataset or of another text of the task is shown, marked and not ranked: its numbers do not
+    compare. The board's own dataset is the task's, or, if the task names none, that of most shipped results (of most
+    results, if none ships). One with other bits is the same if its readings are (`_SAME`): the same command on another
+    machine. Equal results are one row.
 
     Raises:
         TaskError: a file that is not a result, or one of another task.
@@ -62,7 +68,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     for path, result in results:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
-    reference = task.dataset.sha256 or _most([r for path, r in results if path in shipped], task) or _most([r for _, r in results], task)
+    reference = task.dataset.sha256 or _most([r for path, r in results if path in shipped],
+                                             task) or _most([r for _, r in results], task)
     known = next((r.readings for _, r in results if r.dataset_sha256 == reference and r.readings), {})
     good, odd = [], []
     for path, result in results:
@@ -85,15 +92,19 @@ def _most(results: list[Result], task: Task) -> str:
 
 
 def _again(result: Result, before: Result) -> bool:
-    """Is it the same result? One of the two may be from before a parameter existed, or from a machine that rounds otherwise: the numbers tell."""
+    """Is it the same result? One of the two may be from before a parameter existed, or from a machine that rounds
+    otherwise: the numbers tell."""
     known = result.parameters.keys() & before.parameters.keys()
-    if (result.method, result.task_sha256) != (before.method, before.task_sha256) or any(result.parameters[key] != before.parameters[key] for key in known):
+    if (result.method, result.task_sha256) != (before.method,
+                                               before.task_sha256) or any(result.parameters[key] != before.parameters[key] for key in known):
         return False
     if result.dataset_sha256 == before.dataset_sha256:
         return repr(result.scores) == repr(before.scores)
     apart = readings_apart(result.readings, before.readings)
     return apart is not None and apart < _SAME and result.scores.keys() == before.scores.keys() and all(
-        math.isclose(one, other, rel_tol=_AGAIN) for metric in READING_METRICS if metric in result.scores for shot, score in result.scores[metric].items()
+        math.isclose(one, other,
+                     rel_tol=_AGAIN) for metric in READING_METRICS if metric in result.scores for shot,
+                                                                                                        score in result.scores[metric].items()
         for one, other in zip(score.per_seed, before.scores[metric][shot].per_seed, strict=False))
 
 
@@ -101,7 +112,8 @@ def _mark(result: Result, task: Task, apart: float | None) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
     if apart is None or not apart < _SAME:
-        return f"other dataset ({result.dataset_sha256[:12]}" + (")" if apart is None else f", its readings are {100.0 * apart:.2g} % off)")
+        return f"other dataset ({result.dataset_sha256[:12]}" + (")" if apart is None
+                                                                 else f", its readings are {100.0 * apart:.2g} % off)")
     if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:
         return f"no {task.primary} at {task.ranking_shot}-shot"
     return ""
@@ -114,7 +126,8 @@ def text(board: Board) -> str:
     lines += _footnotes(board)
     paper = _paper(board)
     if paper:
-        lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):", *_aligned(paper)]
+        lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):",
+                  *_aligned(paper)]
     return "\n".join(lines)
 
 
@@ -125,7 +138,8 @@ def markdown(board: Board) -> str:
     lines += ["", *_footnotes(board)]
     paper = _paper(board)
     if paper:
-        lines += ["", "From the literature, as context only (not comparable: other data or another quantity, see the unit):", "", *_piped(paper)]
+        lines += ["", "From the literature, as context only (not comparable: other data or another quantity, "
+                      "see the unit):", "", *_piped(paper)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -136,7 +150,8 @@ def score_table(result: Result, metric: str) -> str:
     order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
     rows = []
     for name in order:
-        unit = f" [{result.unit}]" if name in READING_METRICS else f" [{HIDDEN_UNITS[name]}]" if name in HIDDEN_UNITS else ""
+        unit = (f" [{result.unit}]" if name in READING_METRICS else f" [{HIDDEN_UNITS[name]}]" if name in HIDDEN_UNITS
+                else "")
         rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
     return "\n".join(_aligned([head, *rows]))
 
@@ -146,7 +161,8 @@ def _title(board: Board) -> str:
     unit = HIDDEN_UNITS.get(task.primary, "-" if task.seeks else task.observation.unit)
     what = f"from {task.observation.name}" if task.seeks else f"of {task.observation.name}"
     better = "higher" if task.higher_is_better else "lower"
-    return f"{task.primary} {what} [{unit}], mean ± std over seeds, {better} is better; ranked at {task.ranking_shot}-shot"
+    return (f"{task.primary} {what} [{unit}], mean ± std over seeds, {better} is better; ranked at "
+            f"{task.ranking_shot}-shot")
 
 
 def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
@@ -159,7 +175,8 @@ def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
         stiffness = row.result.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
-        rows.append([str(row.rank or "-"), label + (" *" if row.mark else " ~" if row.apart else ""), *(_number(by_shot.get(shot)) for shot in labels),
+        rows.append([str(row.rank or "-"), label + (" *" if row.mark else " ~" if row.apart else ""),
+                     *(_number(by_shot.get(shot)) for shot in labels),
                      _number(stiffness), f"{adapt:.2f} s", f"{row.result.made_by.get('vsfsim')} {commit}".strip()])
     return head, rows
 
@@ -169,7 +186,8 @@ def _labels(results: list[Result]) -> list[str]:
     out = []
     for result in results:
         twins = [other.parameters for other in results if other.method == result.method]
-        differ = [f"{key}={value}" for key, value in result.parameters.items() if any(twin.get(key) != value for twin in twins)]
+        differ = [f"{key}={value}" for key, value in result.parameters.items()
+                  if any(twin.get(key) != value for twin in twins)]
         out.append(f"{result.method} ({', '.join(differ)})" if differ else result.method)
     return out
 
@@ -178,17 +196,21 @@ def _footnotes(board: Board) -> list[str]:
     lines = [f"* {row.result.method}: {row.mark}, not ranked" for row in board.rows if row.mark]
     rounded = [row.apart for row in board.rows if row.apart and not row.mark]
     if rounded:
-        lines.append(f"~ on the same dataset made on a machine that rounds otherwise; its readings are {100.0 * max(rounded):.1g} % off at most")
+        lines.append(f"~ on the same dataset made on a machine that rounds otherwise; its readings are "
+                     f"{100.0 * max(rounded):.1g} % off at most")
     if not board.rows:
-        lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name + " --out FILE` makes one")
+        lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name
+                     + " --out FILE` makes one")
     elif any("stiffness_spearman" in row.result.scores for row in board.rows):
-        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the true probe stiffness where touched")
+        lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the "
+                     f"true probe stiffness where touched")
     return lines
 
 
 def _paper(board: Board) -> list[list[str]]:
     labels = board.task.protocol.labels
-    rows = [[row.method, *(_pair(row.values.get(label)) for label in labels), row.unit, row.source + ("" if row.comparable else " (not comparable)")]
+    rows = [[row.method, *(_pair(row.values.get(label)) for label in labels), row.unit,
+             row.source + ("" if row.comparable else " (not comparable)")]
             for row in board.task.paper]
     return [["method", *(f"{label}-shot" for label in labels), "unit", "source"], *rows] if rows else []
 

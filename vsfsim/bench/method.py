@@ -28,7 +28,8 @@ class Action:
 
     time: (T,) [s]. poses: probe-to-world (T, 4, 4) [m]. axis: unit press direction, world (3,). probe: its shape.
     observation: name of what will be read, see `vsfsim.bench.observation`. size: numbers in a reading, d.
-    q: joint angles (T, 7) [rad] where an arm touches; its ``probe`` is then a `vsfsim.core.chain.Chain`, and ``poses`` are those of its tool. None without an arm.
+    q: joint angles (T, 7) [rad] where an arm touches; its ``probe`` is then a `vsfsim.core.chain.Chain`, and ``poses``
+    are those of its tool. None without an arm.
     """
 
     time: np.ndarray
@@ -44,7 +45,8 @@ class Action:
 class Surface:
     """What a sensor with a surface saw in a touch.
 
-    vertices: read-out vertices, world (T, N, 3) [m]. force: contact force of the object on each, world (T, N, 3) [N]; NaN in frames without a reading.
+    vertices: read-out vertices, world (T, N, 3) [m]. force: contact force of the object on each, world (T, N, 3) [N];
+    NaN in frames without a reading.
     """
 
     vertices: np.ndarray
@@ -55,8 +57,9 @@ class Surface:
 class Reading:
     """A touch that was made: the action and what was read.
 
-    action: what the robot did. value: readings (T, d) in the task's unit. valid: (T,) bool; where it is False there is no
-    reading (the simulator did not converge) and the value is NaN. surface: where the sensor has one (a bubble); None for a rigid probe.
+    action: what the robot did. value: readings (T, d) in the task's unit. valid: (T,) bool; where it is False there is
+    no reading (the simulator did not converge) and the value is NaN. surface: where the sensor has one (a bubble); None
+    for a rigid probe.
     """
 
     action: Action
@@ -89,9 +92,11 @@ class Estimate:
 class Method(Protocol):
     """An estimator of how an object answers touch.
 
-    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` and ``predict_std(touches) -> standard deviations (T, d) of the readings, one array
-    a touch`` after `adapt`; ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world transform (4, 4)`` of a stiff object of
-    known shape, closed meshes that may overlap, hidden in the one that was touched; ``save(folder: Path)`` and ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes keyword arguments only; if one is called
+    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` and ``predict_std(touches) -> standard deviations (T, d)
+    of the readings, one array a touch`` after `adapt`; ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world
+    transform (4, 4)`` of a stiff object of known shape, closed meshes that may overlap, hidden in the one that was
+    touched; ``save(folder: Path)`` and ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes
+    keyword arguments only; if one is called
     ``seed``, the method is built and meta-fitted anew for every seed of the task.
     """
 
@@ -124,14 +129,17 @@ def find_method(name: str) -> type:
         try:
             return getattr(importlib.import_module(module), attribute)
         except Exception as error:  # an outsider's module may raise anything while it is imported
-            raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give module:attribute of something importable from here.") from error
+            raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give "
+                              f"module:attribute of something importable from here.") from error
     shelf = methods()
     if name not in shelf:
-        raise MethodError(f"unknown method '{name}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; module:attribute works too.")
+        raise MethodError(f"unknown method '{name}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; "
+                          f"module:attribute works too.")
     try:
         return shelf[name].load()
     except Exception as error:
-        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: {type(error).__name__}: {error}. Install what it needs, or its package again.") from error
+        raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: "
+                          f"{type(error).__name__}: {error}. Install what it needs, or its package again.") from error
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -182,9 +190,11 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
     try:
         predictions = list(predictions)
     except TypeError:
-        raise MethodError(f"predict returned {type(predictions).__name__}; it must return a list with one array (T, d) a touch.") from None
+        raise MethodError(f"predict returned {type(predictions).__name__}; it must return a list with one array (T, "
+                          f"d) a touch.") from None
     if len(predictions) != len(actions):
-        raise MethodError(f"predict returned {len(predictions)} arrays for {len(actions)} touches; it must return one a touch.")
+        raise MethodError(f"predict returned {len(predictions)} arrays for {len(actions)} touches; it must return "
+                          f"one a touch.")
     out = []
     for prediction, action, name in zip(predictions, actions, where):
         array = np.asarray(prediction, dtype=np.float64)
@@ -193,7 +203,8 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
             raise MethodError(f"prediction for {name} has shape {array.shape}; it must be (T, d) = {want}.")
         if not np.isfinite(array).all():
             frame = int(np.argwhere(~np.isfinite(array))[0, 0])
-            raise MethodError(f"prediction for {name} is not finite in frame {frame}; a method must answer with a number everywhere.")
+            raise MethodError(f"prediction for {name} is not finite in frame {frame}; a method must answer with a "
+                              f"number everywhere.")
         out.append(array)
     return out
 
@@ -207,6 +218,7 @@ def frozen(array: np.ndarray) -> np.ndarray:
 
 def frozen_view(view: View) -> View:
     """A view whose arrays are read-only."""
-    return View(frozen(view.rgb), frozen(view.depth), frozen(view.mask), frozen(view.intrinsics), frozen(view.camera_pose))
+    return View(frozen(view.rgb), frozen(view.depth), frozen(view.mask), frozen(view.intrinsics),
+                frozen(view.camera_pose))
 
 

@@ -7,14 +7,16 @@ rmse_pooled  sqrt(mean over all readings of all query touches of (p - y)^2)
 mae          mean over query touches of mean_t |p - y|
 mae_pooled   mean over all readings of all query touches of |p - y|
 
-Stiffness, at the probed points that some touch of the object reached; s are a method's means, k the truth (the force of a
-small cone over its displacement, SBML appendix C.4):
+Stiffness, at the probed points that some touch of the object reached; s are a method's means, k the truth (the force of
+a small cone over its displacement, SBML appendix C.4):
 
 stiffness_spearman    rank correlation of s and k, ties sharing their mean rank; 0 if s is the same everywhere
 stiffness_log10       mean |log10 s - log10 k - c|, with the one allowed scale c = median(log10 s - log10 k) over s > 0;
                       an s at or near 0 counts as a tenth of the softest k times that scale
-stiffness_f1          how well the stiff points are told from the soft ones: k is cut in two where the classes of log10 k differ most (Otsu
-                      1979), s at the threshold that is best for it (Neural VSF table I chooses one for each method, too)
+stiffness_f1          how well the stiff points are told from the soft ones: k is cut in two where the classes of log10
+k differ most (Otsu
+                      1979), s at the threshold that is best for it (Neural VSF table I chooses one for each method,
+                      too)
 """
 
 from __future__ import annotations
@@ -60,7 +62,8 @@ def stiffness_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float
     scale = stiffness_scale(estimate, truth)
     floor = 0.1 * truth.min() * 10.0**scale
     error = np.abs(np.log10(np.maximum(estimate, floor)) - np.log10(truth) - scale)
-    return {"stiffness_spearman": spearman(estimate, truth), "stiffness_log10": float(error.mean()), "stiffness_f1": best_f1(estimate, stiff_points(truth))}
+    return {"stiffness_spearman": spearman(estimate, truth), "stiffness_log10": float(error.mean()),
+            "stiffness_f1": best_f1(estimate, stiff_points(truth))}
 
 
 def stiffness_scale(estimate: np.ndarray, truth: np.ndarray) -> float:
@@ -70,7 +73,8 @@ def stiffness_scale(estimate: np.ndarray, truth: np.ndarray) -> float:
 
 
 def stiff_points(truth: np.ndarray) -> np.ndarray:
-    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are equal."""
+    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are
+    equal."""
     order = np.sort(np.log10(truth))
     count = np.arange(1, len(order))
     below = np.cumsum(order)[:-1] / count
@@ -82,7 +86,8 @@ def stiff_points(truth: np.ndarray) -> np.ndarray:
 
 
 def best_f1(estimate: np.ndarray, positive: np.ndarray) -> float:
-    """Largest F1 score of ``estimate >= threshold`` against ``positive`` (k,) bool over all thresholds; 0 if nothing is positive."""
+    """Largest F1 score of ``estimate >= threshold`` against ``positive`` (k,) bool over all thresholds; 0 if nothing is
+    positive."""
     return best_threshold(estimate, positive)[0]
 
 

@@ -23,7 +23,8 @@ _FREE, _IN, _HOLD, _OUT = 2, 6, 1, 3
 _CLEARANCE, _DEPTH = 0.006, 0.008
 
 
-def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 0, stiffness: float = 1.0) -> ObjectView:
+def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 0,
+              stiffness: float = 1.0) -> ObjectView:
     """One mock object with its touches and truth.
 
     Args:
@@ -35,7 +36,8 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     points = particles()
-    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0, 60.0) * rng.uniform(0.8, 1.2, len(points))
+    spring = stiffness * rng.uniform(0.5, 2.0) * np.where(points[:, 0] > 0, 300.0,
+                                                          60.0) * rng.uniform(0.8, 1.2, len(points))
     made = tuple(_touch(points, spring, rng, miss=k == touches - 1) for k in range(touches))
     return ObjectView(f"mock-{index:04d}-v0", index, 0, split, BALL, camera_view(), made, _truth(points, spring))
 
@@ -43,7 +45,8 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
 def particles() -> np.ndarray:
     """The block's particles (n, 3) [m], world."""
     half = 0.5 * SPACING
-    axes = [np.arange(low + half, high, SPACING) for low, high in ((-BLOCK[0] / 2, BLOCK[0] / 2), (-BLOCK[1] / 2, BLOCK[1] / 2), (0.0, BLOCK[2]))]
+    axes = [np.arange(low + half, high, SPACING) for low, high in ((-BLOCK[0] / 2, BLOCK[0] / 2),
+                                                                   (-BLOCK[1] / 2, BLOCK[1] / 2), (0.0, BLOCK[2]))]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
@@ -81,9 +84,12 @@ def _touch(points: np.ndarray, spring: np.ndarray, rng: np.random.Generator, *, 
     force = -np.einsum("n,tnk->tk", spring, pushed)
     frames = len(travel)
     energy = 0.5 * np.einsum("n,tnk,tnk->t", spring, pushed, pushed)
-    audit = {"force_balance": np.zeros(frames), "min_det_f": np.ones(frames), "energy": energy, "penetration": np.zeros(frames)}
-    return Touch(time=0.1 * np.arange(frames), mount_pose=pose, axis=axis, target=target, normal=-axis, force=force, reaction=force,
-                 converged=np.ones(frames, bool), residual=np.zeros(frames), iterations=np.ones(frames, np.int64), touched=bool(np.any(pushed)),
+    audit = {"force_balance": np.zeros(frames), "min_det_f": np.ones(frames), "energy": energy,
+             "penetration": np.zeros(frames)}
+    return Touch(time=0.1 * np.arange(frames), mount_pose=pose, axis=axis, target=target, normal=-axis, force=force,
+                 reaction=force,
+                 converged=np.ones(frames, bool), residual=np.zeros(frames), iterations=np.ones(frames, np.int64),
+                 touched=bool(np.any(pushed)),
                  reason=np.zeros(frames, np.int64), reason_names=(), audit=audit)
 
 
@@ -94,4 +100,5 @@ def _truth(points: np.ndarray, spring: np.ndarray) -> Truth:
     near = np.linalg.norm(points[None, :, :2] - spots[:, None, :2], axis=2) < 0.006
     normals = np.tile([0.0, 0.0, 1.0], (len(spots), 1))
     region = (points[:, 0] > 0).astype(np.int64)
-    return Truth(points, spring / SPACING, region, ("soft", "stiff"), spots, normals, near @ spring, points, spring, np.ones(len(points), bool))
+    return Truth(points, spring / SPACING, region, ("soft", "stiff"), spots, normals, near @ spring, points, spring,
+                 np.ones(len(points), bool))

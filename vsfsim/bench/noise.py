@@ -1,8 +1,9 @@
 """A sensor's noise, put on clean touches when a task loads them.
 
-Force: the reading of frame t of a touch is f(t - lag) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once a touch, and
-white noise w, each normal and independent in x, y, z. Then the touch is tared: the mean of its first contact-free
-frames is taken off, as one does with a real sensor. The air-filled bubble's readings are in `vsfsim.bench.noise_bubble`.
+Force: the reading of frame t of a touch is f(t - lag) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once
+a touch, and white noise w, each normal and independent in x, y, z. Then the touch is tared: the mean of its first
+contact-free frames is taken off, as one does with a real sensor. The air-filled bubble's readings are in
+`vsfsim.bench.noise_bubble`.
 """
 
 from __future__ import annotations
@@ -22,14 +23,16 @@ class Noise:
     tare_frames: at most so many leading contact-free frames are averaged and taken off; 0 for no tare.
     seed: root of the streams, >= 0; each touch of each view of each object has its own.
     force_lag: by how much the force is late against the pressure [s].
-    pressure_std: white noise of every frame [Pa]. pressure_drift: mean rate [Pa/s]; pressure_drift_std: its spread over touches [Pa/s].
-    relaxation: share of a change of pressure that is seen too much at first and then goes [-]; relaxation_time: with which time constant [s].
-    depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much images, and the node positions
-    made from them, are late against the pressure [s]. node_force_share: error of an estimated contact force on a node, over the RMS force of the
-    nodes in contact in that frame [-].
+    pressure_std: white noise of every frame [Pa]. pressure_drift: mean rate [Pa/s]; pressure_drift_std: its spread over
+    touches [Pa/s].
+    relaxation: share of a change of pressure that is seen too much at first and then goes [-]; relaxation_time: with
+    which time constant [s].
+    depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much
+    images, and the node positions made from them, are late against the pressure [s]. node_force_share: error of an
+    estimated contact force on a node, over the RMS force of the nodes in contact in that frame [-].
     made from them, are late against the pressure [s].
-    torque_std: white noise of a torque sensor of joints 1 to 4 [N m]; torque_offset_std: constant through a touch [N m]; torque_drift_std: random walk, after one second
-    [N m]. Those of the smaller joints 5 to 7 are half as large.
+    torque_std: white noise of a torque sensor of joints 1 to 4 [N m]; torque_offset_std: constant through a touch [N
+    m]; torque_drift_std: random walk, after one second [N m]. Those of the smaller joints 5 to 7 are half as large.
     """
 
     force_std: float
@@ -54,15 +57,19 @@ class Noise:
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
     "punyo": {
-        "force_std": 0.14, "force_lag": 0.019,  # images lag pressure by 77 ms and wrench by 58 ms: the wrench is 19 ms late
+        # images lag pressure by 77 ms and wrench by 58 ms: the wrench is 19 ms late
+        "force_std": 0.14, "force_lag": 0.019,
         "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
         "relaxation": 0.02, "relaxation_time": 0.15,
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        "node_force_share": 0.2,  # of a good estimator at this depth noise, `vsfsim measure dense-force`; not of the sensor
+        # of a good estimator at this depth noise, `vsfsim measure dense-force`; not of the sensor
+        "node_force_share": 0.2,
     },
-    "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},  # those of `vsfsim.robot.torque_sensor`, with their sources
+    # those of `vsfsim.robot.torque_sensor`, with their sources
+    "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
 }
-"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real one at 30 Hz.
+"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real
+one at 30 Hz.
 "gen3": the joint torques of a Kinova Gen3."""
 
 SIGNED = ("pressure_drift",)
@@ -74,10 +81,12 @@ FREE_FORCE = 1e-6
 
 def stream(noise: Noise, object_index: int, view_index: int, touch_index: int, *channel: int) -> np.random.Generator:
     """The random stream of one touch; ``channel`` separates the sensors from the force, which has none."""
-    return np.random.default_rng(np.random.SeedSequence(noise.seed, spawn_key=(object_index, view_index, touch_index, *channel)))
+    return np.random.default_rng(np.random.SeedSequence(noise.seed,
+                                                        spawn_key=(object_index, view_index, touch_index, *channel)))
 
 
-def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int, time: np.ndarray | None = None) -> np.ndarray:
+def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int,
+                time: np.ndarray | None = None) -> np.ndarray:
     """The clean force of a touch as a real sensor would have shown it.
 
     Args:
@@ -99,7 +108,8 @@ def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_inde
 
 
 def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
-    """``reading`` (T, ...) less the mean of its first contact-free frames; ``force`` (T, 3) [N] is the clean one, which says where those are."""
+    """``reading`` (T, ...) less the mean of its first contact-free frames; ``force`` (T, 3) [N] is the clean one, which
+    says where those are."""
     free = np.linalg.norm(np.nan_to_num(force, nan=np.inf), axis=1) < FREE_FORCE
     leading = len(force) if free.all() else int(np.argmin(free))
     tare = min(leading, noise.tare_frames)
@@ -109,7 +119,8 @@ def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
 def delayed(signal: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
     """What a sensor that is ``lag`` [s] late shows of a signal (T, ...) at the times (T,) [s].
 
-    Linear between the frames, and before the first one what that shows. Frames that hold a NaN are bridged and stay NaN themselves.
+    Linear between the frames, and before the first one what that shows. Frames that hold a NaN are bridged and stay NaN
+    themselves.
     """
     flat = signal.reshape(len(signal), -1)
     good = np.isfinite(flat).all(axis=1)

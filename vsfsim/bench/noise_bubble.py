@@ -1,10 +1,13 @@
 """The noise of an air-filled bubble's readings: pressure, the inside depth image, and the node positions made from it.
 
-Pressure, in this order: x, the clean change, is followed by what the air and the rubber do for a moment after it, y = x + r (x - l), where the
-low pass l follows x with the time constant tau: a step shows (1 + r) of itself and relaxes to itself. The clean (quasi-static) pressure is taken
-as the settled one, because the stiffness of skin and air was fitted to held frames. Then drift and white noise, then the tare.
+Pressure, in this order: x, the clean change, is followed by what the air and the rubber do for a moment after it, y = x
++ r (x - l), where the
+low pass l follows x with the time constant tau: a step shows (1 + r) of itself and relaxes to itself. The clean
+(quasi-static) pressure is taken as the settled one, because the stiffness of skin and air was fitted to held frames.
+Then drift and white noise, then the tare.
 
-Depth: white noise per pixel, then rounded to the quantum, then late. A node's position moves along its ray to the camera by the same.
+Depth: white noise per pixel, then rounded to the quantum, then late. A node's position moves along its ray to the
+camera by the same.
 """
 
 from __future__ import annotations
@@ -19,11 +22,13 @@ from vsfsim.core.errors import TaskError
 _PRESSURE, _DEPTH, _NODES, _NODE_FORCE = 1, 2, 3, 5  # channels of the random streams; 4 is the torques'
 
 CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
-"""Where the inside camera stands in the mount frame [m], and its tilt towards +x [rad]; see `vsfsim.sensing.bubble_camera`."""
+"""Where the inside camera stands in the mount frame [m], and its tilt towards +x [rad]; see
+`vsfsim.sensing.bubble_camera`."""
 
 
 def relaxed(signal: np.ndarray, time: np.ndarray, share: float, seconds: float) -> np.ndarray:
-    """y = x + share (x - l) of a signal x (T,) at times (T,) [s], with tau l' = x - l, exact for an x that is linear between frames."""
+    """y = x + share (x - l) of a signal x (T,) at times (T,) [s], with tau l' = x - l, exact for an x that is linear
+    between frames."""
     low = np.empty_like(signal)
     low[:1] = signal[:1]
     for k in range(1, len(signal)):
@@ -34,7 +39,8 @@ def relaxed(signal: np.ndarray, time: np.ndarray, share: float, seconds: float) 
     return signal + share * (signal - low)
 
 
-def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
+def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
+                   view_index: int, touch_index: int) -> np.ndarray:
     """The clean pressure of a touch as a real sensor would have shown it.
 
     Args:
@@ -59,10 +65,13 @@ def quantised(value: np.ndarray, step: float) -> np.ndarray:
     return step * np.rint(value / step) if step else value
 
 
-def noisy_depth(depth: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
-    """The inside depth images (T, H, W) [m] of a touch as a real camera would have given them, float32; 0 (no skin) stays 0.
+def noisy_depth(depth: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
+                touch_index: int) -> np.ndarray:
+    """The inside depth images (T, H, W) [m] of a touch as a real camera would have given them, float32; 0 (no skin)
+    stays 0.
 
-    Late images are blended between the two frames around their time, where both show skin; elsewhere the nearer frame counts.
+    Late images are blended between the two frames around their time, where both show skin; elsewhere the nearer frame
+    counts.
     """
     depth = np.asarray(depth, np.float64)
     late = delayed(depth, time, noise.image_lag) if noise.image_lag else depth
@@ -74,15 +83,17 @@ def noisy_depth(depth: np.ndarray, time: np.ndarray, noise: Noise, *, object_ind
     return np.where(late > 0.0, quantised(late + white, noise.depth_quantum), 0.0).astype(np.float32)
 
 
-def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int,
+def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int,
+                view_index: int, touch_index: int,
                 origin: tuple[float, float, float] = CAMERA_ORIGIN, tilt: float = CAMERA_TILT) -> np.ndarray:
     """The read-out nodes of a touch as the inside camera would have placed them.
 
-    A node is seen at its true pixel with a noisy, quantised depth, so it moves along its ray; `image_lag` late, in the frame of the mount. The arm's
-    pose is not late. Tracking errors across the ray were not measured and are not added.
+    A node is seen at its true pixel with a noisy, quantised depth, so it moves along its ray; `image_lag` late, in the
+    frame of the mount. The arm's pose is not late. Tracking errors across the ray were not measured and are not added.
 
     Args:
-        position: world (T, N, 3) [m]; NaN rows stay NaN. mount_pose: mount to world (T, 4, 4). time: of the frames (T,) [s].
+        position: world (T, N, 3) [m]; NaN rows stay NaN. mount_pose: mount to world (T, 4, 4). time: of the frames (T,)
+        [s].
         origin, tilt: of the camera in the mount frame [m], [rad].
 
     Returns:
@@ -93,7 +104,8 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
     """
     position, mount_pose = np.asarray(position, np.float64), np.asarray(mount_pose, np.float64)
     if position.ndim != 3 or position.shape[2] != 3 or mount_pose.shape != (len(position), 4, 4):
-        raise TaskError(f"noise: node positions {position.shape} and mount poses {mount_pose.shape}; they must be (T, N, 3) and (T, 4, 4).")
+        raise TaskError(f"noise: node positions {position.shape} and mount poses {mount_pose.shape}; they must be (T, "
+                        f"N, 3) and (T, 4, 4).")
     rotation, shift = mount_pose[:, :3, :3], mount_pose[:, :3, 3]
     local = np.einsum("tni,tij->tnj", position - shift[:, None], rotation)
     local = delayed(local, time, noise.image_lag)
@@ -101,25 +113,30 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
     axis = np.array([math.sin(tilt), 0.0, math.cos(tilt)])
     depth = ray @ axis
     if (depth <= 0.0).any():
-        raise TaskError("noise: a node lies behind the inside camera; give the camera's origin and tilt of this sensor.")
+        raise TaskError("noise: a node lies behind the inside camera; give the camera's origin and tilt of "
+                        "this sensor.")
     white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _NODES).standard_normal(depth.shape)
     seen = quantised(depth + white, noise.depth_quantum)
     local = np.asarray(origin) + ray * (seen / depth)[..., None]
     return np.einsum("tni,tji->tnj", local, rotation) + shift[:, None]
 
 
-def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
-    """True contact forces on nodes (T, N, 3) [N] as an estimate of them would be: late like the images it is made from, and off by a share.
+def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
+                     touch_index: int) -> np.ndarray:
+    """True contact forces on nodes (T, N, 3) [N] as an estimate of them would be: late like the images it is made from,
+    and off by a share.
 
-    Normal errors, independent in x, y, z and from node to node, of the standard deviation that gives the RMS error over the nodes in contact. Nodes
-    without contact stay at 0, as an estimator that asks for few forces leaves them. NaN rows stay NaN.
+    Normal errors, independent in x, y, z and from node to node, of the standard deviation that gives the RMS error over
+    the nodes in contact. Nodes without contact stay at 0, as an estimator that asks for few forces leaves them. NaN
+    rows stay NaN.
 
     Raises:
         TaskError: another shape.
     """
     force = np.asarray(force, np.float64)
     if force.ndim != 3 or force.shape[2] != 3 or np.shape(time) != force.shape[:1]:
-        raise TaskError(f"noise: node forces {force.shape} and times {np.shape(time)}; they must be (T, N, 3) and (T,).")
+        raise TaskError(f"noise: node forces {force.shape} and times {np.shape(time)}; they must be (T, N, "
+                        f"3) and (T,).")
     late = delayed(force, time, noise.image_lag)
     size = np.linalg.norm(late, axis=2)
     touched = size > 0.0

@@ -11,7 +11,8 @@ _LARGE = 4  # joints 1 to 4 have the large actuators; the noise of the others is
 _SMALLER = 0.5
 
 
-def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int) -> np.ndarray:
+def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
+                 view_index: int, touch_index: int) -> np.ndarray:
     """The clean torques of a touch as real sensors would have shown them.
 
     Args:

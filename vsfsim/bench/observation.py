@@ -15,7 +15,8 @@ class Observation:
     """How a force becomes a reading.
 
     name: e.g. "normal-force". unit: of a reading. size: numbers in a reading, d.
-    of: (force on the probe (T, 3) [N], the pressure change (T,) [Pa], or the joint torques (T, 7) [N m]; press direction (3,)) -> readings (T, d). doc: one sentence.
+    of: (force on the probe (T, 3) [N], the pressure change (T,) [Pa], or the joint torques (T, 7) [N m]; press
+    direction (3,)) -> readings (T, d). doc: one sentence.
     source: which of them, "force", "pressure" or "torque".
     """
 
@@ -30,7 +31,8 @@ class Observation:
 OBSERVATIONS: Mapping[str, Observation] = {
     o.name: o for o in (
         Observation("normal-force", "N", 1, lambda force, axis: (0.0 - force @ axis)[:, None],
-                    "Component of the contact force on the probe against the press direction; positive when the object pushes back."),
+                    "Component of the contact force on the probe against the press direction; positive when the object "
+                    "pushes back."),
         Observation("force-magnitude", "N", 1, lambda force, axis: np.linalg.norm(force, axis=1)[:, None],
                     "Norm of the contact force on the probe; noise makes it positive without contact."),
         Observation("pressure", "Pa", 1, lambda pressure, axis: pressure[:, None],

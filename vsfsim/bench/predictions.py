@@ -29,7 +29,8 @@ from vsfsim.data.records import View
 class Question:
     """One adaptation a method is asked for.
 
-    name, shot, seed: which. view: of the object. support: touches it may learn from. touches: indices of the query touches;
+    name, shot, seed: which. view: of the object. support: touches it may learn from. touches: indices of the query
+    touches;
     actions: their actions. keys: under which the answers go into the file.
     """
 
@@ -51,7 +52,8 @@ def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
             for label in task.protocol.labels:
                 chosen = support(view, draw, label, seed, task.protocol)
                 yield Question(view.name, label, seed, seen, tuple(readings[i] for i in chosen), draw.query,
-                               tuple(readings[i].action for i in draw.query), tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query))
+                               tuple(readings[i].action for i in draw.query),
+                               tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query))
 
 
 def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
@@ -65,26 +67,34 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
         with np.load(path, allow_pickle=False) as file:
             given = {key: file[key] for key in file.files}
     except (OSError, ValueError, BadZipFile) as error:
-        raise MethodError(f"predictions {path} cannot be read: {error}. Give an .npz as numpy.savez writes it.") from error
+        raise MethodError(f"predictions {path} cannot be read: {error}. Give an .npz as "
+                          f"numpy.savez writes it.") from error
     clean = {view.name: record(view, task) for view in map(dataset.blind().load, dataset.names(task.protocol.test))}
     rows, asked, queries = [], set(), {}
     for question in questions(task, dataset):
         queries[question.name] = question.touches
         for key, touch, action in zip(question.keys, question.touches, question.actions):
             if key not in given:
-                raise MethodError(f"predictions {path} have no '{key}'. One array (T, d) a query is needed; `vsfsim.bench.predictions.questions` lists the keys.")
+                raise MethodError(f"predictions {path} have no '{key}'. One array (T, d) a query is needed; "
+                                  f"`vsfsim.bench.predictions.questions` lists the keys.")
             prediction = checked_prediction([given[key]], [action], [key])[0]
             recording = clean[question.name]
             errors = touch_errors(prediction, recording.clean[touch], recording.readings[touch].valid)
-            rows.append({"object": question.name, "shot": question.shot, "seed": question.seed, "touch": touch, **errors})
+            rows.append({"object": question.name, "shot": question.shot, "seed": question.seed, "touch": touch,
+                         **errors})
             asked.add(key)
     for key in given:
         if key not in asked:
-            raise MethodError(f"predictions {path} have '{key}', which the task does not ask. Keys are <object>/<shot>/<seed>/<touch>.")
+            raise MethodError(f"predictions {path} have '{key}', which the task does not ask. Keys are "
+                              f"<object>/<shot>/<seed>/<touch>.")
     seeds = tuple(range(task.protocol.seeds))
     return Result(
-        task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by), method=name, entry="predictions file",
-        parameters={}, observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
-        scores=scores_of(rows, task.protocol.labels, seeds), queries={column: [row[column] for row in rows] for column in QUERY_COLUMNS},
-        timing={}, peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(), notes=("scored from a file of predictions",),
+        task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
+                  method=name, entry="predictions file",
+        parameters={}, observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels,
+                  seeds=seeds,
+        scores=scores_of(rows, task.protocol.labels, seeds), queries={column: [row[column] for row in rows]
+                                                                      for column in QUERY_COLUMNS},
+        timing={}, peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(),
+                  versions=versions(), notes=("scored from a file of predictions",),
         readings=readings_of((clean[name], touches) for name, touches in queries.items()))

@@ -1,8 +1,8 @@
 """Which touches are seen and which are asked: the draws of a task, and the readings behind them.
 
 All draws come from `SeedSequence(protocol.seed, spawn_key=...)`: the query set of an object from (0, object, view), the
-support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5 touches
-of a seed contain its 1 touch.
+support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5
+touches of a seed contain its 1 touch.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ def record(view: ObjectView, task: Task) -> Recording:
     """
     readings, clean = [], []
     for index, touch in enumerate(view.touches):
-        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, task.observation.name, task.observation.size,
+        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe,
+                        task.observation.name, task.observation.size,
                         None if touch.q is None else frozen(touch.q))
         force = np.where(touch.converged[:, None], touch.force, np.nan)
         which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": index}
@@ -49,7 +50,8 @@ def record(view: ObjectView, task: Task) -> Recording:
             noisy = noisy_pressure(signal, touch.time, force, task.noise, **which)
         elif task.observation.source == "torque":
             if touch.torque is None or touch.q is None:
-                raise TaskError(f"object view '{view.name}' touch {index} has no joint torques, which task {task.name} reads; its dataset must be made by an arm, an [arm] in the scene.")
+                raise TaskError(f"object view '{view.name}' touch {index} has no joint torques, which task {task.name} "
+                                f"reads; its dataset must be made by an arm, an [arm] in the scene.")
             signal = np.where(touch.converged[:, None], touch.torque, np.nan)
             noisy = noisy_torque(signal, touch.time, force, task.noise, **which)
         else:
@@ -61,16 +63,19 @@ def record(view: ObjectView, task: Task) -> Recording:
             nodes = touch.node_position
             if noise.depth_std or noise.depth_quantum or noise.image_lag:
                 nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
-            pushed = noisy_node_force(np.where(touch.converged[:, None, None], touch.node_force, np.nan), touch.time, noise, **which)
+            pushed = noisy_node_force(np.where(touch.converged[:, None, None], touch.node_force, np.nan), touch.time,
+                                      noise, **which)
             surface = Surface(frozen(nodes), frozen(pushed))
-        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged), surface))
+        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged),
+                                surface))
         clean.append(task.observation.of(signal, touch.axis))
     return Recording(view.name, tuple(readings), tuple(clean))
 
 
 def _pressure_change(touch: Touch, where: str, task: Task) -> np.ndarray:
     if touch.pressure is None or touch.rest_pressure is None:
-        raise TaskError(f"{where} has no pressure, which task {task.name} reads; its dataset must be made with a bubble, a [sensor] in the scene.")
+        raise TaskError(f"{where} has no pressure, which task {task.name} reads; its dataset must be made with a "
+                        f"bubble, a [sensor] in the scene.")
     return np.where(touch.converged, touch.pressure - touch.rest_pressure, np.nan)
 
 
@@ -100,11 +105,14 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     usable = np.array([i for i, touch in enumerate(view.touches) if touch.converged.any()], dtype=int)
     need = protocol.query + max(protocol.shots)
     if len(usable) < need:
-        raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} query touches and "
-                        f"{max(protocol.shots)} shots need {need}. Generate more touches, or lower query or shots in a task of your own.")
+        raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} "
+                        f"query touches and "
+                        f"{max(protocol.shots)} shots need {need}. Generate more touches, or lower query or shots in a "
+                        f"task of your own.")
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))
     order = np.random.default_rng(stream).permutation(usable)
-    return Draw(tuple(sorted(int(i) for i in order[:protocol.query])), tuple(sorted(int(i) for i in order[protocol.query:])))
+    return Draw(tuple(sorted(int(i) for i in order[:protocol.query])),
+                tuple(sorted(int(i) for i in order[protocol.query:])))
 
 
 def support(view: ObjectView, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:

@@ -12,18 +12,21 @@ REACH = 0.005
 """A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
 
 
-def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None, reach: float = REACH) -> np.ndarray:
+def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None,
+            reach: float = REACH) -> np.ndarray:
     """True where the probe comes within ``reach`` [m] of a point in any frame: (k,) bool.
 
     Args:
-        points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m]. q: joint angles (T, dof) [rad] of an arm, which is reached by all of its capsules.
+        points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m]. q: joint angles (T, dof) [rad]
+        of an arm, which is reached by all of its capsules.
     """
     if isinstance(probe, Chain):
         assert q is not None, "an arm's touch has joint angles"
         at, out = probe.capsule_poses(probe.links(q)), np.zeros(len(points), bool)
         for k, c in enumerate(probe.capsules):
             if probe.moves(c.link).any():
-                out |= reached(points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach=reach)
+                out |= reached(points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k],
+                               reach=reach)
         return out
     out = np.zeros(len(points), bool)
     for pose in poses:
@@ -54,7 +57,8 @@ def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
 
 
 def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:
-    """To its nearest vertex, negative under the skin; one farther than twice `REACH` outside its bounding box is not measured: infinite."""
+    """To its nearest vertex, negative under the skin; one farther than twice `REACH` outside its bounding box is not
+    measured: infinite."""
     out = np.full(len(local), np.inf)
     low, high = dome.points.min(axis=0) - 2.0 * REACH, dome.points.max(axis=0) + 2.0 * REACH
     near = np.flatnonzero(((local >= low) & (local <= high)).all(axis=1))

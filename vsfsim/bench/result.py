@@ -24,7 +24,8 @@ READING_COLUMNS = ("object", "touch", "n", "ss")
 
 @dataclass(frozen=True)
 class Score:
-    """A metric at one shot. mean, std: over seeds (std with n - 1; 0 for one seed). per_seed: in the order of `Result.seeds`."""
+    """A metric at one shot. mean, std: over seeds (std with n - 1; 0 for one seed). per_seed: in the order of
+    `Result.seeds`."""
 
     mean: float
     std: float
@@ -43,14 +44,17 @@ class Score:
 class Result:
     """One method on one task.
 
-    task, task_sha256: name, and sha256 of its file. dataset_sha256: of the dataset's content; dataset_made_by: its version
-    and commit. method: name. entry: module:attribute. parameters: of the constructor, all of them. observation, unit: what a
-    reading is. shots: labels. seeds: of the support draws. scores: by metric and shot. queries: columns, one row a query touch,
-    shot and seed: object, shot, seed, touch, number of readings n, sum of squares sse [unit^2] and of absolute errors sae [unit].
+    task, task_sha256: name, and sha256 of its file. dataset_sha256: of the dataset's content; dataset_made_by: its
+    version and commit. method: name. entry: module:attribute. parameters: of the constructor, all of them. observation,
+    unit: what a reading is. shots: labels. seeds: of the support draws. scores: by metric and shot. queries: columns,
+    one row a query touch,
+    shot and seed: object, shot, seed, touch, number of readings n, sum of squares sse [unit^2] and of absolute errors
+    sae [unit].
     timing: seconds of meta_fit_s, adapt_s, predict_s, and the calls adapts, predicts. peak_memory_mib: of the process.
     machine: cpu, cores, system. made_by: vsfsim and commit. versions: of the packages. notes: for the reader.
-    readings: the true readings of the query touches in short, columns, one row a touch: object, touch, number of readings n, their sum of squares
-    ss [unit^2]. They tell whether a dataset made on another machine, with other bits, is the same to what a score shows; empty in results from before they were kept.
+    readings: the true readings of the query touches in short, columns, one row a touch: object, touch, number of
+    readings n, their sum of squares ss [unit^2]. They tell whether a dataset made on another machine, with other bits,
+    is the same to what a score shows; empty in results from before they were kept.
     """
 
     task: str
@@ -103,16 +107,20 @@ class Result:
         if not isinstance(table, dict) or table.get("format") != FORMAT:
             raise TaskError(f"{path} is not a result of `vsfsim evaluate`.")
         if table.get("schema_version") != SCHEMA_VERSION:
-            raise TaskError(f"result {path} has schema version {table.get('schema_version')}; this vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
+            raise TaskError(f"result {path} has schema version {table.get('schema_version')}; this vsfsim reads "
+                            f"{SCHEMA_VERSION}. Evaluate the method again.")
         names = [f.name for f in dataclasses.fields(cls)]
-        given = {"readings": {}, **{key: value for key, value in table.items() if key not in ("format", "schema_version")}}
+        given = {"readings": {}, **{key: value for key, value in table.items()
+                                    if key not in ("format", "schema_version")}}
         if set(given) != set(names):
             odd = ", ".join(sorted(set(given) ^ set(names)))
             raise TaskError(f"result {path} is malformed: missing or unknown {odd}. Evaluate the method again.")
         try:
-            scores = {metric: {shot: Score(float(s["mean"]), float(s["std"]), tuple(float(v) for v in s["per_seed"])) for shot, s in by_shot.items()}
+            scores = {metric: {shot: Score(float(s["mean"]), float(s["std"]), tuple(float(v) for v in s["per_seed"]))
+                               for shot, s in by_shot.items()}
                       for metric, by_shot in given["scores"].items()}
-            result = cls(**{**given, "scores": scores, "shots": tuple(given["shots"]), "seeds": tuple(int(s) for s in given["seeds"]), "notes": tuple(given["notes"])})
+            result = cls(**{**given, "scores": scores, "shots": tuple(given["shots"]),
+                            "seeds": tuple(int(s) for s in given["seeds"]), "notes": tuple(given["notes"])})
             result._check(path)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise TaskError(f"result {path} is malformed: {error!r}. Evaluate the method again.") from error
@@ -126,16 +134,19 @@ class Result:
             raise TaskError(f"result {path} is malformed: the columns of readings have different lengths.")
         for metric, by_shot in self.scores.items():
             for shot, score in by_shot.items():
-                if shot not in self.shots or len(score.per_seed) != len(self.seeds) or not math.isclose(score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12):
-                    raise TaskError(f"result {path} is malformed: {metric} at shot {shot} does not fit its {len(self.seeds)} seeds.")
+                if (shot not in self.shots or len(score.per_seed) != len(self.seeds)
+                    or not math.isclose(score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12)):
+                    raise TaskError(f"result {path} is malformed: {metric} at shot {shot} does not fit its "
+                                    f"{len(self.seeds)} seeds.")
 
 
 def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float | None:
-    """How far two datasets' readings of the same query touches differ [-]: the root of sum (|a| - |b|)^2 over sum |b|^2, with |.| the length of a touch's
-    readings; None where they are not of the same touches, or not kept."""
+    """How far two datasets' readings of the same query touches differ [-]: the root of sum (|a| - |b|)^2 over sum
+    |b|^2, with |.| the length of a touch's readings; None where they are not of the same touches, or not kept."""
     if not one or not other:
         return None
-    a, b = ({(name, touch): math.sqrt(ss) for name, touch, ss in zip(r["object"], r["touch"], r["ss"], strict=True)} for r in (one, other))
+    a, b = ({(name, touch): math.sqrt(ss) for name, touch, ss in zip(r["object"], r["touch"], r["ss"], strict=True)}
+            for r in (one, other))
     if a.keys() != b.keys():
         return None
     size = math.fsum(v * v for v in b.values())

@@ -33,7 +33,8 @@ class DatasetWanted:
     """``[dataset]``: which dataset, and how to make it.
 
     folder: its place under ``datasets/``. scene: name of the scene. scene_sha256: of the scene's text, or "" for any.
-    seed, objects, views, touches: of the recipe. tier: of the recipe, or "auto" for any. sha256: of the content, or "" for any.
+    seed, objects, views, touches: of the recipe. tier: of the recipe, or "auto" for any. sha256: of the content, or ""
+    for any.
     """
 
     folder: str
@@ -81,8 +82,8 @@ class Protocol:
 class PaperRow:
     """``[[paper]]``: a row of somebody's table, shown beside ours.
 
-    method: as the paper calls it. source: paper and table. unit: of its numbers. comparable: False where the data or the
-    quantity differ, so that the numbers are context only. values: (mean, std or None) by shot label.
+    method: as the paper calls it. source: paper and table. unit: of its numbers. comparable: False where the data or
+    the quantity differ, so that the numbers are context only. values: (mean, std or None) by shot label.
     """
 
     method: str
@@ -98,7 +99,8 @@ class Task:
 
     name: with its version. description: one sentence. superseded_by: name of the task that mends this one, or "".
     observation: what a reading is. primary: the metric that ranks. ranking_shot: at which shot ("5").
-    paper: rows of the literature. sha256: of the task file's text, but for the line of `superseded_by`: what was scored stays scored. The rest: see their classes.
+    paper: rows of the literature. sha256: of the task file's text, but for the line of `superseded_by`: what was scored
+    stays scored. The rest: see their classes.
     """
 
     name: str
@@ -144,12 +146,15 @@ def parse_task(text: str, path: str | Path) -> Task:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise TaskError(f"task file '{path}' is not valid TOML: {error}.") from error
-    top = _Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation", "noise", "metrics", "paper"))
+    top = _Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation",
+                                   "noise", "metrics", "paper"))
     name = top.text("name")
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
         raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-mini-v1.")
-    d = top.table("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier", "sha256"))
-    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""), d.count("seed", 0), d.count("objects", 1),
+    d = top.table("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
+                              "sha256"))
+    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""), d.count("seed", 0),
+                           d.count("objects", 1),
                            d.count("views", 1), d.count("touches", 1), d.text("tier", "auto"), d.text("sha256", ""))
     protocol = _protocol(top.table("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
     o = top.table("observation", ("kind",))
@@ -159,13 +164,16 @@ def parse_task(text: str, path: str | Path) -> Task:
     if primary not in PRIMARY:
         raise TaskError(f"{m.where}: primary is '{primary}'. {did_you_mean(primary, PRIMARY)}")
     if ranking not in protocol.labels:
-        raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: {', '.join(protocol.labels)}.")
+        raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: "
+                        f"{', '.join(protocol.labels)}.")
     rows = tree.get("paper", [])
     if not isinstance(rows, list):
         raise TaskError(f"{path}: paper is {rows!r}; give [[paper]] tables.")
-    paper = tuple(_paper(_Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values")), protocol) for i, row in enumerate(rows))
+    paper = tuple(_paper(_Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values")),
+                         protocol) for i, row in enumerate(rows))
     return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, protocol,
-                observation(o.text("kind"), o.where), noise, primary, ranking, paper, text_sha256(_SUPERSEDED.sub("", text)))
+                observation(o.text("kind"), o.where), noise, primary, ranking, paper,
+                text_sha256(_SUPERSEDED.sub("", text)))
 
 
 def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
@@ -186,7 +194,8 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
             raise
         raise TaskError(f"task {task.name}: {error} This makes it:\n\n  {task.dataset.command(folder)}\n") from error
     recipe, want = dataset.recipe, task.dataset
-    pairs = [("scene", recipe.scene, want.scene), ("seed", recipe.seed, want.seed), ("objects", recipe.objects, want.objects),
+    pairs = [("scene", recipe.scene, want.scene), ("seed", recipe.seed, want.seed),
+             ("objects", recipe.objects, want.objects),
              ("views", recipe.views, want.views), ("touches", recipe.touches, want.touches)]
     if want.tier != "auto":  # a recipe names the tier that was chosen, never "auto"
         pairs.append(("tier", recipe.tier, want.tier))
@@ -196,7 +205,8 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         pairs.append(("sha256 of the content", dataset.sha256, want.sha256))
     wrong = [f"{key} is {there!r}, not {asked!r}" for key, there, asked in pairs if there != asked]
     if wrong:
-        raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes the right one:\n\n  {task.dataset.command()}\n")
+        raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes "
+                        f"the right one:\n\n  {task.dataset.command()}\n")
     for split in (task.protocol.train, task.protocol.test):
         dataset.names(split)
     return dataset
@@ -204,9 +214,11 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
 
 def _protocol(t: _Table) -> Protocol:
     shots = t.need("shots")
-    if not isinstance(shots, list) or not shots or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots) or sorted(set(shots)) != shots:
+    if not isinstance(shots, list) or not shots or any(isinstance(k, bool) or not isinstance(k, int) or k < 0
+                                                       for k in shots) or sorted(set(shots)) != shots:
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
-    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", 1), t.count("query", 1), t.count("seed", 0))
+    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", 1),
+                    t.count("query", 1), t.count("seed", 0))
 
 
 def _noise(t: _Table) -> Noise:
@@ -220,7 +232,8 @@ def _noise(t: _Table) -> Noise:
             values[f.name] = t.count(f.name, 0)
             continue
         # without a kind the force's noise must be said, as ever
-        default = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std" else f.default)
+        default = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std"
+                             else f.default)
         values[f.name] = t.signed(f.name, default) if f.name in SIGNED else t.number(f.name, default)
     if not values["relaxation_time"] > 0.0:
         raise TaskError(f"{t.where}: relaxation_time is 0; it must be greater than 0, in seconds.")
@@ -239,7 +252,8 @@ def _paper(t: _Table, protocol: Protocol) -> PaperRow:
         out[label] = (float(numbers[0]), float(numbers[1]) if len(numbers) == 2 else None)
     comparable = t.need("comparable")
     if not isinstance(comparable, bool) or not out:
-        raise TaskError(f"{t.where}: comparable must be true or false and values a table, e.g. {{ 0 = [8.27, 0.00], all = 4.10 }}.")
+        raise TaskError(f"{t.where}: comparable must be true or false and values a table, e.g. "
+                        f"{{ 0 = [8.27, 0.00], all = 4.10 }}.")
     return PaperRow(t.text("method"), t.text("source"), t.text("unit"), comparable, out)
 
 

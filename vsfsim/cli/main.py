@@ -1,7 +1,7 @@
 """The command line: each command is a small function that calls one function of a layer, imported when it runs.
 
-Nothing heavy is imported here: `vsfsim --help` must answer in under 0.3 s. A `VsfsimError` becomes one paragraph on stderr
-and exit code 2; anything else is a bug of ours and keeps its traceback, exit code 1.
+Nothing heavy is imported here: `vsfsim --help` must answer in under 0.3 s. A `VsfsimError` becomes one paragraph on
+stderr and exit code 2; anything else is a bug of ours and keeps its traceback, exit code 1.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from vsfsim.cli.measure import app as measure_app
 from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
 
-app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False,
+app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None,
+                  pretty_exceptions_enable=False,
                   help="""Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness estimators.
 
 \b
@@ -37,9 +38,13 @@ Make data, score two methods, see the table:
 app.add_typer(measure_app, name="measure")
 app.add_typer(measure_app, name="bench", hidden=True)  # the old spelling, one release long
 
-TaskName = Annotated[str, typer.Option("--task", help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
-DatasetFolder = Annotated[Path | None, typer.Option("--dataset", help="Folder of the dataset; default: the task's, under datasets/ or $VSFSIM_DATASETS.")]
-SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Parameter of the method; may be given again.")]
+TaskName = Annotated[str, typer.Option("--task",
+                                       help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
+DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
+                                                    help="Folder of the dataset; default: the task's, under datasets/ "
+                                                         "or $VSFSIM_DATASETS.")]
+SetOption = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
+                                                     help="Parameter of the method; may be given again.")]
 
 
 def main() -> None:
@@ -47,7 +52,8 @@ def main() -> None:
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
-    commands = [name for name in (c.name or c.callback.__name__ for c in (*app.registered_commands, *app.registered_groups))]
+    commands = [name for name in (c.name or c.callback.__name__
+                                  for c in (*app.registered_commands, *app.registered_groups))]
     word = next((w for w in sys.argv[1:] if not w.startswith("-")), None)
     try:
         if word is not None and word == sys.argv[1] and word not in commands:
@@ -66,7 +72,8 @@ def main() -> None:
             _report_bug()
         if debug:
             traceback.print_exc()
-        print(f"error: {error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose another place, and run the same command again.", file=sys.stderr)
+        print(f"error: {error.filename or 'a file'} cannot be written: {error.strerror}. Free some space, or choose "
+              f"another place, and run the same command again.", file=sys.stderr)
         sys.exit(2)
     except Exception:
         _report_bug()
@@ -78,7 +85,8 @@ _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
 
 def _report_bug() -> None:
     traceback.print_exc()
-    print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.", file=sys.stderr)
+    print("error: this is a bug in vsfsim, not in what you gave it. Please report it with the lines above.",
+          file=sys.stderr)
     sys.exit(1)
 
 
@@ -95,8 +103,10 @@ def _global(debug: Annotated[bool, typer.Option("--debug", help="Show the traceb
 # ------------------------------------------------------------------------------------------------- simulate
 
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE", help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
-Tier = Annotated[str | None, typer.Option("--tier", help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
+SceneName = Annotated[str, typer.Argument(metavar="SCENE",
+                                          help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
+Tier = Annotated[str | None, typer.Option("--tier",
+                                          help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
 Device = Annotated[str, typer.Option("--device", help="cpu or cuda:0.")]
 Precision = Annotated[str, typer.Option("--precision", help="float64 or float32.")]
 
@@ -117,21 +127,30 @@ def scenes() -> None:
 @app.command()
 def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
           seed: Annotated[int, typer.Option(min=0, help="Fixes every distribution of the scene.")] = 0,
-          json: Annotated[str | None, typer.Option("--json", metavar="FILE", help="Write one JSON object; - for standard output.")] = None,
+          json: Annotated[str | None, typer.Option("--json", metavar="FILE",
+                                                   help="Write one JSON object; - for standard output.")] = None,
           plot: Annotated[Path | None, typer.Option(help="Write a plot of force against depth (PNG).")] = None,
-          picture: Annotated[Path | None, typer.Option(help="Write a picture of the deformed body at full depth (PNG).")] = None,
-          save: Annotated[Path | None, typer.Option(help="Write mesh, displacements and contact forces of every frame (.npz).")] = None,
-          refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES", help="Press 3 to 6 finer and finer meshes: observed order of convergence, extrapolated force and its error.")] = None) -> None:
+          picture: Annotated[Path | None,
+                             typer.Option(help="Write a picture of the deformed body at full depth (PNG).")] = None,
+          save: Annotated[Path | None,
+                          typer.Option(help="Write mesh, displacements and contact forces of every "
+                                            "frame (.npz).")] = None,
+          refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES",
+                                                     help="Press 3 to 6 finer and finer meshes: observed order of "
+                                                          "convergence, extrapolated force "
+                                                          "and its error.")] = None) -> None:
     """Press a probe into an object: force against depth, and whether it can be trusted.
 
-    What the scene leaves out is assumed, and said: without [press] the probe goes down in the middle, a tenth of the height deep.
+    What the scene leaves out is assumed, and said: without [press] the probe goes down in the middle, a tenth of the
+    height deep.
     Prints a table, or JSON. Exit code 3 if a frame did not converge.
     """
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
     _check_device(device, precision)
-    for option, path in (("--plot", plot), ("--picture", picture), ("--save", save), ("--json", Path(json) if json not in (None, "-") else None)):
+    for option, path in (("--plot", plot), ("--picture", picture), ("--save", save),
+                         ("--json", Path(json) if json not in (None, "-") else None)):
         _check_writable(option, path)
     if save is not None and save.suffix != ".npz":
         raise VsfsimError(f"--save is '{save}'; it must end in .npz, the format that is written.")
@@ -163,8 +182,11 @@ def generate(scene: SceneName,
              seed: Annotated[int, typer.Option(min=0, help="Root of all random streams.")] = 0,
              tier: Tier = None, device: Device = "cpu", precision: Precision = "float64",
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
-             arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the scene's.")] = None,
-             workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one a CPU core.")] = None) -> None:
+             arm: Annotated[str | None,
+                            typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: "
+                                              "the scene's.")] = None,
+             workers: Annotated[int | None, typer.Option(min=1,
+                                                         help="Processes; default: one a CPU core.")] = None) -> None:
     """Make a dataset from a scene, or finish one.
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
@@ -182,10 +204,13 @@ def generate(scene: SceneName,
     from vsfsim.generate.run import generate as run  # seconds; a mistake in the scene should not wait for it
 
     began = time.perf_counter()
-    dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device, precision=precision,
-                  renderer=renderer, workers=workers, arm=arm, progress=_Progress("generate"), note=lambda text: print(f"note: {text}", file=sys.stderr))
+    dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device,
+                  precision=precision,
+                  renderer=renderer, workers=workers, arm=arm, progress=_Progress("generate"),
+                  note=lambda text: print(f"note: {text}", file=sys.stderr))
     bad = sum(entry.unconverged for entry in dataset.entries)
-    print(f"{folder}: {len(dataset)} object views, {sum(e.touches for e in dataset.entries)} touches, {sum(e.frames for e in dataset.entries)} frames "
+    print(f"{folder}: {len(dataset)} object views, {sum(e.touches for e in dataset.entries)} touches, "
+          f"{sum(e.frames for e in dataset.entries)} frames "
           f"({bad} not converged, marked), {time.perf_counter() - began:.0f} s")
 
 
@@ -243,14 +268,18 @@ def tasks() -> None:
     names = list(shelf.tasks())
     for name in names:
         task = load_task(name)
-        print(f"{name:<{2 + max(map(len, names))}}{task.description}" + (f" Superseded by {task.superseded_by}." if task.superseded_by else ""))
+        print(f"{name:<{2 + max(map(len, names))}}{task.description}" + (f" Superseded by {task.superseded_by}."
+                                                                         if task.superseded_by else ""))
 
 
 @app.command()
-def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim methods`), or module:attribute.")], task: TaskName,
+def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim methods`), or module:attribute.")],
+             task: TaskName,
              dataset: DatasetFolder = None,
              out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/METHOD.json.")] = None,
-             seeds: Annotated[int | None, typer.Option(min=1, help="Draws of the support set, instead of the task's own number.")] = None,
+             seeds: Annotated[int | None, typer.Option(min=1,
+                                                       help="Draws of the support set, instead of the task's "
+                                                            "own number.")] = None,
              parameters: SetOption = None) -> None:
     """Score a method on a task.
 
@@ -265,11 +294,13 @@ def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim
     parameters_of(find_method(method), given)  # a typing error should not wait for the dataset
     wanted = load_task(task)
     path = _result_path(out, wanted.name, method)
-    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=_Progress(f"evaluate {method}"))
+    result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds,
+                 progress=_Progress(f"evaluate {method}"))
     result.save(path)
     t = result.timing
     print(score_table(result, wanted.primary))
-    print(f"\nmeta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, predict {t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
+    print(f"\nmeta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, predict "
+          f"{t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
           f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
     for note in result.notes:
         print(f"note: {note}")
@@ -277,9 +308,13 @@ def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim
 
 
 @app.command()
-def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .npz with one array (T, d) a query; its keys are OBJECT/SHOT/SEED/TOUCH.")],
+def score(predictions: Annotated[Path, typer.Argument(metavar="FILE",
+                                                      help="An .npz with one array (T, d) a query; its keys are "
+                                                           "OBJECT/SHOT/SEED/TOUCH.")],
           task: TaskName, name: Annotated[str, typer.Option(help="What the method is called in the result.")],
-          dataset: DatasetFolder = None, out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None) -> None:
+          dataset: DatasetFolder = None, out: Annotated[Path | None,
+                                                        typer.Option(help="Result file; default: "
+                                                                          "results/TASK/NAME.json.")] = None) -> None:
     """Score a file of predictions made elsewhere."""
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions
@@ -294,7 +329,10 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
 
 
 @app.command()
-def leaderboard(results: Annotated[list[Path] | None, typer.Argument(metavar="RESULT", help="More result files, or folders of them; default: results/TASK if there is one.")] = None,
+def leaderboard(results: Annotated[list[Path] | None, typer.Argument(metavar="RESULT",
+                                                                     help="More result files, or folders of them; "
+                                                                          "default: results/TASK if "
+                                                                          "there is one.")] = None,
                 task: Annotated[str | None, typer.Option(help="Name of a task; default: all tasks.")] = None,
                 markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False) -> None:
     """Rank the methods of a task, from result files."""
@@ -311,7 +349,9 @@ def leaderboard(results: Annotated[list[Path] | None, typer.Argument(metavar="RE
 
 
 @app.command()
-def check(method: Annotated[str, typer.Argument(metavar="METHOD", help="Name of a method (`vsfsim methods`), or module:attribute.")], parameters: SetOption = None) -> None:
+def check(method: Annotated[str, typer.Argument(metavar="METHOD",
+                                                help="Name of a method (`vsfsim methods`), or module:attribute.")],
+          parameters: SetOption = None) -> None:
     """Try a method against the contract, in seconds.
 
     Runs on mock objects; no dataset is needed. Exit code 2 if the method does not conform.
@@ -357,7 +397,8 @@ def _check_device(device: str, precision: str = "float64") -> None:
 def _check_writable(option: str, path: Path | None) -> None:
     """Refuse before the work what could not be written after it."""
     if path is not None and not path.parent.is_dir():
-        raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose another place.")
+        raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose "
+                          f"another place.")
     if path is not None and path.is_dir():
         raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
 
@@ -367,12 +408,14 @@ def _result_path(out: Path | None, task: str, method: str) -> Path:
     path = out or Path("results") / task / f"{method.replace(':', '.')}.json"
     there = next(folder for folder in path.parents if folder.exists())  # the folders below it are made with the file
     if path.is_dir() or not there.is_dir():
-        raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is {'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
+        raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is "
+                          f"{'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
     return path
 
 
 class _Progress:
-    """What is going on and the time that is left, on stderr: one line that is overwritten, or, in a log, one every 20 s."""
+    """What is going on and the time that is left, on stderr: one line that is overwritten, or, in a log, one every 20
+    s."""
 
     def __init__(self, label: str):
         self.label, self.start, self.told, self.total = label, time.perf_counter(), time.perf_counter(), 0

@@ -12,7 +12,8 @@ import typer
 from vsfsim.core.errors import VsfsimError, did_you_mean
 from vsfsim.core.shelf import checkout
 
-app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure: time and error of the solver and of the estimators.")
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None,
+                  help="Measure: time and error of the solver and of the estimators.")
 
 
 @app.callback()
@@ -36,10 +37,17 @@ def _tell(result: Any, words: str, out: Path | None) -> None:
 @app.command()
 def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of a batch; default: 4 on a CPU, 256 (linear: 4096) on a GPU.")] = None,
-           compare: Annotated[bool, typer.Option(help="On a GPU: run a few touches on the CPU as well and compare the forces.")] = True,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
-    """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a batch."""
+           touches: Annotated[int | None, typer.Option(min=1,
+                                                       help="Touches of a batch; default: 4 on a CPU, 256 (linear: "
+                                                            "4096) on a GPU.")] = None,
+           compare: Annotated[bool,
+                              typer.Option(help="On a GPU: run a few touches on the CPU as well and compare "
+                                                "the forces.")] = True,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                    help="Also write the numbers here; - for stdout instead "
+                                                         "of the table.")] = None) -> None:
+    """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a
+    batch."""
     from benchmarks.solver import TIERS, bench, table
     from vsfsim.cli.main import _check_device, _check_writable
 
@@ -56,21 +64,48 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
 
 
 @app.command()
-def methods(paper: Annotated[bool, typer.Option("--paper", help="The paper's size: 20,000 particles, 60 touches, 900 frames.")] = False,
-            particles: Annotated[int | None, typer.Option(min=1, help="Particles of the model, about; default 2,000.")] = None,
-            touches: Annotated[int | None, typer.Option(min=1, help="Touches of a dome of 217 vertices; default 100.")] = None,
+def methods(paper: Annotated[bool,
+                             typer.Option("--paper",
+                                          help="The paper's size: 20,000 particles, 60 touches, 900 frames.")] = False,
+            particles: Annotated[int | None, typer.Option(min=1,
+                                                          help="Particles of the model, about; default 2,000.")] = None,
+            touches: Annotated[int | None, typer.Option(min=1,
+                                                        help="Touches of a dome of 217 vertices; default 100.")] = None,
             frames: Annotated[int | None, typer.Option(min=2, help="Frames of a touch; default 20.")] = None,
-            literal: Annotated[bool, typer.Option(help="Also run each estimator's literal dense form; it takes most of the time.")] = True,
-            fields: Annotated[bool | None, typer.Option(help="Also fit the point VSF, the neural VSF and its fast variant to a buried rope; default: on a GPU.")] = None,
-            iterations: Annotated[int | None, typer.Option(min=1, help="Of the neural VSF; default: 2,000 on a GPU (1,000 to 3,000 in the paper), 400 on a CPU.")] = None,
-            rate: Annotated[float | None, typer.Option(min=1e-6, max=1.0, help="Of the neural VSF's training; default: 2e-4, the paper's.")] = None,
-            export: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Also write the workload here: observation matrices, readings, noise and prior, for estimators from elsewhere.")] = None,
-            openvsf: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Run on presses of an arm's Punyo instead, and write them here as the openvsf package loads them; a new folder.")] = None,
-            urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="With --openvsf: openvsf's kinova_gen3.urdf, which is not ours to ship.")] = None,
-            blind: Annotated[bool, typer.Option("--blind", help="Only this: where a known object lies in a soft block, by every method.")] = False,
-            sbml: Annotated[bool, typer.Option("--sbml", help="Only this: SBML's training on objects of 10,000 readings and 20,000 particles (or the sizes given).")] = False,
+            literal: Annotated[bool,
+                               typer.Option(help="Also run each estimator's literal dense form; it takes most "
+                                                 "of the time.")] = True,
+            fields: Annotated[bool | None,
+                              typer.Option(help="Also fit the point VSF, the neural VSF and its fast variant to a "
+                                                "buried rope; default: on a GPU.")] = None,
+            iterations: Annotated[int | None, typer.Option(min=1,
+                                                           help="Of the neural VSF; default: 2,000 on a GPU (1,000 to "
+                                                                "3,000 in the paper), 400 on a CPU.")] = None,
+            rate: Annotated[float | None, typer.Option(min=1e-6, max=1.0,
+                                                       help="Of the neural VSF's training; default: 2e-4, "
+                                                            "the paper's.")] = None,
+            export: Annotated[Path | None, typer.Option(metavar="FOLDER",
+                                                        help="Also write the workload here: observation matrices, "
+                                                             "readings, noise and prior, for estimators "
+                                                             "from elsewhere.")] = None,
+            openvsf: Annotated[Path | None, typer.Option(metavar="FOLDER",
+                                                         help="Run on presses of an arm's Punyo instead, and write "
+                                                              "them here as the openvsf package loads them; a "
+                                                              "new folder.")] = None,
+            urdf: Annotated[Path | None, typer.Option(metavar="FILE",
+                                                      help="With --openvsf: openvsf's kinova_gen3.urdf, which is not "
+                                                           "ours to ship.")] = None,
+            blind: Annotated[bool,
+                             typer.Option("--blind",
+                                          help="Only this: where a known object lies in a soft block, by "
+                                               "every method.")] = False,
+            sbml: Annotated[bool,
+                            typer.Option("--sbml",
+                                         help="Only this: SBML's training on objects of 10,000 readings and 20,000 "
+                                              "particles (or the sizes given).")] = False,
             device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu") -> None:
-    """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1 and size on disk."""
+    """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1
+    and size on disk."""
     from benchmarks import blind as bench_blind
     from benchmarks import fields as bench_fields
     from benchmarks import sbml as bench_sbml
@@ -100,22 +135,37 @@ def methods(paper: Annotated[bool, typer.Option("--paper", help="The paper's siz
         from benchmarks.openvsf import export as export_openvsf
 
         load, notes = export_openvsf(openvsf, *size, urdf=urdf, progress=told)
-        print("\n".join([f"written to {openvsf}: {load.touches} sequences for openvsf", *(f"note: {sentence}" for sentence in notes), ""]))
-    print(table(compare(load, literal=literal, device=device, export=export, progress=lambda done, total, what: told(what)), size[1]))
+        print("\n".join([f"written to {openvsf}: {load.touches} sequences for openvsf",
+                         *(f"note: {sentence}" for sentence in notes), ""]))
+    print(table(compare(load, literal=literal, device=device, export=export, progress=lambda done, total,
+                        what: told(what)), size[1]))
     if fields if fields is not None else device != "cpu":
-        for fresh, title in ((False, "a rope under a soft layer"), (True, "another rope, that no setting was chosen on")):
-            print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, **learning, fresh=fresh, progress=told), title))
+        for fresh, title in ((False, "a rope under a soft layer"),
+                             (True, "another rope, that no setting was chosen on")):
+            print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, **learning,
+                                                                 fresh=fresh, progress=told), title))
 
 
 @app.command()
-def features(task: Annotated[str, typer.Option(help="Task whose training objects are used; its test objects are not opened, but with --on-test.")] = "fewshot-shoes-mini-v1",
-             dataset: Annotated[Path | None, typer.Option(help="Folder of a dataset of the same readings; default: the task's own.")] = None,
-             feature: Annotated[list[str] | None, typer.Option(help="A kind of features; may be given again. Default: local, local-full, xyzrgb.")] = None,
-             noise: Annotated[list[float] | None, typer.Option(help="A noise_std of SBML; may be given again. Default: 1, 3, 10.")] = None,
+def features(task: Annotated[str,
+                             typer.Option(help="Task whose training objects are used; its test objects are not opened, "
+                                               "but with --on-test.")] = "fewshot-shoes-mini-v1",
+             dataset: Annotated[Path | None,
+                                typer.Option(help="Folder of a dataset of the same readings; default: the "
+                                                  "task's own.")] = None,
+             feature: Annotated[list[str] | None,
+                                typer.Option(help="A kind of features; may be given again. Default: local, "
+                                                  "local-full, xyzrgb.")] = None,
+             noise: Annotated[list[float] | None,
+                              typer.Option(help="A noise_std of SBML; may be given again. Default: 1, 3, 10.")] = None,
              folds: Annotated[int, typer.Option(min=2, help="Of the training objects.")] = 4,
              seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant and fold.")] = 1,
-             settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="Another parameter of sbml; may be given again.")] = None,
-             on_test: Annotated[bool, typer.Option("--on-test", help="Learn on all training objects and ask the test objects: once, after everything was chosen.")] = False) -> None:
+             settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
+                                                                help="Another parameter of sbml; may be "
+                                                                     "given again.")] = None,
+             on_test: Annotated[bool, typer.Option("--on-test",
+                                                   help="Learn on all training objects and ask the test objects: once, "
+                                                        "after everything was chosen.")] = False) -> None:
     """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
     from benchmarks.features import choose, table
     from vsfsim.bench.task import load_task, open_dataset
@@ -124,17 +174,26 @@ def features(task: Annotated[str, typer.Option(help="Task whose training objects
 
     wanted = load_task(task)
     data = open_dataset(wanted) if dataset is None else Dataset.open(dataset)
-    rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")), noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
-                  seeds=seeds, settings=_parameters(settings), on_test=on_test, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")),
+                  noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
+                  seeds=seeds, settings=_parameters(settings), on_test=on_test,
+                  progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     print(table(rows, wanted.observation.unit, on_test=on_test))
 
 
 @app.command("pressure-law")
-def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, eight presses on a rigid ball.")] = None,
+def pressure_law(dataset: Annotated[Path | None,
+                                    typer.Argument(help="Folder of a dataset made with a bubble; without one, eight "
+                                                        "presses on a rigid ball.")] = None,
                  plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
                  nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
-                 area: Annotated[float | None, typer.Option(min=1e-6, help="A_base of openvsf's law [m^2]; default: inside the rim of the dataset's bubble, a Punyo's 7.18e-3 without one.")] = None,
-                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+                 area: Annotated[float | None, typer.Option(min=1e-6,
+                                                            help="A_base of openvsf's law [m^2]; default: inside the "
+                                                                 "rim of the dataset's bubble, a Punyo's 7.18e-3 "
+                                                                 "without one.")] = None,
+                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                          help="Also write the numbers here; - for stdout instead "
+                                                               "of the table.")] = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
     from benchmarks import pressure_law as law
     from vsfsim.cli.main import _check_writable
@@ -145,7 +204,8 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
         _check_writable(name, path)
     rim = (law.BASE_AREA, law.SEMI_AXIS)
     if dataset is None:
-        found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+        found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr,
+                                                                           flush=True))
     else:
         data = Dataset.open(dataset, blind=True)
         found, rim = law.readings(data), law.rim_of_dataset(data.load(data.names()[0]))
@@ -161,10 +221,16 @@ def pressure_law(dataset: Annotated[Path | None, typer.Argument(help="Folder of 
 
 
 @app.command("dense-force")
-def dense_force(dataset: Annotated[Path | None, typer.Argument(help="Folder of a dataset made with a bubble; without one, presses on rigid balls.")] = None,
-                nodes: Annotated[int | None, typer.Option(min=100, help="Nodes of the simulated membrane; default: the sensor's 1493.")] = None,
+def dense_force(dataset: Annotated[Path | None,
+                                   typer.Argument(help="Folder of a dataset made with a bubble; without one, presses "
+                                                       "on rigid balls.")] = None,
+                nodes: Annotated[int | None, typer.Option(min=100,
+                                                          help="Nodes of the simulated membrane; default: the "
+                                                               "sensor's 1493.")] = None,
                 device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
-                out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+                out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                         help="Also write the numbers here; - for stdout instead "
+                                                              "of the table.")] = None) -> None:
     """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
     from benchmarks import dense_force as bench
     from vsfsim.cli.main import _check_device, _check_writable
@@ -197,13 +263,27 @@ def dense_force(dataset: Annotated[Path | None, typer.Argument(help="Folder of a
 
 @app.command()
 def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
-           scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants",
-           objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: 3 on a CPU, the scene's own number on a GPU.")] = None,
-           views: Annotated[int | None, typer.Option(min=1, help="Views of each; default: 1 on a CPU, the scene's own number on a GPU.")] = None,
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of each view; default: 6 on a CPU, the scene's own number on a GPU.")] = None,
-           seconds: Annotated[float | None, typer.Option(min=1.0, help="End about this long after the kernels are ready; what was done by then is counted.")] = None,
-           workers: Annotated[int | None, typer.Option(min=1, help="Processes that prepare and finish views; default: 1 on a CPU, one a core on a GPU.")] = None,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+           scene: Annotated[str,
+                            typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants",
+           objects: Annotated[int | None, typer.Option(min=1,
+                                                       help="Plants; default: 3 on a CPU, the scene's own "
+                                                            "number on a GPU.")] = None,
+           views: Annotated[int | None,
+                            typer.Option(min=1,
+                                         help="Views of each; default: 1 on a CPU, the scene's own "
+                                              "number on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1,
+                                                       help="Touches of each view; default: 6 on a CPU, the scene's "
+                                                            "own number on a GPU.")] = None,
+           seconds: Annotated[float | None, typer.Option(min=1.0,
+                                                         help="End about this long after the kernels are ready; what "
+                                                              "was done by then is counted.")] = None,
+           workers: Annotated[int | None, typer.Option(min=1,
+                                                       help="Processes that prepare and finish views; default: 1 on a "
+                                                            "CPU, one a core on a GPU.")] = None,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                    help="Also write the numbers here; - for stdout instead "
+                                                         "of the table.")] = None) -> None:
     """Touches and readings a second of plants under an arm, split by stage."""
     from benchmarks.plants import bench, table
     from vsfsim.cli.main import _check_device, _check_writable
@@ -214,19 +294,30 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
         _check_writable("--json", out)
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
-    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds, workers=workers, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds,
+                   workers=workers, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     _tell(result, table(result), out)
 
 
 @app.command()
 def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
-           touches: Annotated[int | None, typer.Option(min=1, help="Touches of the batch; default: 4 on a CPU, 800 on a GPU.")] = None,
+           touches: Annotated[int | None, typer.Option(min=1,
+                                                       help="Touches of the batch; default: 4 on a CPU, "
+                                                            "800 on a GPU.")] = None,
            frames: Annotated[int, typer.Option(min=4, help="Of a touch.")] = 15,
            tier: Annotated[str, typer.Option(help="Of the shoe: fem-coarse, fem or fem-fine.")] = "fem",
-           resolution: Annotated[float, typer.Option(min=0.005, max=0.1, help="Size of its cells [m]; 0.0095 makes 5,256 tetrahedra.")] = 0.0095,
-           nodes: Annotated[int | None, typer.Option(min=100, max=3000, help="Of the bubble; default: the scene's 390.")] = None,
-           compare: Annotated[int, typer.Option(min=0, help="On a GPU: run so many of the touches on the CPU as well and compare the forces.")] = 0,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+           resolution: Annotated[float, typer.Option(min=0.005, max=0.1,
+                                                     help="Size of its cells [m]; 0.0095 makes 5,256 "
+                                                          "tetrahedra.")] = 0.0095,
+           nodes: Annotated[int | None, typer.Option(min=100, max=3000,
+                                                     help="Of the bubble; default: the scene's 390.")] = None,
+           compare: Annotated[int,
+                              typer.Option(min=0,
+                                           help="On a GPU: run so many of the touches on the CPU as well and compare "
+                                                "the forces.")] = 0,
+           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                    help="Also write the numbers here; - for stdout instead "
+                                                         "of the table.")] = None) -> None:
     """Seconds a frame and touches a minute of a bubble pressed on a soft shoe."""
     from benchmarks.bubble import bench, table
     from vsfsim.cli.main import _check_device, _check_writable
@@ -237,16 +328,20 @@ def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes, compare=compare,
+    result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes,
+                   compare=compare,
                    progress=lambda what: print(f"  {what}", file=sys.stderr, flush=True))
     _tell(result, table(result), out)
 
 
 @app.command()
 def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu or cuda:0.")] = "cpu",
-        scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants-mini",
+        scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its "
+                                                ".toml file.")] = "plants-mini",
         touches: Annotated[int, typer.Option(min=1, help="Touches of one plant.")] = 6,
-        out: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="Also write the numbers here; - for stdout instead of the table.")] = None) -> None:
+        out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
+                                                 help="Also write the numbers here; - for stdout instead "
+                                                      "of the table.")] = None) -> None:
     """The two arm modes side by side: joint torques of a moving arm less J^T f, part by part, and the time of both."""
     from benchmarks.arm import bench, table
     from vsfsim.cli.main import _check_device, _check_writable
@@ -255,5 +350,6 @@ def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu 
     stdout = out is not None and str(out) == "-"
     if not stdout:
         _check_writable("--json", out)
-    result = bench(device=device, scene=scene, touches=touches, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+    result = bench(device=device, scene=scene, touches=touches,
+                   progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
     _tell(result, table(result), out)

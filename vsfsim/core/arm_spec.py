@@ -18,9 +18,12 @@ AT_LIMIT = ("end", "return")
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """model: "gen3" or "menagerie". punyo: whether it carries one. base: of its foot (3,) [m]; yaw: its turn about +z [rad]. mode: "kinematic" (J^T f) or "dynamic" (simulated controller and sensors).
-    drive: of the dynamic mode. clearance: least gap to the plant at the start of a touch, and to its pot all the way [m].
-    at_limit: what a touch does before its force limit: "end", with the readings it has by then, or "return", a guarded move: it slows down, turns back and keeps its number of readings."""
+    """model: "gen3" or "menagerie". punyo: whether it carries one. base: of its foot (3,) [m]; yaw: its turn about +z
+    [rad]. mode: "kinematic" (J^T f) or "dynamic" (simulated controller and sensors).
+    drive: of the dynamic mode. clearance: least gap to the plant at the start of a touch, and to its pot all the way
+    [m].
+    at_limit: what a touch does before its force limit: "end", with the readings it has by then, or "return", a guarded
+    move: it slows down, turns back and keeps its number of readings."""
 
     model: str
     punyo: bool
@@ -43,5 +46,6 @@ def parse_arm(node: Any, path: Path) -> ArmSpec:
     if not isinstance(punyo, bool):
         raise SceneError(f"{t.where}: punyo is {punyo!r}; it must be true or false.")
     return ArmSpec(t.word("model", "gen3", ARM_MODELS), punyo, t.vector("base", (-0.65, 0.0, 0.0)),
-                   t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"), t.word("mode", "kinematic", ARM_MODES), t.word("drive", "position", ARM_DRIVES),
+                   t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"), t.word("mode", "kinematic", ARM_MODES),
+                   t.word("drive", "position", ARM_DRIVES),
                    t.number("clearance", 0.01, 0.0, 0.2, "m"), t.word("at_limit", "end", AT_LIMIT))

@@ -21,14 +21,19 @@ CAMERA = (640, 480)  # the real one's picture [px]
 class Bubble:
     """``[sensor] kind = "bubble"``; the defaults are a real Punyo's, see docs/physics.md for where each comes from.
 
-    The mount frame has its origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
+    The mount frame has its origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out
+    of the dome.
 
-    semi_axes: of the clamped, planar rim, long and short (2,) [m]. young_modulus: of the rubber [Pa]. thickness: before it is stretched [m].
-    Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own length [-].
-    gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with the dome free [m^3].
+    semi_axes: of the clamped, planar rim, long and short (2,) [m]. young_modulus: of the rubber [Pa]. thickness: before
+    it is stretched [m].
+    Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own
+    length [-].
+    gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with
+    the dome free [m^3].
     gamma: of p V^gamma, 1 isothermal to 1.4 adiabatic [-]. ambient_pressure: absolute, outside [Pa].
-    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh, even all over. contact_edge: longest edge of the triangles where a rigid body
-    touches [m], for which the mesh is made finer there; None: a third of the radius of balls and capsules. friction: Coulomb coefficient with what it touches [-].
+    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh, even all over. contact_edge: longest
+    edge of the triangles where a rigid body touches [m], for which the mesh is made finer there; None: a third of the
+    radius of balls and capsules. friction: Coulomb coefficient with what it touches [-].
     fine: whether a dataset also keeps the mesh that was solved, of ``nodes`` nodes, beside the read-out mesh.
     camera: width and height of the pictures that a dataset keeps of the skin from inside (2,) [px], or None for none.
     """
@@ -77,13 +82,16 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
     real = Bubble()
     long, short = t.vector("semi_axes", real.semi_axes, 2)
     if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
-        raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the first not the smaller, and at most ten times the second.")
+        raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the "
+                         f"first not the smaller, and at most ten times the second.")
     sealed = t.table.get("sealed", real.sealed)
     if not isinstance(sealed, bool):
-        raise SceneError(f"{where}: sealed is {sealed!r}; it must be true (the air is shut in) or false (a supply keeps the pressure).")
+        raise SceneError(f"{where}: sealed is {sealed!r}; it must be true (the air is shut in) or false (a supply "
+                         f"keeps the pressure).")
     fine = t.table.get("fine", real.fine)
     if not isinstance(fine, bool):
-        raise SceneError(f"{where}: fine is {fine!r}; it must be true (a dataset also keeps the mesh that was solved) or false (the read-out mesh alone).")
+        raise SceneError(f"{where}: fine is {fine!r}; it must be true (a dataset also keeps the mesh that was solved) "
+                         f"or false (the read-out mesh alone).")
     return Bubble(
         semi_axes=(long, short),
         young_modulus=t.number("young_modulus", real.young_modulus, 1e3, 1e10, "Pa"),
@@ -105,6 +113,8 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
 def _camera(value: Any, where: str) -> tuple[int, int] | None:
     if isinstance(value, bool):
         return CAMERA if value else None
-    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int) or not 8 <= v <= 4096 for v in value):
-        raise SceneError(f"{where}: camera is {value!r}; it must be true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels from inside the bubble), false, or [width, height] from 8 to 4096 pixels.")
+    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int)
+                                                             or not 8 <= v <= 4096 for v in value):
+        raise SceneError(f"{where}: camera is {value!r}; it must be true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels "
+                         f"from inside the bubble), false, or [width, height] from 8 to 4096 pixels.")
     return int(value[0]), int(value[1])

@@ -1,4 +1,5 @@
-"""An arm as a dataset knows it: a chain of links with capsules. Joint angles in, poses, axes and anchors out; numpy alone, so that a method needs no robot simulator."""
+"""An arm as a dataset knows it: a chain of links with capsules. Joint angles in, poses, axes and anchors out; numpy
+alone, so that a method needs no robot simulator."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ from vsfsim.core.errors import SceneError, unknown_key
 
 @dataclass(frozen=True)
 class ChainCapsule:
-    """A capsule fixed to a link. link: its number. start, stop: centres of the half-spheres in the link's frame (3,) [m]. radius: [m]."""
+    """A capsule fixed to a link. link: its number. start, stop: centres of the half-spheres in the link's frame (3,)
+    [m]. radius: [m]."""
 
     link: int
     start: tuple[float, float, float]
@@ -25,7 +27,8 @@ class ChainCapsule:
 class Chain:
     """Links in a row, each in its parent's frame; a joint turns its link about the link's own +z.
 
-    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z (L, 4) [-]. joints: number of the joint that turns each link, -1 for none (L,).
+    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z
+    (L, 4) [-]. joints: number of the joint that turns each link, -1 for none (L,).
     capsules: K of them. As a "probe" of a dataset it says what touched the object, and ``q`` of a touch where it was.
     """
 
@@ -77,7 +80,8 @@ class Chain:
 
     def table(self) -> dict[str, Any]:
         """As JSON values; `read_chain` takes them back."""
-        return {"base": [list(r) for r in self.base], "positions": [list(p) for p in self.positions], "quaternions": [list(p) for p in self.quaternions], "joints": list(self.joints),
+        return {"base": [list(r) for r in self.base], "positions": [list(p) for p in self.positions],
+                "quaternions": [list(p) for p in self.quaternions], "joints": list(self.joints),
                 "capsules": [[c.link, *c.start, *c.stop, c.radius] for c in self.capsules]}
 
 
@@ -106,11 +110,15 @@ def read_chain(table: Any, where: str) -> Chain:
     try:
         base, positions, quaternions = (tuple(tuple(float(v) for v in row) for row in table[key]) for key in keys[:3])
         joints = tuple(int(j) for j in table["joints"])
-        capsules = tuple(ChainCapsule(int(c[0]), tuple(map(float, c[1:4])), tuple(map(float, c[4:7])), float(c[7])) for c in table["capsules"])  # type: ignore[arg-type]
+        capsules = tuple(ChainCapsule(int(c[0]), tuple(map(float, c[1:4])), tuple(map(float, c[4:7])), float(c[7]))
+                         for c in table["capsules"])  # type: ignore[arg-type]
     except (KeyError, TypeError, ValueError, IndexError) as error:
-        raise SceneError(f"{where}: the chain cannot be read ({error!r}); it is a table of {', '.join(keys)}, as `vsfsim generate` writes it.") from error
-    if not len(positions) == len(quaternions) == len(joints) or len(base) != 3 or any(not 0 <= c.link < len(joints) for c in capsules):
-        raise SceneError(f"{where}: the chain has {len(positions)} positions, {len(quaternions)} quaternions and {len(joints)} joints; they must be as many, and capsules be on links of them.")
+        raise SceneError(f"{where}: the chain cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
+                         f"`vsfsim generate` writes it.") from error
+    if (not len(positions) == len(quaternions) == len(joints) or len(base) != 3
+        or any(not 0 <= c.link < len(joints) for c in capsules)):
+        raise SceneError(f"{where}: the chain has {len(positions)} positions, {len(quaternions)} quaternions and "
+                         f"{len(joints)} joints; they must be as many, and capsules be on links of them.")
     return Chain(base, positions, quaternions, joints, capsules)
 
 

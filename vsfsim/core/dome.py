@@ -1,4 +1,5 @@
-"""The front of a soft sensor as a dataset knows it: a surface mesh in the mount's frame. Numpy alone, so that a method needs no simulator."""
+"""The front of a soft sensor as a dataset knows it: a surface mesh in the mount's frame. Numpy alone, so that a method
+needs no simulator."""
 
 from __future__ import annotations
 
@@ -17,9 +18,11 @@ _CELLS = 8  # along each side, in which triangles are looked up
 
 @dataclass(frozen=True)
 class Dome:
-    """The free, untouched skin of a bubble, a height over its rim plane; as a "probe" of a dataset it says what touched the object.
+    """The free, untouched skin of a bubble, a height over its rim plane; as a "probe" of a dataset it says what touched
+    the object.
 
-    Origin in the middle of the rim, +z out of the dome and leading into the object. How the skin is dented in a touch only the touch itself can tell (``node_position``).
+    Origin in the middle of the rim, +z out of the dome and leading into the object. How the skin is dented in a touch
+    only the touch itself can tell (``node_position``).
 
     vertices: of the read-out mesh, N of (x, y, z) [m]. triangles: wound outwards, F of three vertices.
     """
@@ -35,7 +38,8 @@ class Dome:
 
     def __repr__(self) -> str:
         # hundreds of vertices in a message help nobody; the hash tells two domes apart
-        return f"Dome({len(self.vertices)} vertices, {1e3 * self.height:.1f} mm high, {hash((self.vertices, self.triangles)) & 0xFFFFFFFF:08x})"
+        return (f"Dome({len(self.vertices)} vertices, {1e3 * self.height:.1f} mm high, "
+                f"{hash((self.vertices, self.triangles)) & 0xFFFFFFFF:08x})")
 
     @cached_property
     def points(self) -> np.ndarray:
@@ -76,7 +80,8 @@ class Dome:
         corners, z = self.points[self.faces][:, :, :2], self.points[self.faces][:, :, 2]
         inverse = np.linalg.inv(np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2))
         # triangles whose box meets a cell
-        first, last = ((corners.min(axis=1) - low) / (high - low) * _CELLS - 1e-6).astype(int), ((corners.max(axis=1) - low) / (high - low) * _CELLS + 1e-6).astype(int)
+        first, last = ((corners.min(axis=1) - low) / (high - low) * _CELLS
+                       - 1e-6).astype(int), ((corners.max(axis=1) - low) / (high - low) * _CELLS + 1e-6).astype(int)
         for c in np.unique(cell):
             i, j = divmod(int(c), _CELLS)
             mine = np.flatnonzero((first[:, 0] <= i) & (i <= last[:, 0]) & (first[:, 1] <= j) & (j <= last[:, 1]))
@@ -112,8 +117,12 @@ def read_dome(table: Any, where: str) -> Dome:
     try:
         vertices, triangles = np.array(table["vertices"], float), np.array(table["triangles"], int)
     except (KeyError, TypeError, ValueError) as error:
-        raise SceneError(f"{where}: the dome cannot be read ({error!r}); it is a table of {', '.join(keys)}, as `vsfsim generate` writes it.") from error
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,) or triangles.ndim != 2 or triangles.shape[1:] != (3,) or not np.isfinite(vertices).all() \
+        raise SceneError(f"{where}: the dome cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
+                         f"`vsfsim generate` writes it.") from error
+    if vertices.ndim != 2 or vertices.shape[1:] != (3,
+                                                    ) or triangles.ndim != 2 or triangles.shape[1:] != (3,
+                                                                                                        ) or not np.isfinite(vertices).all() \
             or not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
-        raise SceneError(f"{where}: the dome has vertices {vertices.shape} and triangles {triangles.shape}; give finite (N, 3) in metres and (F, 3) that name them.")
+        raise SceneError(f"{where}: the dome has vertices {vertices.shape} and triangles {triangles.shape}; give "
+                         f"finite (N, 3) in metres and (F, 3) that name them.")
     return Dome.of(vertices, triangles)

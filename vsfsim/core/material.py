@@ -81,7 +81,8 @@ class MaterialField:
         """
         for name in self.regions:
             if name not in names:
-                raise SceneError(f"{where}: young_modulus names region '{name}', which this object does not have. {did_you_mean(name, names)}")
+                raise SceneError(f"{where}: young_modulus names region '{name}', which this object does not have. "
+                                 f"{did_you_mean(name, names)}")
         out = np.empty(len(names))
         for i, name in enumerate(names):
             if name in self.regions:
@@ -91,7 +92,8 @@ class MaterialField:
             elif defaults is not None:
                 out[i] = defaults[i]
             else:
-                raise SceneError(f"{where}: young_modulus gives no value for region '{name}'; add it under regions, or give base.")
+                raise SceneError(f"{where}: young_modulus gives no value for region '{name}'; add it under regions, "
+                                 f"or give base.")
         return out
 
 
@@ -102,7 +104,8 @@ def modulus(value: Any, where: str) -> float:
         SceneError: with the value and the range.
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 1.0 <= float(value) <= 1e13:
-        raise SceneError(f"{where} is {value!r}; a Young's modulus is a positive number of pascals, 1 to 1e13 (rubber is about 1e6).")
+        raise SceneError(f"{where} is {value!r}; a Young's modulus is a positive number of pascals, 1 to 1e13 (rubber "
+                         f"is about 1e6).")
     return float(value)
 
 
@@ -125,7 +128,8 @@ def parse_material(table: Any, where: str) -> MaterialField:
         raise SceneError(f"{where}: young_modulus.regions is {regions!r}; give a table of region = pascals.")
     given = table.get("inclusions", [])
     if not isinstance(given, (list, tuple)):
-        raise SceneError(f"{where}: young_modulus.inclusions is {given!r}; give a list, e.g. [{{ sphere = [x, y, z, r], value = 1e7 }}].")
+        raise SceneError(f"{where}: young_modulus.inclusions is {given!r}; give a list, e.g. "
+                         f"[{{ sphere = [x, y, z, r], value = 1e7 }}].")
     parts = []
     for i, part in enumerate(given):
         spot = f"{where}: young_modulus.inclusions[{i}]"
@@ -140,7 +144,8 @@ def parse_material(table: Any, where: str) -> MaterialField:
         if not isinstance(numbers, (list, tuple)) or len(numbers) != len(names) or any(
             isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in numbers
         ):
-            raise SceneError(f"{spot}: {kind} is {numbers!r}; give [{', '.join(names)}] in metres, finite numbers in the object's frame.")
+            raise SceneError(f"{spot}: {kind} is {numbers!r}; give [{', '.join(names)}] in metres, finite numbers in "
+                             f"the object's frame.")
         if names[-1] == "radius" and numbers[-1] <= 0:
             raise SceneError(f"{spot}: the radius is {numbers[-1]!r}; it must be greater than 0.")
         parts.append(Inclusion(kind, tuple(float(v) for v in numbers), modulus(part["value"], f"{spot}: value")))

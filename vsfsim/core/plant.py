@@ -21,12 +21,16 @@ class Pot:
 
 @dataclass(frozen=True)
 class Plant:
-    """A tree of n nodes; node 0 is clamped in the pot, and segment i (1 to n - 1) goes from node ``parent[i]`` to node i. Entry 0 of what belongs to segments is not read.
+    """A tree of n nodes; node 0 is clamped in the pot, and segment i (1 to n - 1) goes from node ``parent[i]`` to node
+    i. Entry 0 of what belongs to segments is not read.
 
     nodes: (n, 3) [m]. parent: (n,) int, smaller than the node's own number; -1 for node 0.
-    radius: of the round segment, or half the thickness of a leaf blade (n,) [m]. half_width: of a blade, 0 for a round segment (n,) [m].
-    blade_normal: unit normal of a blade at rest (n, 3). young_modulus: (n,) [Pa]. poisson_ratio: [-]. density: (n,) [kg/m^3].
-    region: of each segment, an index into ``region_names`` (n,). look: of each segment, an index into ``appearance`` (n,), None for the region. appearance: None for a plain grey.
+    radius: of the round segment, or half the thickness of a leaf blade (n,) [m]. half_width: of a blade, 0 for a round
+    segment (n,) [m].
+    blade_normal: unit normal of a blade at rest (n, 3). young_modulus: (n,) [Pa]. poisson_ratio: [-]. density: (n,)
+    [kg/m^3].
+    region: of each segment, an index into ``region_names`` (n,). look: of each segment, an index into ``appearance``
+    (n,), None for the region. appearance: None for a plain grey.
     pot: None for none. notes: a sentence each.
     """
 
@@ -48,22 +52,29 @@ class Plant:
     def __post_init__(self) -> None:
         n = len(self.nodes)
         if n < 2 or self.nodes.shape != (n, 3) or not np.isfinite(self.nodes).all():
-            raise SceneError(f"plant: nodes have the shape {self.nodes.shape}; give at least two finite points (n, 3) in metres.")
+            raise SceneError(f"plant: nodes have the shape {self.nodes.shape}; give at least two finite points (n, "
+                             f"3) in metres.")
         for name in ("parent", "radius", "half_width", "young_modulus", "density", "region"):
             if getattr(self, name).shape != (n,):
-                raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; one value a node, ({n},), is wanted.")
+                raise SceneError(f"plant: {name} has the shape {getattr(self, name).shape}; one value a node, "
+                                 f"({n},), is wanted.")
         if self.blade_normal.shape != (n, 3):
             raise SceneError(f"plant: blade_normal has the shape {self.blade_normal.shape}; it must be ({n}, 3).")
         wrong = np.flatnonzero((self.parent[1:] < 0) | (self.parent[1:] >= np.arange(1, n))) + 1
         if len(wrong):
-            raise SceneError(f"plant: the parent of node {wrong[0]} is {self.parent[wrong[0]]}; it must be a node before it, 0 to {wrong[0] - 1}.")
-        checks = (("radius", self.radius, 1e-5, 1.0), ("young_modulus", self.young_modulus, 1.0, 1e13), ("length of the segment", self.lengths(), 1e-5, 10.0))
+            raise SceneError(f"plant: the parent of node {wrong[0]} is {self.parent[wrong[0]]}; it must be a node "
+                             f"before it, 0 to {wrong[0] - 1}.")
+        checks = (("radius", self.radius, 1e-5, 1.0), ("young_modulus", self.young_modulus, 1.0, 1e13),
+                  ("length of the segment", self.lengths(), 1e-5, 10.0))
         for name, value, low, high in checks:
             bad = np.flatnonzero(~((value[1:] >= low) & (value[1:] <= high))) + 1
             if len(bad):
-                raise SceneError(f"plant: the {name} of segment {bad[0]} is {value[bad[0]]:g}; it must be from {low:g} to {high:g}.")
-        if not (self.half_width[1:] >= 0.0).all() or not (self.density[1:] >= 0.0).all() or not 0.0 <= self.poisson_ratio < 0.5:
-            raise SceneError("plant: half widths and densities must be 0 or more, and Poisson's ratio from 0 to under 0.5.")
+                raise SceneError(f"plant: the {name} of segment {bad[0]} is {value[bad[0]]:g}; it must be from {low:g} "
+                                 f"to {high:g}.")
+        if (not (self.half_width[1:] >= 0.0).all() or not (self.density[1:] >= 0.0).all()
+            or not 0.0 <= self.poisson_ratio < 0.5):
+            raise SceneError("plant: half widths and densities must be 0 or more, and Poisson's ratio from 0 "
+                             "to under 0.5.")
         along = (self.nodes[1:] - self.nodes[self.parent[1:]]) / self.lengths()[1:, None]
         blade = self.half_width[1:] > 0.0
         tilt = np.abs(np.einsum("ij,ij->i", along, self.blade_normal[1:]))[blade]

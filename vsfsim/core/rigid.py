@@ -37,10 +37,11 @@ class RigidBody:
 class PressSpec:
     """``[press]``: the path of the probe's origin, and how it is turned.
 
-    path: corner points (k >= 2, 3) [m], world; the way between two is straight. frames: equilibria on each of the k - 1 parts,
-    the last of them at its end; the first point itself is no frame. hold: frames that stay at the last point. retract: frames on the same way back.
-    rotation: rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the shortest turn at constant
-    speed; None: the probe points along the first part of the path, and keeps that.
+    path: corner points (k >= 2, 3) [m], world; the way between two is straight. frames: equilibria on each of the k - 1
+    parts, the last of them at its end; the first point itself is no frame. hold: frames that stay at the last point.
+    retract: frames on the same way back.
+    rotation: rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the
+    shortest turn at constant speed; None: the probe points along the first part of the path, and keeps that.
     """
 
     path: tuple[Vector, ...]
@@ -83,7 +84,8 @@ def parse_probe(node: Any, path: Path) -> tuple[ProbeShape, tuple[RigidBody, ...
     if isinstance(t.table.get("shape"), Mapping) and "dome" in t.table["shape"]:
         raise SceneError(f"{where}: a dome is no probe of a scene; write [sensor].")
     shape = beside(parse_probe_shape(t.table.get("shape"), where), path)
-    return shape, tuple(_body(row, path, f"{path} [[probe.parts]] {i + 1}", "offset") for i, row in enumerate(t.rows("parts")))
+    return shape, tuple(_body(row, path, f"{path} [[probe.parts]] {i + 1}", "offset") for i,
+                        row in enumerate(t.rows("parts")))
 
 
 def parse_obstacles(node: Any, path: Path) -> tuple[RigidBody, ...]:
@@ -107,7 +109,8 @@ def _turn(where: str, key: str, value: Any) -> Vector:
     vector = numbers(where, key, value, 3)
     angle = math.sqrt(sum(v * v for v in vector))
     if angle > 2.0 * math.pi + 1e-9:
-        raise SceneError(f"{where}: {key} is {list(vector)}, a turn of {angle:.4g} rad; it is a rotation vector (axis times angle in radians, "
+        raise SceneError(f"{where}: {key} is {list(vector)}, a turn of {angle:.4g} rad; it is a rotation vector (axis "
+                         f"times angle in radians, "
                          "e.g. [0, 0, 1.5708] for a quarter turn about z), of 2 pi at most.")
     return vector
 
@@ -119,10 +122,12 @@ def parse_press(node: Any, path: Path) -> PressSpec:
     if "path" in t.table:
         for key in ("from", "to"):
             if key in t.table:
-                raise SceneError(f"{where}: there is a path, and {key}; give either path = [[x, y, z], ..] or from and to.")
+                raise SceneError(f"{where}: there is a path, and {key}; give either path = [[x, y, z], ..] or "
+                                 f"from and to.")
         rows = t.table["path"]
         if not isinstance(rows, list) or len(rows) < 2 or len(rows) > 10_000:
-            raise SceneError(f"{where}: path is {rows!r}; give 2 to 10000 points, e.g. path = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]].")
+            raise SceneError(f"{where}: path is {rows!r}; give 2 to 10000 points, e.g. path = [[0, 0, 0.07], [0, 0, "
+                             f"0.065], [0.01, 0, 0.065]].")
         points = tuple(numbers(where, f"path[{i}]", row, 3) for i, row in enumerate(rows))
     else:
         points = (t.vector("from", None), t.vector("to", None))
@@ -133,11 +138,13 @@ def parse_press(node: Any, path: Path) -> PressSpec:
             what = f"path[{i}] and path[{i + 1}]" if "path" in t.table else "from and to"
             raise SceneError(f"{where}: {what} are both {list(a)}; the probe must move.")
     if rotation is None and points[0] == points[1]:
-        raise SceneError(f"{where}: the path begins on the spot, so the probe has no direction to point to; give rotation.")
+        raise SceneError(f"{where}: the path begins on the spot, so the probe has no direction to point to; "
+                         f"give rotation.")
     frames = t.table.get("frames", 10)
     if isinstance(frames, list):
         if len(frames) != len(points) - 1:
-            raise SceneError(f"{where}: frames has {len(frames)} numbers, but the path has {len(points) - 1} parts; give one number a part, or one for all.")
+            raise SceneError(f"{where}: frames has {len(frames)} numbers, but the path has {len(points) - 1} parts; "
+                             f"give one number a part, or one for all.")
         counts = tuple(whole(where, f"frames[{i}]", n, 1, 10_000) for i, n in enumerate(frames))
     else:
         counts = (whole(where, "frames", frames, 1, 10_000),) * (len(points) - 1)
@@ -151,5 +158,6 @@ def _rotations(where: str, table: Mapping[str, Any], points: int) -> tuple[Vecto
     if not isinstance(value, list) or not value or not isinstance(value[0], list):
         return (_turn(where, "rotation", value),) * points
     if len(value) != points:
-        raise SceneError(f"{where}: rotation has {len(value)} rotation vectors, but the path has {points} points; give one a point, or a single one for all.")
+        raise SceneError(f"{where}: rotation has {len(value)} rotation vectors, but the path has {points} points; give "
+                         f"one a point, or a single one for all.")
     return tuple(_turn(where, f"rotation[{i}]", row) for i, row in enumerate(value))

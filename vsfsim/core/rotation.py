@@ -19,8 +19,10 @@ def rotation_matrix(vector: np.ndarray | tuple[float, ...]) -> np.ndarray:
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) [rad] of a matrix (3, 3), its angle from 0 to pi; through the quaternion, exact to rounding near both ends."""
-    # as Python's numbers: nine of them are not worth numpy's overhead, and inverse kinematics asks a hundred times a pose
+    """Rotation vector (3,) [rad] of a matrix (3, 3), its angle from 0 to pi; through the quaternion, exact to rounding
+    near both ends."""
+    # as Python's numbers: nine of them are not worth numpy's overhead, and inverse kinematics asks a hundred times a
+    # pose
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.asarray(matrix, float).tolist()
     # the largest of the four squares makes the others safe to divide (Shepperd 1978)
     squares = (1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz)
@@ -39,11 +41,14 @@ def rotation_vector(matrix: np.ndarray) -> np.ndarray:
 
 
 def between(first: np.ndarray, last: np.ndarray, share: float) -> np.ndarray:
-    """The rotation (3, 3) at ``share`` (0..1) of the shortest way from ``first`` to ``last`` (3, 3), at constant angular velocity."""
+    """The rotation (3, 3) at ``share`` (0..1) of the shortest way from ``first`` to ``last`` (3, 3), at constant
+    angular velocity."""
     return first @ rotation_matrix(share * rotation_vector(first.T @ last))
 
 
 def pose_errors(estimate: np.ndarray, truth: np.ndarray) -> tuple[float, float]:
     """Distance between the origins [m] and angle of the relative rotation [rad] of two transforms (4, 4)."""
     turn = estimate[:3, :3].T @ truth[:3, :3]
-    return float(np.linalg.norm(estimate[:3, 3] - truth[:3, 3])), float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0), -1.0, 1.0)))
+    return float(np.linalg.norm(estimate[:3, 3] - truth[:3,
+                                                        3])), float(np.arccos(np.clip(0.5 * (np.trace(turn) - 1.0),
+                                                                                      -1.0, 1.0)))

@@ -67,9 +67,10 @@ class TouchSpec:
 
     count: touches a view. depth: how far the probe goes past first contact [m].
     approach: clearance between the probe and the target point at the start [m].
-    force_limit: the press stops short where the rest state's linear response passes this force [N]; a bubble, where a flat rigid wall would.
-    frames: (free, in, hold, out) readings in each phase. tilt: a bubble comes in along a direction drawn from the cone of this half angle about the normal that is
-    seen [rad], so that its flanks touch, too; 0 for the normal itself.
+    force_limit: the press stops short where the rest state's linear response passes this force [N]; a bubble, where a
+    flat rigid wall would.
+    frames: (free, in, hold, out) readings in each phase. tilt: a bubble comes in along a direction drawn from the cone
+    of this half angle about the normal that is seen [rad], so that its flanks touch, too; 0 for the normal itself.
     """
 
     count: int
@@ -113,8 +114,9 @@ class Scene:
 
     name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
     probe: moves along the path; parts move with it; obstacles stand in the world. source: the file it came from.
-    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's place. arm: what touches instead of
-    the probe. The other fields: see their classes; None where the file has no such table. Without an object there are a sensor and obstacles.
+    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's
+    place. arm: what touches instead of the probe. The other fields: see their classes; None where the file has no such
+    table. Without an object there are a sensor and obstacles.
     """
 
     name: str
@@ -221,7 +223,8 @@ def _ends(node: Any, where: str) -> list:
         return [end for value in args for end in _ends(value, where)]
     if isinstance(node, Mapping):
         inner = {key: _ends(value, f"{where}: {key}") for key, value in node.items()}
-        return [{key: ends[i % len(ends)] for key, ends in inner.items()} for i in range(max((len(e) for e in inner.values()), default=1))]
+        return [{key: ends[i % len(ends)] for key, ends in inner.items()}
+                for i in range(max((len(e) for e in inner.values()), default=1))]
     if isinstance(node, list):
         items = [_ends(value, f"{where}[{i}]") for i, value in enumerate(node)]
         return [[ends[i % len(ends)] for ends in items] for i in range(max((len(e) for e in items), default=1))]
@@ -241,10 +244,12 @@ def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
 
 def _check_distribution(kind: str, args: Any, where: str) -> None:
     if not isinstance(args, list) or not args:
-        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. {{ uniform = [0.1, 0.2] }}.")
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. "
+                         f"{{ uniform = [0.1, 0.2] }}.")
     if kind == "choice":
         return
-    if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in args):
+    if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v)
+                             for v in args):
         raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
     low, high = args
     if low > high or (kind == "loguniform" and low <= 0):
@@ -268,16 +273,21 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
                                   "obstacles", "press", "touches", "camera", "dataset", "arm"))
     sensor = parse_sensor(tree["sensor"], path) if "sensor" in tree else None
     if sensor is not None and "probe" in tree:
-        raise SceneError(f"{path}: there is a [sensor] and a [probe]; one of them moves along the path. What a bubble is to touch goes into [object] or [[obstacles]].")
+        raise SceneError(f"{path}: there is a [sensor] and a [probe]; one of them moves along the path. What a bubble "
+                         f"is to touch goes into [object] or [[obstacles]].")
     if "object" not in tree and (sensor is None or not tree.get("obstacles")):
         raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
-                         + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None else ", or a [sensor] and [[obstacles]] for it to press on."))
+                         + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None
+                            else ", or a [sensor] and [[obstacles]] for it to press on."))
     if sensor is None and isinstance(tree.get("touches"), Mapping) and tree["touches"].get("tilt"):
-        raise SceneError(f"{path} [touches]: tilt is {tree['touches']['tilt']!r}, but there is no [sensor]; a rigid probe comes in along the normal. Take tilt out.")
+        raise SceneError(f"{path} [touches]: tilt is {tree['touches']['tilt']!r}, but there is no [sensor]; a rigid "
+                         f"probe comes in along the normal. Take tilt out.")
     if sensor is not None and "touches" in tree and "object" not in tree:
-        raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. Add it, or use [press] on the [[obstacles]].")
+        raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
+                         f"Add it, or use [press] on the [[obstacles]].")
     if sensor is not None and "arm" in tree:
-        raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led along straight lines, or by an arm without one. Take one of them out.")
+        raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
+                         f"along straight lines, or by an arm without one. Take one of them out.")
     needs = tree.get("needs", ["normal-force"])
     if not isinstance(needs, list):
         raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")
@@ -287,10 +297,12 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     probe, parts = parse_probe(tree.get("probe"), path)
     obstacles = parse_obstacles(tree.get("obstacles", []), path)
     if 1 + len(parts) + len(obstacles) > MAX_BODIES:
-        raise SceneError(f"{path}: probe, parts and obstacles are {1 + len(parts) + len(obstacles)} rigid bodies; {MAX_BODIES} are allowed. Join some into one mesh.")
+        raise SceneError(f"{path}: probe, parts and obstacles are {1 + len(parts) + len(obstacles)} rigid bodies; "
+                         f"{MAX_BODIES} are allowed. Join some into one mesh.")
     if "touches" in tree and (parts or obstacles or isinstance(probe, MeshFile)):
         what = "a mesh as its probe" if isinstance(probe, MeshFile) else "[[probe.parts]]" if parts else "[[obstacles]]"
-        raise SceneError(f"{path} [touches]: the touches of a dataset are made with one simple probe, which a method can read from it; this scene has {what}. Use it with [press], or take it out.")
+        raise SceneError(f"{path} [touches]: the touches of a dataset are made with one simple probe, which a method "
+                         f"can read from it; this scene has {what}. Use it with [press], or take it out.")
     return Scene(
         name=str(tree.get("name", path.stem)),
         needs=tuple(needs),
@@ -322,7 +334,8 @@ def _object(node: Any, path: Path) -> ObjectSpec:
         fixed = t.vector("fixed", None, 6)
     material = parse_material(t.table.get("young_modulus"), where)
     if material.base is None and not isinstance(shape, Family):
-        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or {{ base = 1e5, inclusions = [..] }}.")
+        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
+                         f"{{ base = 1e5, inclusions = [..] }}.")
     appearance = t.table.get("appearance", {})
     if not isinstance(appearance, Mapping):
         raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
@@ -348,7 +361,8 @@ def _touches(node: Any, path: Path) -> TouchSpec:
     t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt"))
     where = f"{path} [touches] frames"
     f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
-    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000), f.count("out", 3, 0, 1000))
+    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
+              f.count("out", 3, 0, 1000))
     return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
                      t.number("approach", 0.01, 1e-4, 0.5, "m"),
                      t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"))
@@ -368,8 +382,11 @@ def _dataset(node: Any, path: Path) -> DatasetSpec:
     t = Table(node, where, ("objects", "views", "splits"))
     objects = t.count("objects", 6, 1, 100_000)
     splits = t.table.get("splits", {"test": objects})
-    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0 for n in splits.values()):
-        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. {{ train = 4, test = 2 }}.")
+    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0
+                                              for n in splits.values()):
+        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. "
+                         f"{{ train = 4, test = 2 }}.")
     if sum(splits.values()) != objects:
-        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make them equal.")
+        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make "
+                         f"them equal.")
     return DatasetSpec(objects, t.count("views", 1, 1, 1000), dict(splits))

@@ -74,7 +74,8 @@ class Plane:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a probe, that of its bounding box.
+    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a probe,
+    that of its bounding box.
 
     path: the file, relative to the scene file. scale: [m] per unit of the file, or None to
     decide from the size (a bounding box over 5 units is read as millimetres, and said so).
@@ -138,7 +139,8 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
         SceneError: not a table, an unknown shape, or sizes that are not positive lengths.
     """
     if not isinstance(table, Mapping) or not table:
-        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(OBJECT_SHAPES)}, e.g. {{ box = [0.1, 0.1, 0.05] }}.")
+        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(OBJECT_SHAPES)}, e.g. "
+                         f"{{ box = [0.1, 0.1, 0.05] }}.")
     if "family" in table:
         rest = {k: v for k, v in table.items() if k != "family"}
         return Family(str(table["family"]), rest)
@@ -158,7 +160,8 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
 def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     """The shape of ``[probe]`` from its TOML table; see `parse_object_shape`."""
     if not isinstance(table, Mapping) or not table:
-        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. {{ sphere = 0.02 }}.")
+        raise SceneError(f"{where}: shape is {table!r}; give one of {', '.join(PROBE_SHAPES)}, e.g. "
+                         f"{{ sphere = 0.02 }}.")
     if "mesh" in table:
         return _mesh(table, where)
     if "chain" in table:  # of a dataset's file; a scene says [arm]
@@ -183,7 +186,8 @@ def _mesh(table: Mapping[str, Any], where: str) -> MeshFile:
         if key not in ("mesh", "scale"):
             raise SceneError(unknown_key(f"{where} shape", key, ("mesh", "scale")))
     if not isinstance(table["mesh"], str) or not table["mesh"]:
-        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, relative to the scene file.")
+        raise SceneError(f"{where}: mesh is {table['mesh']!r}; give the path of an OBJ, PLY or STL file, relative to "
+                         f"the scene file.")
     scale = table.get("scale")
     return MeshFile(table["mesh"], None if scale is None else _positive(where, "scale", scale))
 

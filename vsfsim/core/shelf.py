@@ -27,8 +27,10 @@ def checkout() -> Path:
     """
     root = Path(__file__).resolve().parents[2]
     if not (root / "benchmarks" / "__init__.py").is_file():
-        raise VsfsimError(f"`vsfsim measure` needs a checkout of the repository: its scripts are in the folder benchmarks/, which is not part of the installed "
-                          f"package (looked for {root / 'benchmarks'}). Clone the repository and install it with `pip install -e .`.")
+        raise VsfsimError(f"`vsfsim measure` needs a checkout of the repository: its scripts are in the folder "
+                          f"benchmarks/, which is not part of the installed "
+                          f"package (looked for {root / 'benchmarks'}). Clone the repository and install it with `pip "
+                          f"install -e .`.")
     return root
 
 
@@ -56,10 +58,12 @@ def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError
     if path.suffix == ".toml":
         if path.is_file():
             return path
-        raise error(f"{kind} file '{given}' does not exist. Give the path of a .toml file, or one of: {', '.join(shelf)}.")
+        raise error(f"{kind} file '{given}' does not exist. Give the path of a .toml file, or one of: "
+                    f"{', '.join(shelf)}.")
     if given in shelf:
         return shelf[given]
-    raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim {kind}s` lists them; a path to a .toml file works too.")
+    raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim {kind}s` lists them; a path to a "
+                f".toml file works too.")
 
 
 def find_scene(given: str) -> Path:

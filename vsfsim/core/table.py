@@ -30,7 +30,8 @@ class Table:
         """A number from ``low`` to ``high``."""
         value = self.table.get(key, default)
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= float(value) <= high:
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to {high:g}{' ' + unit if unit else ''}.")
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a number from {low:g} to "
+                             f"{high:g}{' ' + unit if unit else ''}.")
         return float(value)
 
     def count(self, key: str, default: int, low: int, high: int) -> int:
@@ -52,7 +53,8 @@ class Table:
         """A list, or none; e.g. of the tables that ``[[key]]`` gives."""
         value = self.table.get(key, [])
         if not isinstance(value, list):
-            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a list of tables: write [[{key}]] for each.")
+            raise SceneError(f"{self.where}: {key} is {value!r}; it must be a list of tables: write "
+                             f"[[{key}]] for each.")
         return value
 
 

@@ -68,8 +68,10 @@ class Dataset:
         manifest = path / MANIFEST
         if not manifest.is_file():
             if (path / PART_MANIFEST).is_file():
-                raise DatasetError(f"the dataset in {path} is unfinished. Run the same `vsfsim generate` again; it makes only what is missing.")
-            raise DatasetError(f"{path} holds no dataset (there is no {MANIFEST}). Give the folder that `vsfsim generate --out` made.")
+                raise DatasetError(f"the dataset in {path} is unfinished. Run the same `vsfsim generate` again; it "
+                                   f"makes only what is missing.")
+            raise DatasetError(f"{path} holds no dataset (there is no {MANIFEST}). Give the folder that `vsfsim "
+                               f"generate --out` made.")
         table = read_manifest(manifest)
         entries = tuple(_entry(row, manifest) for row in table["files"])
         return cls(path, Recipe.read(table["recipe"], str(manifest)), table["made_by"], entries, blind)
@@ -105,9 +107,12 @@ class Dataset:
                 path = self.path / entry.file
                 # HDF5 would read a flipped byte without a word, and a score would rest on it.
                 if path.is_file() and file_sha256(path) != entry.sha256:
-                    raise DatasetError(f"{path} was changed after it was written (its sha256 does not fit {MANIFEST}). Delete it and run the same `vsfsim generate` again, which makes only what is missing.")
+                    raise DatasetError(f"{path} was changed after it was written (its sha256 does not fit {MANIFEST}). "
+                                       f"Delete it and run the same `vsfsim generate` again, which makes only what "
+                                       f"is missing.")
                 return read_view(self.path / entry.file, blind=self.is_blind)
-        raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. {did_you_mean(name, self.names())}")
+        raise DatasetError(f"the dataset in {self.path} has no object view '{name}'. "
+                           f"{did_you_mean(name, self.names())}")
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -128,7 +133,8 @@ def file_name(name: str) -> str:
 
 
 def manifest_bytes(table: Mapping[str, Any]) -> bytes:
-    """dataset.json as bytes; its first key ``digest`` is the sha256 of all the others, so that no byte can change unseen."""
+    """dataset.json as bytes; its first key ``digest`` is the sha256 of all the others, so that no byte can change
+    unseen."""
     body = {key: value for key, value in table.items() if key != "digest"}
     digest = hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest()
     return (json.dumps({"digest": digest, **body}, indent=1) + "\n").encode()
@@ -152,13 +158,16 @@ def read_manifest(path: Path) -> dict[str, Any]:
         table = json.loads(content)
         format_ = table["format"]
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {error!r}. It is damaged; delete the folder and generate the dataset again, or restore the file.") from error
+        raise DatasetError(f"{path} cannot be read as a dataset's manifest: {error!r}. It is damaged; delete the "
+                           f"folder and generate the dataset again, or restore the file.") from error
     if format_ != FORMAT:
         raise DatasetError(f"{path} is not the manifest of a vsfsim dataset (format {format_!r}).")
     if table.get("schema_version") != SCHEMA_VERSION:
-        raise DatasetError(f"{path} has schema version {table.get('schema_version')}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it again.")
+        raise DatasetError(f"{path} has schema version {table.get('schema_version')}; this vsfsim reads "
+                           f"{SCHEMA_VERSION}. Use the vsfsim version it names under made_by, or generate it again.")
     if manifest_bytes(table) != content:
-        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or delete the folder and run the same `vsfsim generate` again.")
+        raise DatasetError(f"{path} was changed after it was written (its digest does not fit). Restore the file, or "
+                           f"delete the folder and run the same `vsfsim generate` again.")
     for key in ("made_by", "recipe", "files"):
         if key not in table and not (path.name == PART_MANIFEST and key == "files"):
             raise DatasetError(f"{path} has no '{key}'; it is damaged.")

@@ -53,6 +53,9 @@ def sync_folder(folder: Path) -> None:
 
 def _complaint(path: Path, size: int, problem: OSError) -> str:
     if problem.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-        return (f"{path} cannot be written: {problem.strerror} ({size / 1e6:.1f} MB were needed for this file). Nothing half-written is left. "
-                f"Free some space, or choose a folder on another disk, and run the same command again; finished files are kept.")
-    return f"{path} cannot be written: {problem.strerror or problem}. Choose a folder that exists and that you may write to."
+        return (f"{path} cannot be written: {problem.strerror} ({size / 1e6:.1f} MB were needed for this file). "
+                f"Nothing half-written is left. "
+                f"Free some space, or choose a folder on another disk, and run the same command again; finished "
+                f"files are kept.")
+    return (f"{path} cannot be written: {problem.strerror or problem}. Choose a folder that exists and that you "
+            f"may write to.")

@@ -42,7 +42,8 @@ def write_view(path: str | Path, object_view: ObjectView) -> None:
 def encode_view(object_view: ObjectView) -> bytes:
     """The bytes of an object file; see `write_view`. Nothing in them depends on the clock or the machine."""
     if object_view.truth is None:
-        raise DatasetError(f"object view '{object_view.name}' has no truth (it is blind); a dataset stores the truth too.")
+        raise DatasetError(f"object view '{object_view.name}' has no truth (it is blind); a dataset stores "
+                           f"the truth too.")
     # In memory first: then every way a disk can fail is a plain OSError of one write.
     with h5py.File("object-view", "w", driver="core", backing_store=False, libver="v108", track_order=True) as file:
         values = {"format": FORMAT, "schema_version": SCHEMA_VERSION, "name": object_view.name,
@@ -53,9 +54,11 @@ def encode_view(object_view: ObjectView) -> bytes:
         _write_group(file, "view", "view", object_view.view, object_view.name, None)
         touches = file.create_group("touches", track_order=True)
         if len(object_view.touches) > 1000:
-            raise DatasetError(f"object view '{object_view.name}' has {len(object_view.touches)} touches; a file holds at most 1000. Use more views.")
+            raise DatasetError(f"object view '{object_view.name}' has {len(object_view.touches)} touches; a file holds "
+                               f"at most 1000. Use more views.")
         for index, touch in enumerate(object_view.touches):
-            _write_group(touches, f"{index:03d}", "touches/*", touch, f"{object_view.name} touches/{index:03d}", touch.converged)
+            _write_group(touches, f"{index:03d}", "touches/*", touch, f"{object_view.name} touches/{index:03d}",
+                         touch.converged)
         _write_group(file, "truth", "truth", object_view.truth, object_view.name, None)
         file.flush()
         return file.id.get_file_image()
@@ -69,7 +72,8 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
         known = {f.name.removeprefix("audit/") for f in fields_of(kind) if f.name.startswith("audit/")}
         for column in record.audit:
             if column not in known:
-                raise DatasetError(f"{where}: audit column '{column}' is not in the schema ({', '.join(sorted(known))}); "
+                raise DatasetError(f"{where}: audit column '{column}' is not in the schema "
+                                   f"({', '.join(sorted(known))}); "
                                    f"add a row to vsfsim/data/schema.py or leave it out.")
     for field in fields_of(kind):
         value = _value(record, field)
@@ -82,7 +86,8 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
         bad = first_bad(field, array, converged)
         if bad is not None:
             frame = f" in frame {bad[0]}, which is marked converged" if field.masked else f" at index {bad}"
-            raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; it is never stored as data.")
+            raise DatasetError(f"{spot} is not finite{frame}. Mark the frame as not converged, or mend the simulation; "
+                               f"it is never stored as data.")
         _write_array(group, field, array)
 
 
@@ -120,13 +125,16 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
         with h5py.File(path, "r") as file:
             check_attributes(file, path)
             view = View(**_read_group(file["view"], "view", f"{path} view"))
-            touches = tuple(_read_touch(file["touches"][name], f"{path} touches/{name}") for name in sorted(file["touches"]))
+            touches = tuple(_read_touch(file["touches"][name], f"{path} touches/{name}")
+                            for name in sorted(file["touches"]))
             truth = None if blind else Truth(**_read_group(file["truth"], "truth", f"{path} truth"))
             attrs = file.attrs
-            return ObjectView(str(attrs["name"]), int(attrs["object_index"]), int(attrs["view_index"]), str(attrs["split"]),
+            return ObjectView(str(attrs["name"]), int(attrs["object_index"]), int(attrs["view_index"]),
+                              str(attrs["split"]),
                               _probe(attrs["probe"], path), view, touches, truth)
     except (OSError, KeyError, RuntimeError) as error:
-        raise DatasetError(f"{path} cannot be read: {error}. It is damaged; delete it and run the same `vsfsim generate` again, which makes only what is missing.") from error
+        raise DatasetError(f"{path} cannot be read: {error}. It is damaged; delete it and run the same `vsfsim "
+                           f"generate` again, which makes only what is missing.") from error
 
 
 def check_attributes(file: h5py.File, path: Path) -> None:
@@ -140,7 +148,8 @@ def check_attributes(file: h5py.File, path: Path) -> None:
         raise DatasetError(f"{path} is not an object view of vsfsim (its @format is {kind!r}, not {FORMAT!r}).")
     version = file.attrs.get("schema_version")
     if version != SCHEMA_VERSION:
-        raise DatasetError(f"{path} has schema version {version}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim version that dataset.json names, or generate it again.")
+        raise DatasetError(f"{path} has schema version {version}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim "
+                           f"version that dataset.json names, or generate it again.")
     for name in ATTRIBUTES:
         if name not in file.attrs:
             raise DatasetError(f"{path} has no attribute '{name}'; it is damaged.")
@@ -166,7 +175,8 @@ def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:
     for field in fields_of(kind):
         if field.name not in group:
             if field.required:
-                raise DatasetError(f"{where}/{field.name} is missing; the file is damaged or was not written by vsfsim.")
+                raise DatasetError(f"{where}/{field.name} is missing; the file is damaged or was not "
+                                   f"written by vsfsim.")
             values[field.name] = None
             continue
         array = read_array(group[field.name], field)

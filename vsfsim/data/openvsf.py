@@ -1,4 +1,5 @@
-"""The folder that the published openvsf package (github uiuc-iml/openvsf @29d70e9) loads: one `.npy` a key and sequence, a point VSF, a mesh, a configuration.
+"""The folder that the published openvsf package (github uiuc-iml/openvsf @29d70e9) loads: one `.npy` a key and
+sequence, a point VSF, a mesh, a configuration.
 
     seq_<ID>/kinova_state.npy     (T, 7)      joint angles [rad]
              punyo_state.npy      (T, N, 3)   vertices of the bubble, in its body frame [m]
@@ -10,7 +11,8 @@
     ground_truth/                 what openvsf does not look at: the true VSF, and every reading without its noise
     manifest.json                 units, law, noise, and what is missing
 
-The first frames of a sequence are free of contact, since openvsf takes its tare there. The robot is theirs: its URDF and meshes are not ours to ship.
+The first frames of a sequence are free of contact, since openvsf takes its tare there. The robot is theirs: its URDF
+and meshes are not ours to ship.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ import numpy as np
 from vsfsim.core.errors import DatasetError
 from vsfsim.data.disk import write_atomic
 
-LINKS = ("Shoulder_Link", "HalfArm1_Link", "HalfArm2_Link", "ForeArm_Link", "SphericalWrist1_Link", "SphericalWrist2_Link", "Bracelet_Link")
+LINKS = ("Shoulder_Link", "HalfArm1_Link", "HalfArm2_Link", "ForeArm_Link", "SphericalWrist1_Link",
+         "SphericalWrist2_Link", "Bracelet_Link")
 """Of the Gen3 in openvsf's URDF, with a joint each."""
 FLANGE = "EndEffector_Link"
 URDF = "assets/kinova_gen3.urdf"
@@ -36,7 +39,8 @@ _ORIGIN = "knowledge/robot_model/kinova_gen3.urdf of github uiuc-iml/openvsf, wh
 
 @dataclass(frozen=True)
 class Recorded:
-    """One touch. q: joint angles (T, 7) [rad]. state: of the bubble's vertices in its body frame (T, N, 3) [m]. force: on them, same frame, as read (T, N, 3) [N].
+    """One touch. q: joint angles (T, 7) [rad]. state: of the bubble's vertices in its body frame (T, N, 3) [m]. force:
+    on them, same frame, as read (T, N, 3) [N].
     pressure: as read (T,) [Pa]. true_force: without noise (T, N, 3) [N]. true_pressure: without noise (T,) [Pa]."""
 
     q: np.ndarray
@@ -49,7 +53,8 @@ class Recorded:
 
 @dataclass(frozen=True)
 class Bubble:
-    """The sensor. vertices: of the undented bubble in its body frame (N, 3) [m]. triangles: closed, wound outwards (F, 3). mount: pose of that frame in the flange's (4, 4) [m].
+    """The sensor. vertices: of the undented bubble in its body frame (N, 3) [m]. triangles: closed, wound outwards (F,
+    3). mount: pose of that frame in the flange's (4, 4) [m].
     area: seen along its z [m^2]."""
 
     vertices: np.ndarray
@@ -60,8 +65,10 @@ class Bubble:
 
 @dataclass(frozen=True)
 class Model:
-    """What is to be estimated, and from what. points: rest positions, world (n, 3) [m]. stiffness: the truth (n,) [N/m]. mean, std: of the prior [N/m].
-    force_noise: std of every component of a force [N]. pressure_noise: of a pressure [Pa]. tare: frames at the start of every sequence without contact."""
+    """What is to be estimated, and from what. points: rest positions, world (n, 3) [m]. stiffness: the truth (n,)
+    [N/m]. mean, std: of the prior [N/m].
+    force_noise: std of every component of a force [N]. pressure_noise: of a pressure [Pa]. tare: frames at the start of
+    every sequence without contact."""
 
     points: np.ndarray
     stiffness: np.ndarray
@@ -72,27 +79,33 @@ class Model:
     tare: int
 
 
-def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, model: Model, *, urdf: Path | None = None) -> list[str]:
+def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, model: Model, *,
+                  urdf: Path | None = None) -> list[str]:
     """Write the folder.
 
     Args:
-        folder: new or empty. touches: at least one. urdf: of the robot, to be named in the configuration where it lies; None: the user puts it to `URDF`.
+        folder: new or empty. touches: at least one. urdf: of the robot, to be named in the configuration where it lies;
+        None: the user puts it to `URDF`.
 
     Returns:
         What the user still has to do, sentence by sentence.
 
     Raises:
-        DatasetError: the folder has something in it or cannot be written, the URDF is none of a Gen3, or no touch, or touches of other shapes.
+        DatasetError: the folder has something in it or cannot be written, the URDF is none of a Gen3, or no touch, or
+        touches of other shapes.
     """
     if not touches:
         raise DatasetError("openvsf: there is no touch to write; it needs at least one.")
     count = len(bubble.vertices)
     for number, touch in enumerate(touches):
         frames = len(touch.q)
-        shapes = {"q": (frames, 7), "state": (frames, count, 3), "force": (frames, count, 3), "pressure": (frames,), "true_force": (frames, count, 3), "true_pressure": (frames,)}
-        odd = [f"{name} {getattr(touch, name).shape}, not {shape}" for name, shape in shapes.items() if getattr(touch, name).shape != shape]
+        shapes = {"q": (frames, 7), "state": (frames, count, 3), "force": (frames, count, 3), "pressure": (frames,),
+                  "true_force": (frames, count, 3), "true_pressure": (frames,)}
+        odd = [f"{name} {getattr(touch, name).shape}, not {shape}" for name,
+               shape in shapes.items() if getattr(touch, name).shape != shape]
         if odd or frames <= model.tare:
-            raise DatasetError(f"openvsf: touch {number} has {'; '.join(odd) or f'{frames} frames, no more than the {model.tare} of the tare'}.")
+            raise DatasetError(f"openvsf: touch {number} has "
+                               f"{'; '.join(odd) or f'{frames} frames, no more than the {model.tare} of the tare'}.")
     robot, to_do = check_target(folder, urdf)
     try:
         for part in ("object", "assets", "ground_truth"):
@@ -104,13 +117,18 @@ def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, mod
         digits = max(4, len(str(len(touches) - 1)))
         for number, touch in enumerate(touches):
             name = f"seq_{number:0{digits}d}"
-            _write_keys(folder / name, {"kinova_state": touch.q, "punyo_state": touch.state, "punyo_force": touch.force, "punyo_pressure": touch.pressure[:, None]})
-            _write_keys(folder / "ground_truth" / name, {"punyo_force": touch.true_force, "punyo_pressure": touch.true_pressure[:, None]})
+            _write_keys(folder / name, {"kinova_state": touch.q, "punyo_state": touch.state, "punyo_force": touch.force,
+                                        "punyo_pressure": touch.pressure[:, None]})
+            _write_keys(folder / "ground_truth" / name, {"punyo_force": touch.true_force,
+                                                         "punyo_pressure": touch.true_pressure[:, None]})
         for name, dense in (("openvsf.yaml", True), ("openvsf-pressure.yaml", False)):
-            write_atomic(folder / name, _configuration(robot, bubble, model, count, frames=sum(len(t.q) for t in touches), dense=dense).encode())
-        write_atomic(folder / "manifest.json", (json.dumps(_manifest(touches, bubble, model, to_do), indent=1) + "\n").encode())
+            write_atomic(folder / name, _configuration(robot, bubble, model, count,
+                                                       frames=sum(len(t.q) for t in touches), dense=dense).encode())
+        write_atomic(folder / "manifest.json", (json.dumps(_manifest(touches, bubble, model, to_do),
+                                                           indent=1) + "\n").encode())
     except OSError as error:
-        raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that can be made.") from error
+        raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that "
+                           f"can be made.") from error
     return to_do
 
 
@@ -126,23 +144,27 @@ def check_target(folder: Path, urdf: Path | None) -> tuple[str, list[str]]:
             # every seq* that lies there would be loaded, those of an earlier run, too
             raise DatasetError(f"openvsf: '{folder}' is not empty. Give a new folder, or empty it.")
     except OSError as error:
-        raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that can be made.") from error
+        raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that "
+                           f"can be made.") from error
     if urdf is None:
-        return f"!relative_path {URDF}", [f"{URDF} is not ours to ship. Copy it there from {_ORIGIN}, or write the export again with the path of yours (--urdf)."]
+        return f"!relative_path {URDF}", [f"{URDF} is not ours to ship. Copy it there from {_ORIGIN}, or write the "
+                                          f"export again with the path of yours (--urdf)."]
     try:
         text = urdf.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"openvsf: the URDF '{urdf}' cannot be read: {error}. It is {_ORIGIN}.") from error
     missing = [name for name in (*LINKS, FLANGE) if f'name="{name}"' not in text]
     if missing:
-        raise DatasetError(f"openvsf: the URDF '{urdf}' has no {', '.join(missing)}; openvsf's sensors know the links by these names. It is {_ORIGIN}.")
+        raise DatasetError(f"openvsf: the URDF '{urdf}' has no {', '.join(missing)}; openvsf's sensors know the links "
+                           f"by these names. It is {_ORIGIN}.")
     return json.dumps(str(urdf.resolve())), []
 
 
 def _write_vsf(path: Path, points: np.ndarray, stiffness: np.ndarray) -> None:
     content = io.BytesIO()
     # Single precision points end openvsf in its sensors and its quadratic program.
-    np.savez(content, points=np.asarray(points, np.float64), K=np.asarray(stiffness, np.float64), axis_mode="isotropic", features=np.array({}, dtype=object))
+    np.savez(content, points=np.asarray(points, np.float64), K=np.asarray(stiffness, np.float64), axis_mode="isotropic",
+             features=np.array({}, dtype=object))
     write_atomic(path, content.getvalue())
 
 
@@ -155,14 +177,19 @@ def _write_keys(folder: Path, keys: dict[str, np.ndarray]) -> None:
 
 
 def _ply(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
-    head = ["ply", "format ascii 1.0", "comment vsfsim: the free dome of a Punyo and its base, metres, in the bubble's body frame", f"element vertex {len(vertices)}",
-            *(f"property double {axis}" for axis in "xyz"), f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header"]
+    head = ["ply", "format ascii 1.0",
+            "comment vsfsim: the free dome of a Punyo and its base, metres, in the bubble's body frame",
+            f"element vertex {len(vertices)}",
+            *(f"property double {axis}" for axis in "xyz"), f"element face {len(triangles)}",
+            "property list uchar int vertex_indices", "end_header"]
     # repr keeps every digit: the mesh is the one that was pressed
-    return "\n".join([*head, *(" ".join(map(repr, map(float, v))) for v in vertices), *(f"3 {a} {b} {c}" for a, b, c in triangles), ""]).encode()
+    return "\n".join([*head, *(" ".join(map(repr, map(float, v))) for v in vertices),
+                      *(f"3 {a} {b} {c}" for a, b, c in triangles), ""]).encode()
 
 
 def _configuration(robot: str, bubble: Bubble, model: Model, count: int, *, frames: int, dense: bool) -> str:
-    key, kind, noise = ("punyo_force", "PunyoDenseForceSensor", model.force_noise) if dense else ("punyo_pressure", "PunyoPressureSensor", model.pressure_noise)
+    key, kind, noise = ("punyo_force", "PunyoDenseForceSensor",
+                        model.force_noise) if dense else ("punyo_pressure", "PunyoPressureSensor", model.pressure_noise)
     shape = f"[[{count}, 3], float64]"
     mount = ", ".join(f"[{', '.join(repr(float(x)) for x in row)}]" for row in bubble.mount)
     # Dense forces are never tared there; openvsf fails if they are asked to be.
@@ -197,10 +224,13 @@ prior: {{type: gaussian, mu: {model.mean!r}, var: {(model.std / noise) ** 2!r}}}
 def _manifest(touches: Sequence[Recorded], bubble: Bubble, model: Model, to_do: list[str]) -> dict[str, object]:
     return {
         "made_for": "github uiuc-iml/openvsf @29d70e9",
-        "sequences": len(touches), "frames": sum(len(t.q) for t in touches), "tare_frames_a_sequence": model.tare, "points": len(model.points),
+        "sequences": len(touches), "frames": sum(len(t.q) for t in touches), "tare_frames_a_sequence": model.tare,
+            "points": len(model.points),
         "frames_of_reference": "world: the arm's Base_Link, z up; punyo_state and punyo_force: the bubble's body",
-        "law": "force on the bubble by point i: -K_i (p_i - p_i0), p_i stuck to the point of the surface that met it; a vertex takes the barycentric share of its triangle's points",
+        "law": "force on the bubble by point i: -K_i (p_i - p_i0), p_i stuck to the point of the surface that met it; "
+               "a vertex takes the barycentric share of its triangle's points",
         "pressure_law": "-(1/A) sum f . z of the bubble's body", "A_m2": bubble.area,
-        "noise_std": {"punyo_force_N": model.force_noise, "punyo_pressure_Pa": model.pressure_noise}, "prior_N_per_m": {"mean": model.mean, "std": model.std},
+        "noise_std": {"punyo_force_N": model.force_noise, "punyo_pressure_Pa": model.pressure_noise},
+            "prior_N_per_m": {"mean": model.mean, "std": model.std},
         "ground_truth": "ground_truth/vsf.npz: the true K; ground_truth/seq_*: the readings without noise",
         "not_here": ["kinova_joint_torques: a contact on the bubble gives none in openvsf", *to_do]}

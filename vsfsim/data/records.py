@@ -72,7 +72,8 @@ class Touch:
     link_force: contact force on each of the arm's L links, world (T, L, 3) [N], or None without an arm.
     link_moment: contact moment on each about the origin of its frame, world (T, L, 3) [N m], or None without an arm.
     draws: how many targets were drawn until the arm could reach one [-], or None without an arm.
-    ended: why a guarded touch has fewer readings than planned [-], or None for others: 0 it has them all, 1 the arm's protective stop on its way back, 2 the solver's iterations were used up.
+    ended: why a guarded touch has fewer readings than planned [-], or None for others: 0 it has them all, 1 the arm's
+    protective stop on its way back, 2 the solver's iterations were used up.
     pressure: gauge pressure of the bubble (T,) [Pa], or None for a rigid probe.
     rest_pressure: that of its free dome, a number [Pa], or None for a rigid probe.
     moment: of the contact force on the sensor about the mount's origin, world (T, 3) [N m], or None for a rigid probe.
@@ -85,7 +86,8 @@ class Touch:
     fine_force: contact force on each of them, world (T, V, 3) [N], or None if not kept.
     fine_rest: the same vertices of the free dome, mount frame (V, 3) [m], or None if not kept.
     fine_triangles: of that mesh, wound outwards (K, 3) int, or None if not kept.
-    inside_depth: what the camera in the bubble sees, distance along its axis, 0 where there is no skin (T, h, w) [m], or None if not kept.
+    inside_depth: what the camera in the bubble sees, distance along its axis, 0 where there is no skin (T, h, w) [m],
+    or None if not kept.
     inside_rgb: colour of the same (T, h, w, 3) uint8 sRGB, or None if not kept.
     """
 
@@ -169,7 +171,8 @@ class ObjectView:
 
     name: e.g. "shoe-0007-v0"; unique in its dataset. object_index: of the object, from 0 [-].
     view_index: of the view of that object, from 0 [-]. split: "train", "test", ... as the scene names them.
-    probe: the rigid shape that touched it, the chain of an arm, or the free dome of a bubble. view: the RGB-D image at rest. touches: in the order they were made.
+    probe: the rigid shape that touched it, the chain of an arm, or the free dome of a bubble. view: the RGB-D image at
+    rest. touches: in the order they were made.
     truth: None where it is withheld (a blind dataset).
     """
 

@@ -56,7 +56,8 @@ def _view(name: str, dtype: str, dims: str, unit: str, doc: str) -> Field:
     return Field(f"view/{name}", dtype, tuple(dims.split()), unit, doc)
 
 
-def _touch(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: bool = True, masked: bool = False) -> Field:
+def _touch(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: bool = True,
+           masked: bool = False) -> Field:
     return Field(f"touches/*/{name}", dtype, tuple(dims.split()), unit, doc, required, masked)
 
 
@@ -69,49 +70,69 @@ FIELDS: tuple[Field, ...] = (
     _view("depth", "float32", "H W", "m", "Distance along the optical axis; 0 where there is no object."),
     _view("mask", "bool", "H W", "1", "True on the object."),
     _view("intrinsics", "float64", "3 3", "px", "Pinhole matrix; the centre of the top-left pixel is (0, 0)."),
-    _view("camera_pose", "float64", "4 4", "m", "Camera-to-world transform, OpenCV axes; its rotation part has no unit."),
+    _view("camera_pose", "float64", "4 4", "m",
+          "Camera-to-world transform, OpenCV axes; its rotation part has no unit."),
     _touch("time", "float64", "T", "s", "Time of each frame."),
     _touch("mount_pose", "float64", "T 4 4", "m", "Probe-to-world transform; its rotation part has no unit."),
     _touch("axis", "float64", "3", "1", "Unit direction of the press, world."),
     _touch("target", "float64", "3", "m", "The visible point that was aimed at, world."),
     _touch("normal", "float64", "3", "1", "Outward unit normal of the visible cloud at the target, world."),
     _touch("force", "float64", "T 3", "N", "Contact force on the probe, world, free of sensor noise.", masked=True),
-    _touch("reaction", "float64", "T 3", "N", "Force of the supports on the object, world; equals force where the object weighs nothing.", masked=True),
+    _touch("reaction", "float64", "T 3", "N",
+           "Force of the supports on the object, world; equals force where the object weighs nothing.", masked=True),
     _touch("converged", "bool", "T", "1", "The frame is an equilibrium within the solver's tolerance."),
     _touch("residual", "float64", "T", "1", "Relative residual of the equilibrium.", masked=True),
     _touch("iterations", "int64", "T", "1", "Newton iterations spent on the frame."),
     _touch("touched", "bool", "", "1", "The probe met the object in at least one frame."),
     _touch("reason", "int64", "T", "1", "0 for a good frame, else 1 + an index into reason_names."),
     _touch("reason_names", TEXT, "Q", "1", "What the codes of reason mean."),
-    _touch("audit/force_balance", "float64", "T", "1", "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: over 0.1 N at least.", masked=True),
-    _touch("audit/min_det_f", "float64", "T", "1", "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, required=False),
-    _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object; with a bubble, of object, skin and air.", masked=True),
-    _touch("audit/penetration", "float64", "T", "m", "Deepest quadrature point of the surface inside the probe; of a bubble, deepest node of either surface inside the other.", masked=True),
+    _touch("audit/force_balance", "float64", "T", "1",
+           "Norm of force - reaction - weight, over the larger norm; 0 in perfect balance. Of plants: over 0.1 "
+           "N at least.", masked=True),
+    _touch("audit/min_det_f", "float64", "T", "1",
+           "Smallest det F of an element; not of a plant, whose beams have none.", masked=True, required=False),
+    _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object; with a bubble, of object, skin and air.",
+           masked=True),
+    _touch("audit/penetration", "float64", "T", "m",
+           "Deepest quadrature point of the surface inside the probe; of a bubble, deepest node of either surface "
+           "inside the other.", masked=True),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
-    _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False, masked=True),
-    _touch("link_moment", "float64", "T L 3", "N m", "Contact moment on each link about the origin of its frame, world.", required=False, masked=True),
+    _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False,
+           masked=True),
+    _touch("link_moment", "float64", "T L 3", "N m",
+           "Contact moment on each link about the origin of its frame, world.", required=False, masked=True),
     _touch("draws", "int64", "", "1", "How many targets were drawn until the arm could reach one.", required=False),
-    _touch("ended", "int64", "", "1", "Why a guarded touch has fewer readings than planned: 0 it has them all, 1 the arm's protective stop on its way back, 2 the solver's iterations were used up.", required=False),
+    _touch("ended", "int64", "", "1",
+           "Why a guarded touch has fewer readings than planned: 0 it has them all, 1 the arm's protective stop on its "
+           "way back, 2 the solver's iterations were used up.", required=False),
     _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
     _touch("rest_pressure", "float64", "", "Pa", "Gauge pressure of the free dome.", required=False),
-    _touch("moment", "float64", "T 3", "N m", "Moment of the contact force on the sensor about the mount's origin, world.", required=False, masked=True),
+    _touch("moment", "float64", "T 3", "N m",
+           "Moment of the contact force on the sensor about the mount's origin, world.", required=False, masked=True),
     _touch("node_position", "float32", "T N 3", "m", "Sensor read-out vertices, world.", required=False, masked=True),
-    _touch("node_force", "float32", "T N 3", "N", "Contact force on each read-out vertex, world.", required=False, masked=True),
+    _touch("node_force", "float32", "T N 3", "N", "Contact force on each read-out vertex, world.", required=False,
+           masked=True),
     _touch("node_rest", "float64", "N 3", "m", "Read-out vertices of the free dome, mount frame.", required=False),
-    _touch("node_reference", "float64", "N 2", "m", "Coordinates of the read-out vertices on the stress-free skin.", required=False),
+    _touch("node_reference", "float64", "N 2", "m", "Coordinates of the read-out vertices on the stress-free skin.",
+           required=False),
     _touch("node_triangles", "int64", "F 3", "1", "Triangles of the read-out mesh, wound outwards.", required=False),
-    _touch("fine_position", "float32", "T V 3", "m", "Vertices of the mesh that was solved, world; kept if [sensor] says fine = true.", required=False, masked=True),
+    _touch("fine_position", "float32", "T V 3", "m",
+           "Vertices of the mesh that was solved, world; kept if [sensor] says fine = true.", required=False,
+           masked=True),
     _touch("fine_force", "float32", "T V 3", "N", "Contact force on each of them, world.", required=False, masked=True),
     _touch("fine_rest", "float64", "V 3", "m", "The same vertices of the free dome, mount frame.", required=False),
     _touch("fine_triangles", "int64", "K 3", "1", "Triangles of that mesh, wound outwards.", required=False),
-    _touch("inside_depth", "float32", "T h w", "m", "What the camera in the bubble sees: distance along its axis; 0 where there is no skin.", required=False, masked=True),
+    _touch("inside_depth", "float32", "T h w", "m",
+           "What the camera in the bubble sees: distance along its axis; 0 where there is no skin.", required=False,
+           masked=True),
     _touch("inside_rgb", "uint8", "T h w 3", "1", "Colour image of the same, sRGB, 0 to 255.", required=False),
     _truth("points", "float64", "M 3", "m", "Centroid of each element at rest, world."),
     _truth("young_modulus", "float64", "M", "Pa", "Young's modulus at each centroid."),
     _truth("radius", "float64", "M", "m", "Of a plant's segment; half the thickness of a leaf blade.", required=False),
     _truth("half_width", "float64", "M", "m", "Of a leaf blade's segment, 0 for a round one.", required=False),
-    _truth("segment_ends", "float64", "M 2 3", "m", "Ends of a plant's segments on its middle line, world.", required=False),
+    _truth("segment_ends", "float64", "M 2 3", "m", "Ends of a plant's segments on its middle line, world.",
+           required=False),
     _truth("region", "int64", "M", "1", "Region of each element, an index into region_names."),
     _truth("region_names", TEXT, "R", "1", "Names of the object's parts."),
     _truth("probe_points", "float64", "P 3", "m", "Surface points where the small cone was pressed, world."),
@@ -129,7 +150,8 @@ ATTRIBUTES: Mapping[str, tuple[str, str]] = {
     "object_index": ("integer", "of the object, from 0"),
     "view_index": ("integer", "of the view of that object, from 0"),
     "split": ("text", "train, test, ... as the scene names them"),
-    "probe": ("text", 'JSON table of the shape that touched it, in metres, e.g. {"sphere": 0.02}; {"chain": ..} of an arm, {"dome": ..} of a bubble: its free skin'),
+    "probe": ("text", 'JSON table of the shape that touched it, in metres, e.g. {"sphere": 0.02}; {"chain": ..} of an '
+                      'arm, {"dome": ..} of a bubble: its free skin'),
 }
 """Attributes of the root of an object file: type and meaning."""
 
@@ -140,7 +162,8 @@ MANIFEST_KEYS: Mapping[str, str] = {
     "schema_version": f"{SCHEMA_VERSION} in this version of vsfsim",
     "made_by": "version and commit of vsfsim",
     "sha256": "identity of the content: over name, split and sha256 of every object file, in order",
-    "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, precision, renderer",
+    "recipe": "what the files were made from: scene and its text, seed, counts, splits, device, tier, "
+              "precision, renderer",
     "files": "one entry a file: name, split, indices, counts, bytes, sha256",
 }
 """Keys of dataset.json and their meaning."""
@@ -168,14 +191,16 @@ def check_array(field: Field, array: np.ndarray, where: str, lengths: dict[str, 
     else:
         array = np.asarray(array)
         if not np.can_cast(array.dtype, field.dtype, "same_kind"):
-            raise DatasetError(f"{where} has dtype {array.dtype}; the schema wants {field.dtype}. Convert it before it is stored.")
+            raise DatasetError(f"{where} has dtype {array.dtype}; the schema wants {field.dtype}. Convert it before "
+                               f"it is stored.")
         array = array.astype(field.dtype, copy=False)
     if array.ndim != len(field.dims):
         raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}).")
     for dim, length in zip(field.dims, array.shape):
         want = int(dim) if dim.isdigit() else lengths.setdefault(dim, length)
         if length != want:
-            raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}) with {dim} = {want} here.")
+            raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}) with "
+                               f"{dim} = {want} here.")
     return array
 
 
@@ -200,21 +225,29 @@ def schema_markdown() -> str:
     """The docs page of a dataset: the folder and the object file."""
     lines = [
         "# The dataset", "",
-        "A folder with `dataset.json` and one HDF5 file per object view. While it is being made there is a `dataset.part.json` and a",
-        "`dataset.lock` instead of `dataset.json`; `vsfsim generate` goes on from there. `vsfsim verify` checks everything on this page.", "",
+        "A folder with `dataset.json` and one HDF5 file per object view. While it is being made there is a "
+        "`dataset.part.json` and a",
+        "`dataset.lock` instead of `dataset.json`; `vsfsim generate` goes on from there. `vsfsim verify` checks "
+        "everything on this page.", "",
         "| key of dataset.json | meaning |", "|---|---|",
         *(f"| `{key}` | {doc} |" for key, doc in MANIFEST_KEYS.items()), "",
         "## The object file", "",
         f"Schema version {SCHEMA_VERSION}. Every HDF5 dataset carries `@units` and `@dims`.",
-        "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are lengths: H, W of",
-        "the image; T frames of a touch; N read-out vertices, F their triangles; V vertices of the solved mesh, K its triangles; h, w of the inside image; L links of the arm; Q reasons; M elements, R regions, P probed points and n",
-        "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and nowhere else.", "",
+        "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are "
+        "lengths: H, W of",
+        "the image; T frames of a touch; N read-out vertices, F their triangles; V vertices of the solved mesh, K its "
+        "triangles; h, w of the inside image; L links of the arm; Q reasons; M elements, R regions, P probed "
+        "points and n",
+        "particles of the truth. Rows marked *masked* may be NaN in frames whose `converged` is False, and "
+        "nowhere else.", "",
         "| root attribute | type | meaning |", "|---|---|---|",
     ]
     lines += [f"| `{name}` | {kind} | {doc} |" for name, (kind, doc) in ATTRIBUTES.items()]
-    for group, title in (("view", "View"), ("touches/*", "Touches"), ("truth", "Truth (the last group; a blind dataset never reads it)")):
+    for group, title in (("view", "View"), ("touches/*", "Touches"),
+                         ("truth", "Truth (the last group; a blind dataset never reads it)")):
         lines += ["", f"### {title}", "", "| path | dtype | dims | unit | | meaning |", "|---|---|---|---|---|---|"]
         for field in fields_of(group):
             marks = ", ".join(m for m, on in (("optional", not field.required), ("*masked*", field.masked)) if on)
-            lines.append(f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} | {marks} | {field.doc} |")
+            lines.append(f"| `{field.path}` | {field.dtype} | {field.dims_text} | {field.unit} | {marks} | "
+                         f"{field.doc} |")
     return "\n".join(lines) + "\n"

@@ -42,25 +42,33 @@ def summary(path: str | Path) -> str:
         modulus.append(view.truth.young_modulus)
         for index, name in enumerate(view.truth.region_names):
             regions.setdefault(name, []).append(view.truth.young_modulus[view.truth.region == index])
-    force_all, iterations_all, balance_all, modulus_all = (np.concatenate(x) if x else np.zeros(0) for x in (force, iterations, balance, modulus))
+    force_all, iterations_all, balance_all, modulus_all = (np.concatenate(x) if x else np.zeros(0)
+                                                           for x in (force, iterations, balance, modulus))
     touches = sum(e.touches for e in dataset.entries)
     frames = sum(e.frames for e in dataset.entries)
     unconverged = sum(e.unconverged for e in dataset.entries)
     objects = len({e.object_index for e in dataset.entries})
-    by_split = {split: len({e.object_index for e in dataset.entries if e.split == split}) for split in dict.fromkeys(e.split for e in dataset.entries)}
+    by_split = {split: len({e.object_index for e in dataset.entries if e.split == split})
+                for split in dict.fromkeys(e.split for e in dataset.entries)}
     rows = [
         ("dataset", f"{dataset.path}   sha256 {dataset.sha256[:12]}"),
-        ("recipe", f"scene {recipe.scene}, seed {recipe.seed}, tier {recipe.tier}, {recipe.device}, {recipe.precision}, renderer {recipe.renderer}"),
+        ("recipe", f"scene {recipe.scene}, seed {recipe.seed}, tier {recipe.tier}, {recipe.device}, "
+                   f"{recipe.precision}, renderer {recipe.renderer}"),
         ("made by", f"vsfsim {dataset.made_by['vsfsim']}, commit {dataset.made_by['commit'] or 'unknown'}"),
-        ("objects", f"{objects} in {len(dataset)} views: " + ", ".join(f"{n} {split}" for split, n in by_split.items())),
+        ("objects", f"{objects} in {len(dataset)} views: " + ", ".join(f"{n} {split}" for split,
+                                                                       n in by_split.items())),
         ("touches", f"{touches}, {touches - touched} met nothing"),
-        *([("ended early", f"{ended[1]} touches at the arm's protective stop, {ended[2]} with the solver's iterations used up")] if any(ended[1:]) else []),
+        *([("ended early", f"{ended[1]} touches at the arm's protective stop, {ended[2]} with the solver's "
+                           f"iterations used up")] if any(ended[1:]) else []),
         ("frames", f"{frames}, {unconverged} unconverged ({100.0 * unconverged / max(frames, 1):.1f} %)"),
         ("normal force", f"{_span(force_all)} N, converged frames"),
-        *([("pressure", f"{_span(np.concatenate(change))} Pa over the free dome's, converged frames")] if change else []),
-        ("iterations", f"mean {iterations_all.mean():.1f}, most {iterations_all.max()} a frame" if iterations_all.size else "none"),
+        *([("pressure", f"{_span(np.concatenate(change))} Pa over the free dome's, converged frames")] if change
+          else []),
+        ("iterations", f"mean {iterations_all.mean():.1f}, most {iterations_all.max()} a frame" if iterations_all.size
+         else "none"),
         ("force balance", f"worst {balance_all.max(initial=0.0):.1e} of the force, converged frames in contact"),
-        *((name.replace("_", " "), f"{_span(np.concatenate(values))}{unit}") for (name, unit), values in audit.items() if values),
+        *((name.replace("_", " "), f"{_span(np.concatenate(values))}{unit}") for (name, unit),
+          values in audit.items() if values),
         *(("  reason", f"{count} frames: {why}") for why, count in sorted(reasons.items())),
         ("true E", f"{_span(modulus_all)} Pa over all elements"),
     ]

@@ -17,16 +17,16 @@ from vsfsim.data.records import ObjectView, Touch
 from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
 
 BALANCE_LIMIT = 1e-3
-"""Largest |force - reaction - weight| over the larger norm in a converged frame with contact; the solver's own residual is far
-below it, so a frame above has lost or invented force."""
+"""Largest |force - reaction - weight| over the larger norm in a converged frame with contact; the solver's own residual
+is far below it, so a frame above has lost or invented force."""
 
 CONTACT_FORCE = 1e-3
 """Force [N] from which a frame counts as in contact; under 1 % of the 0.15 N noise of a real sensor. Below it, a
 relative balance compares rounding with rounding."""
 
 SKIN_LIMIT = 1e-4
-"""Largest difference [N] of the force on a soft sensor from the sum over the nodes of its skin, besides `BALANCE_LIMIT` of it: the nodes' are stored in
-single precision, hundreds of up to a few newtons each."""
+"""Largest difference [N] of the force on a soft sensor from the sum over the nodes of its skin, besides `BALANCE_LIMIT`
+of it: the nodes' are stored in single precision, hundreds of up to a few newtons each."""
 
 _MEND = "Delete this file and run the same `vsfsim generate` again; it makes only what is missing."
 
@@ -68,7 +68,8 @@ class Report:
     def text(self) -> str:
         """For the terminal."""
         share = 100.0 * self.unconverged / max(self.frames, 1)
-        lines = [f"{self.path}: {self.files} files, {self.touches} touches ({self.untouched} met nothing), {self.frames} frames "
+        lines = [f"{self.path}: {self.files} files, {self.touches} touches ({self.untouched} met nothing), "
+                 f"{self.frames} frames "
                  f"({self.unconverged} = {share:.1f} % unconverged), worst force balance {self.worst_balance:.1e}"]
         lines += [f"  {problem}" for problem in self.problems]
         lines.append("ok" if self.ok else f"{len(self.problems)} problem{'s' if len(self.problems) > 1 else ''}")
@@ -102,7 +103,8 @@ def verify(path: str | Path) -> Report:
     for entry in dataset.entries:
         file = path / entry.file
         if not file.is_file():
-            problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.", "Run the same `vsfsim generate` again; it makes only what is missing."))
+            problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.",
+                                    "Run the same `vsfsim generate` again; it makes only what is missing."))
             continue
         counts["files"] += 1
         if file_sha256(file) != entry.sha256:
@@ -121,12 +123,18 @@ def verify(path: str | Path) -> Report:
             worst = max(worst, top)
             if top > BALANCE_LIMIT:
                 frame = int(np.flatnonzero(contact & (balance == top))[0])
-                problems.append(Problem(entry.file, f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of the larger one, over {BALANCE_LIMIT:g}.",
-                                        "The solver lost force; report it with the scene and the seed, and do not use this touch."))
+                problems.append(Problem(entry.file,
+                                        f"touches/{index:03d} frame {frame}: force and reaction differ by {top:.1e} of "
+                                        f"the larger one, over {BALANCE_LIMIT:g}.",
+                                        "The solver lost force; report it with the scene and the seed, and do not use "
+                                        "this touch."))
             lost = skin_loss(touch)
             if lost is not None:
-                problems.append(Problem(entry.file, f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add up to {lost[1]:.2g} N off the force.",
-                                        "The read-out lost force; report it with the scene and the seed, and do not use this touch."))
+                problems.append(Problem(entry.file,
+                                        f"touches/{index:03d} frame {lost[0]}: the forces on the nodes of the skin add "
+                                        f"up to {lost[1]:.2g} N off the force.",
+                                        "The read-out lost force; report it with the scene and the seed, and do not "
+                                        "use this touch."))
             counts["touches"] += 1
             counts["frames"] += len(touch.time)
             counts["unconverged"] += int((~touch.converged).sum())
@@ -135,7 +143,8 @@ def verify(path: str | Path) -> Report:
 
 
 def skin_loss(touch: Touch) -> tuple[int, float] | None:
-    """The first converged frame whose node forces do not add up to the force, and by how much they are off [N]; None if all do, or there is no skin."""
+    """The first converged frame whose node forces do not add up to the force, and by how much they are off [N]; None if
+    all do, or there is no skin."""
     if touch.node_force is None:
         return None
     off = np.linalg.norm(touch.node_force.astype(float).sum(axis=1) - touch.force, axis=1)
@@ -149,7 +158,8 @@ def contact_frames(touch: Touch) -> np.ndarray:
 
 
 def _check_entry(view: ObjectView, entry: Entry) -> list[Problem]:
-    given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index, "touches": len(view.touches)}
+    given = {"name": view.name, "split": view.split, "object_index": view.object_index, "view_index": view.view_index,
+             "touches": len(view.touches)}
     return [Problem(entry.file, f"says {key} = {value!r}, {MANIFEST} says {getattr(entry, key)!r}.", _MEND)
             for key, value in given.items() if value != getattr(entry, key)]
 
@@ -196,7 +206,8 @@ def _check_group(group: h5py.Group, kind: str, wrong: Callable[[str], None]) -> 
         _check_dataset(group[name], f, converged, lengths, wrong)
 
 
-def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int], wrong: Callable[[str], None]) -> None:
+def _check_dataset(dataset: h5py.Dataset, f: Field, converged: np.ndarray | None, lengths: dict[str, int],
+                   wrong: Callable[[str], None]) -> None:
     for key, want in (("units", f.unit), ("dims", f.dims_text)):
         if dataset.attrs.get(key) != want:
             wrong(f"{dataset.name} has @{key} {dataset.attrs.get(key)!r}; the schema says {want!r}.")

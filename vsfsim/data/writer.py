@@ -73,7 +73,8 @@ class DatasetWriter:
         return self.path / file_name(name)
 
     def missing(self) -> list[str]:
-        """Names still to be made, in order. A file that does not open, or is not what it should be, counts as missing and is removed."""
+        """Names still to be made, in order. A file that does not open, or is not what it should be, counts as missing
+        and is removed."""
         if self._finished is not None:
             return []
         out = []
@@ -93,7 +94,8 @@ class DatasetWriter:
             DatasetError: a name that was not announced, a field that does not fit, or the disk refuses.
         """
         if object_view.name not in self.names:
-            raise DatasetError(f"object view '{object_view.name}' is not one of the names of this dataset: {', '.join(self.names)}.")
+            raise DatasetError(f"object view '{object_view.name}' is not one of the names of this dataset: "
+                               f"{', '.join(self.names)}.")
         write_atomic(self.file_of(object_view.name), encode_view(object_view))
 
     def finish(self) -> Dataset:
@@ -146,13 +148,17 @@ class DatasetWriter:
         else:
             strangers = sorted(p.name for p in self.path.iterdir() if p.name != LOCK and not _OUR_PART.search(p.name))
             if strangers:
-                raise DatasetError(f"folder {self.path} is not empty and holds no dataset ({', '.join(strangers[:5])}{', ...' if len(strangers) > 5 else ''}). Choose another --out.")
+                raise DatasetError(f"folder {self.path} is not empty and holds no dataset "
+                                   f"({', '.join(strangers[:5])}{', ...' if len(strangers) > 5 else ''}). Choose "
+                                   f"another --out.")
             return
         differences = there.differences(self.recipe)
         if differences:
-            raise DatasetError(f"folder {self.path} holds another dataset: {'; '.join(differences)}. Choose another --out, or delete that folder first.")
+            raise DatasetError(f"folder {self.path} holds another dataset: {'; '.join(differences)}. Choose another "
+                               f"--out, or delete that folder first.")
         if code is not None and dict(code) != made_by():
-            raise DatasetError(f"folder {self.path} was begun by other code: {_code(code)} there, {_code(made_by())} here. Files of two versions are not mixed: "
+            raise DatasetError(f"folder {self.path} was begun by other code: {_code(code)} there, {_code(made_by())} "
+                               f"here. Files of two versions are not mixed: "
                                f"check out that version to finish it, or delete the folder and start again.")
 
     def _begin(self) -> dict[str, str | None]:
@@ -163,21 +169,25 @@ class DatasetWriter:
                 part.unlink(missing_ok=True)
         if (self.path / MANIFEST).exists():
             finished = Dataset.open(self.path)
-            bad = [e for e in finished.entries if not (self.path / e.file).is_file() or file_sha256(self.path / e.file) != e.sha256]
+            bad = [e for e in finished.entries if not (self.path / e.file).is_file()
+                   or file_sha256(self.path / e.file) != e.sha256]
             if not bad and list(finished.names()) == self.names:
                 self._finished = finished
                 (self.path / PART_MANIFEST).unlink(missing_ok=True)  # killed just before it was removed
                 self.notes.append(f"{self.path} is finished already; nothing to do.")
                 return dict(finished.made_by)
             if dict(finished.made_by) != made_by():
-                raise DatasetError(f"{self.path}: {', '.join(e.file for e in bad)} missing or damaged, and the rest was made by other code ({_code(finished.made_by)} there, "
-                                   f"{_code(made_by())} here). Check out that version to repair it, or delete the folder and start again.")
+                raise DatasetError(f"{self.path}: {', '.join(e.file for e in bad)} missing or damaged, and the rest "
+                                   f"was made by other code ({_code(finished.made_by)} there, "
+                                   f"{_code(made_by())} here). Check out that version to repair it, or delete the "
+                                   f"folder and start again.")
             for entry in bad:
                 (self.path / entry.file).unlink(missing_ok=True)
                 self.notes.append(f"{entry.file} was missing or damaged and is made again.")
         if not (self.path / PART_MANIFEST).exists():
             self._fresh = True
-            write_atomic(self.path / PART_MANIFEST, manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": made_by(),
+            write_atomic(self.path / PART_MANIFEST, manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION,
+                                                                    "made_by": made_by(),
                                                                    "recipe": self.recipe.table(), "names": self.names}))
         (self.path / MANIFEST).unlink(missing_ok=True)
         return made_by()
@@ -189,20 +199,23 @@ class DatasetWriter:
             return False
 
     def _take_lock(self) -> int:
-        """An flock on dataset.lock: the kernel lets go of it when we die, so a stale lock cannot outlive its process."""
+        """An flock on dataset.lock: the kernel lets go of it when we die, so a stale lock cannot outlive its
+        process."""
         import fcntl
 
         path = self.path / LOCK
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         except OSError as error:
-            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Choose another --out.") from error
+            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Choose "
+                               f"another --out.") from error
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             holder = os.pread(handle, 64, 0).decode(errors="replace").strip() or "unknown"
             os.close(handle)
-            raise DatasetError(f"folder {self.path} is being written by process {holder}. Wait for it, stop it, or choose another --out.") from None
+            raise DatasetError(f"folder {self.path} is being written by process {holder}. Wait for it, stop it, or "
+                               f"choose another --out.") from None
         if not path.exists() or path.stat().st_ino != os.fstat(handle).st_ino:
             os.close(handle)  # its last holder finished and removed it while we waited
             return self._take_lock()
@@ -214,7 +227,8 @@ class DatasetWriter:
             os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
         except OSError as error:
             os.close(handle)
-            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Free some space or choose another --out.") from error
+            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Free some space or choose "
+                               f"another --out.") from error
         _HELD.add(handle)
         return handle
 

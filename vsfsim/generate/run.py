@@ -76,11 +76,14 @@ def make_recipe(scene_file: SceneFile, *, seed: int, objects: int | None, views:
 
     scene = scene_file.sample(0)
     if scene.touches is None:
-        raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of its touches.")
+        raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
+                         f"its touches.")
     if scene.arm is None and arm is not None:
-        raise SceneError(f"{scene_file.path}: --arm is '{arm}', but the scene has no [arm]; it is touched by a [probe].")
+        raise SceneError(f"{scene_file.path}: --arm is '{arm}', but the scene has no [arm]; it is touched "
+                         f"by a [probe].")
     if scene.arm is not None and (tier or "rod") not in ("rod", "auto"):
-        raise SceneError(f"{scene_file.path}: --tier is '{tier}', but what an arm touches is made of beams, tier 'rod'.")
+        raise SceneError(f"{scene_file.path}: --tier is '{tier}', but what an arm touches is made of beams, "
+                         f"tier 'rod'.")
     if scene.arm is not None and precision != "float64":
         raise SceneError(f"{scene_file.path}: --precision is '{precision}', but beams are solved in float64 only.")
     if scene.sensor is not None:
@@ -137,7 +140,8 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
     camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
     low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
-    view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device, renderer=r.renderer)
+    view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device,
+                  renderer=r.renderer)
 
     def draws(k: int) -> np.random.Generator:
         return np.random.default_rng(stream(r.seed, _AIM, job.object_index, job.view_index, k))
@@ -147,14 +151,16 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
         from vsfsim.physics.bubble.sensor import build_bubble
 
         sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
-        touches = touch_bubble.touch_all(scene, spec, model, sensor, touch_bubble.aim(scene, spec, model, sensor, view, draws),
+        touches = touch_bubble.touch_all(scene, spec, model, sensor,
+                                         touch_bubble.aim(scene, spec, model, sensor, view, draws),
                                          options=touch_bubble.options(r.tier, device), device=device, progress=progress)
         dome = touch_bubble.dome_of(sensor)
         truth = truth_of(model, view, touches, dome, friction=float("inf"), device=device)
         return ObjectView(job.name, job.object_index, job.view_index, job.split, dome, view, tuple(touches), truth)
     aims = aim(scene, spec, model, view, draws, device=device)
     batch = -(-len(aims) // -(-len(aims) // BATCH))  # as even as can be
-    touches = touch_all(scene, spec, model, aims, options=tiers.options(r.tier), linear=not tiers.TIERS[r.tier].nonlinear,
+    touches = touch_all(scene, spec, model, aims, options=tiers.options(r.tier),
+                        linear=not tiers.TIERS[r.tier].nonlinear,
                         device=device, precision=r.precision, batch=batch, progress=progress)
     truth = truth_of(model, view, touches, scene.probe, friction=scene.object.friction, device=device)
     return ObjectView(job.name, job.object_index, job.view_index, job.split, scene.probe, view, tuple(touches), truth)
@@ -167,20 +173,23 @@ def surface_of(solid: Solid, scene: Scene) -> Any:
 
     turn, shift = placement(scene.object)
     triangles, owner = solid.surface()
-    return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance, solid.vertices)
+    return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance,
+                   solid.vertices)
 
 
 def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | None = None, views: int | None = None,
              touches: int | None = None, tier: str | None = None, device: str = "cpu", precision: str = "float64",
              renderer: str = "warp", workers: int | None = None, cache: Path | None = None, arm: str | None = None,
-             progress: Callable[[int, int, str], None] | None = None, note: Callable[[str], None] | None = None) -> Dataset:
+             progress: Callable[[int, int, str], None] | None = None,
+             note: Callable[[str], None] | None = None) -> Dataset:
     """Make a dataset, or finish one that was begun.
 
     Args:
         scene_file: with ``[touches]``. out: the folder. seed: root of all random streams, 0 or more.
-        objects, views, touches: counts, None for the scene's own. tier: fidelity. device: Warp device. precision: of the
-        solver. renderer: "warp" or "pyrender". workers: processes (None: one a CPU core; 1 on a GPU).
-        arm: model that touches instead of the scene's own. progress: called with (frames done, frames in all, what). note: called with sentences for the user.
+        objects, views, touches: counts, None for the scene's own. tier: fidelity. device: Warp device. precision: of
+        the solver. renderer: "warp" or "pyrender". workers: processes (None: one a CPU core; 1 on a GPU).
+        arm: model that touches instead of the scene's own. progress: called with (frames done, frames in all, what).
+        note: called with sentences for the user.
 
     Raises:
         SceneError, MeshError, DatasetError: with what to do.

@@ -21,7 +21,8 @@ _GRID = 8  # barycentric points along the edge of a triangle, to spread the disc
 
 
 def voxel_sample(cloud: np.ndarray, size: float) -> np.ndarray:
-    """One point of the cloud (n, 3) per occupied voxel of edge ``size`` [m]: the one nearest to the voxel's mean (k, 3)."""
+    """One point of the cloud (n, 3) per occupied voxel of edge ``size`` [m]: the one nearest to the voxel's mean (k,
+    3)."""
     cell = np.floor(cloud / size).astype(np.int64)
     _, group = np.unique(cell, axis=0, return_inverse=True)
     count = np.bincount(group)
@@ -34,14 +35,16 @@ def voxel_sample(cloud: np.ndarray, size: float) -> np.ndarray:
 def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Small-strain stiffness at surface points (k,) [N/m]: force over displacement of a tip of radius `PROBE_RADIUS`.
 
-    A uniform pressure on the disc around each point, along minus the normal; the displacement is the pressure-weighted mean along it.
+    A uniform pressure on the disc around each point, along minus the normal; the displacement is the pressure-weighted
+    mean along it.
     The limit of SBML appendix C.4's measured force over displacement for small depth, for a tip that a mesh can carry.
 
     Args:
         model: the body. points, normals: on its surface (k, 3) [m], (k, 3).
     """
     mesh = model.mesh
-    steps = np.array([(i + 1 / 3, j + 1 / 3, _GRID - i - j - 2 / 3) for i in range(_GRID) for j in range(_GRID - i)]) / _GRID
+    steps = np.array([(i + 1 / 3, j + 1 / 3, _GRID - i - j - 2 / 3) for i in range(_GRID)
+                      for j in range(_GRID - i)]) / _GRID
     values = shape_values(steps)
     samples = np.einsum("sa,fac->fsc", values, mesh.points[mesh.faces]).reshape(-1, 3)
     weight = np.repeat(mesh.face_area() / len(steps), len(steps))
@@ -66,8 +69,8 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
 def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, friction: float, device: str) -> Truth:
     """All that the simulator knows and no method may see.
 
-    The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean, std 1e4 N/m,
-    noise 1 mN): as exhaustive as the dataset's touches are.
+    The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean,
+    std 1e4 N/m, noise 1 mN): as exhaustive as the dataset's touches are.
     """
     mesh = model.mesh
     eye = view.camera_pose[:3, 3]

@@ -1,4 +1,5 @@
-"""Results that take long, kept on disk under a hash of what they were made from: read by whoever asks next, made by one worker while the others wait."""
+"""Results that take long, kept on disk under a hash of what they were made from: read by whoever asks next, made by one
+worker while the others wait."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ def folder() -> Path:
 
 @contextlib.contextmanager
 def locked(path: Path) -> Iterator[None]:
-    """Hold the lock that belongs to a cache file. The system drops it with the process, so a killed worker leaves none behind."""
+    """Hold the lock that belongs to a cache file. The system drops it with the process, so a killed worker leaves none
+    behind."""
     with contextlib.ExitStack() as stack:
         # a folder that cannot be written, or a file system without locks, only costs double work
         with contextlib.suppress(OSError):

@@ -2,10 +2,11 @@
 
     pressure = u / integral(dz / M(z)),     M = E (1 - nu) / ((1 + nu) (1 - 2 nu))
 
-over the thickness of the body under a point of its surface, along the inward normal: layers in series, none of which moves
-sideways (Winkler 1867; Johnson 1985, section 4.3). It is a compressible layer that is held below and thinner than the contact is
-wide. It shows where and how deep the probe touches, and what lies under it; nothing that a point does to its neighbours: no bulging, no dent
-wider than the contact, no bending. Its force is off by tens of per cent on a thick body, and without bound as nu goes to 1/2.
+over the thickness of the body under a point of its surface, along the inward normal: layers in series, none of which
+moves sideways (Winkler 1867; Johnson 1985, section 4.3). It is a compressible layer that is held below and thinner than
+the contact is wide. It shows where and how deep the probe touches, and what lies under it; nothing that a point does to
+its neighbours: no bulging, no dent wider than the contact, no bending. Its force is off by tens of per cent on a thick
+body, and without bound as nu goes to 1/2.
 """
 
 from __future__ import annotations
@@ -19,15 +20,16 @@ from vsfsim.physics.elements.block import Block
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 MOST_POISSON_RATIO = 0.47  # above it a layer squeezes out sideways long before it is compressed
-# of a triangle's area to its corners and to its edge nodes, by the diagonal of the consistent mass matrix (Hinton, Rock and
-# Zienkiewicz 1976): row sums would give the corners nothing
+# of a triangle's area to its corners and to its edge nodes, by the diagonal of the consistent mass matrix (Hinton, Rock
+# and Zienkiewicz 1976): row sums would give the corners nothing
 _SHARES = np.array([3.0, 3.0, 3.0, 16.0, 16.0, 16.0]) / 57.0
 _LAYERS = 32  # samples of E(x) through the thickness
 _CHUNK = 128  # rays against all triangles at once
 
 
 def inward_thickness(mesh: QuadraticMesh, nodes: np.ndarray, inward: np.ndarray) -> np.ndarray:
-    """Way through the body from ``nodes`` (s,) along ``inward`` (s, 3) to where it ends (s,) [m] (Möller and Trumbore 1997)."""
+    """Way through the body from ``nodes`` (s,) along ``inward`` (s, 3) to where it ends (s,) [m] (Möller and Trumbore
+    1997)."""
     a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
     e1, e2 = b - a, c - a
     reach = float(np.linalg.norm(np.ptp(mesh.points, axis=0)))
@@ -53,7 +55,8 @@ def inward_thickness(mesh: QuadraticMesh, nodes: np.ndarray, inward: np.ndarray)
 def foundation(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
     """An anchor on every node.
 
-    A surface node carries its part of the surface. One inside carries kappa V with kappa = M / h^2, h the mean thickness:
+    A surface node carries its part of the surface. One inside carries kappa V with kappa = M / h^2, h the mean
+    thickness:
     nothing touches it, and only gravity moves it.
 
     Args:

@@ -24,7 +24,8 @@ Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
 class Model:
     """One body in the world frame.
 
-    mesh: quadratic tetrahedra, world frame. blocks: its elements. young_modulus: at the Gauss points of the mesh (m, 4) [Pa].
+    mesh: quadratic tetrahedra, world frame. blocks: its elements. young_modulus: at the Gauss points of the mesh (m, 4)
+    [Pa].
     free: 1 where a degree of freedom may move (3 n,). load: gravity's nodal forces (3 n,) [N].
     surface_modulus: modulus under each boundary triangle (f,) [Pa].
     solid: where it came from. element_size: cube root of the mean volume of a hexahedron's worth of tets [m].
@@ -42,11 +43,13 @@ class Model:
     factor: RestFactor = field(repr=False)
 
     def least_force(self) -> float:
-        """Forces under this are zero [N]: a billionth of the softest modulus on one element face, or a millionth of the weight."""
+        """Forces under this are zero [N]: a billionth of the softest modulus on one element face, or a millionth of the
+        weight."""
         return max(1e-9 * float(self.young_modulus.min()) * self.element_size**2, 1e-6 * float(np.abs(self.load).sum()))
 
     def grounding(self) -> np.ndarray:
-        """Stiffness with which anchors tie each degree of freedom to the ground (3 n,) [N/m]; their pull is a support reaction."""
+        """Stiffness with which anchors tie each degree of freedom to the ground (3 n,) [N/m]; their pull is a support
+        reaction."""
         out = np.zeros(len(self.free))
         for block in self.blocks:
             if block.kind == "anchor":
@@ -55,7 +58,8 @@ class Model:
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        return dataclasses.replace(self, free=free, factor=RestFactor(self.factor.stiffness, free, self.mesh.surface_nodes()))
+        return dataclasses.replace(self, free=free, factor=RestFactor(self.factor.stiffness, free,
+                                                                      self.mesh.surface_nodes()))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -89,7 +93,8 @@ def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np
 
 
 def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float, fixed: str | tuple[float, ...],
-                bottom_tolerance: float, where: str, density: float = 1000.0, gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
+                bottom_tolerance: float, where: str, density: float = 1000.0,
+                gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
                 rotation: np.ndarray | None = None, translation: np.ndarray | None = None,
                 elements: Elements = tetrahedra) -> Model:
     """Put a solid into the world, hold it and factorise its rest state.
@@ -102,32 +107,39 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         elements: makes the blocks of elements of the placed mesh, from (mesh, young_modulus, poisson_ratio).
 
     Raises:
-        SceneError: the supports hold nothing, or fewer than three points that fix the body, or leave a part of it loose.
+        SceneError: the supports hold nothing, or fewer than three points that fix the body, or leave a part of it
+        loose.
         MeshError: the tetrahedra are flat, folded or not finite, see `sound`.
     """
     solid, turned = sound(solid, where)
-    # a tetrahedron listed the wrong way round has its first two corners swapped, and each Gauss point lies near a corner
-    young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]], young_modulus) if turned.any() else young_modulus
+    # a tetrahedron listed the wrong way round has its first two corners swapped, and each Gauss point lies near a
+    # corner
+    young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]],
+                             young_modulus) if turned.any() else young_modulus
     mesh = quadratic_mesh(solid)
     if fixed == "none":
-        raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no single "
+        raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then "
+                         f"has no single "
                          "equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")
     held = held_nodes(mesh.points, fixed, bottom_tolerance)
     spread = np.linalg.matrix_rank(mesh.points[held] - mesh.points[held].mean(axis=0), tol=1e-9) if held.any() else 0
     if spread < 2:
         low, high = mesh.points.min(axis=0), mesh.points.max(axis=0)
         cure = ("Enlarge the box so that it holds a face of the body" if fixed != "bottom" else
-                "The body stands on a point or an edge; turn it in its file, or give a box [x0, y0, z0, x1, y1, z1] that holds a part of it")
+                "The body stands on a point or an edge; turn it in its file, or give a box [x0, y0, z0, x1, y1, z1] "
+                "that holds a part of it")
         raise SceneError(f"{where}: fixed = {fixed!r} holds {int(held.sum())} of {len(held)} nodes, on a line at most; "
                          f"the body could turn. {cure}; in its own frame it reaches from "
                          f"[{', '.join(f'{v:.4g}' for v in low)}] to [{', '.join(f'{v:.4g}' for v in high)}] m.")
     refuse_loose(mesh.points, mesh.tets, held, where)
     turn = np.eye(3) if rotation is None else rotation
     shift = np.zeros(3) if translation is None else np.asarray(translation, float)
-    placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces, mesh.owner)
+    placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces,
+                           mesh.owner)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
     blocks = elements(placed, young_modulus, poisson_ratio)
     stiffness = assemble(len(placed.points), blocks)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
-                 young_modulus[placed.owner].mean(axis=1), solid, size, RestFactor.of(stiffness, free, placed.surface_nodes()))
+                 young_modulus[placed.owner].mean(axis=1), solid, size,
+                 RestFactor.of(stiffness, free, placed.surface_nodes()))

@@ -1,10 +1,12 @@
 """The tier `spring`: a network of springs on the nodes of the quadratic mesh.
 
-Every quadratic tetrahedron is cut into eight (corners, and the octahedron about its shortest diagonal); the edges of those are the springs.
-Shared out by volume alone (Van Gelder 1998, k = sum E V / L^2) the network is as anisotropic as the mesh: a block of an even mesh is
-14 % too stiff along it, and 20 % too soft in shear. The constants are therefore fitted: around every node, the stiffness along sixteen
-directions shall be that of an isotropic network, by multiplicative updates that keep every constant positive (Daube-Witherspoon and
-Muehllehner 1986, "ISRA"). What is left is that nodes do not move as the mean of their neighbours do, which no local rule knows: `RELAXATION`.
+Every quadratic tetrahedron is cut into eight (corners, and the octahedron about its shortest diagonal); the edges of
+those are the springs.
+Shared out by volume alone (Van Gelder 1998, k = sum E V / L^2) the network is as anisotropic as the mesh: a block of an
+even mesh is 14 % too stiff along it, and 20 % too soft in shear. The constants are therefore fitted: around every node,
+the stiffness along sixteen directions shall be that of an isotropic network, by multiplicative updates that keep every
+constant positive (Daube-Witherspoon and Muehllehner 1986, "ISRA"). What is left is that nodes do not move as the mean
+of their neighbours do, which no local rule knows: `RELAXATION`.
 Observed: E to 3 %, nu 0.17 to 0.22, shear modulus 10-15 % low along the mesh's axes.
 """
 
@@ -22,14 +24,17 @@ _CORNERS = np.array([[0, 4, 6, 7], [1, 4, 5, 8], [2, 5, 6, 9], [3, 7, 8, 9]])
 _DIAGONALS = ((4, 9), (5, 7), (6, 8))  # of the octahedron that is left
 _RINGS = ((5, 6, 7, 8), (4, 6, 9, 8), (4, 5, 9, 7))  # the four nodes around each
 _PAIRS = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
-RELAXATION = 1.045  # such blocks are this much softer, from 160 to 1,280 tetrahedra, 1.03 to 1.055 in the three directions
+# such blocks are this much softer, from 160 to 1,280 tetrahedra, 1.03 to 1.055 in the three directions
+RELAXATION = 1.045
 _ROUNDS, _HASTE = 60, 1.8  # updates, and the power of each (1 is ISRA as published, and needs twice as many)
 
 
 def _directions() -> np.ndarray:
-    """The axes of an icosahedron and of a dodecahedron (16, 3): more than the 15 that fix a fourth-order symmetric tensor."""
+    """The axes of an icosahedron and of a dodecahedron (16, 3): more than the 15 that fix a fourth-order symmetric
+    tensor."""
     g = 0.5 * (1.0 + np.sqrt(5.0))
-    d = np.array([[0, 1, g], [0, 1, -g], [1, g, 0], [1, -g, 0], [g, 0, 1], [-g, 0, 1], [1, 1, 1], [1, 1, -1], [1, -1, 1], [-1, 1, 1],
+    d = np.array([[0, 1, g], [0, 1, -g], [1, g, 0], [1, -g, 0], [g, 0, 1], [-g, 0, 1], [1, 1, 1], [1, 1, -1],
+                  [1, -1, 1], [-1, 1, 1],
                   [0, 1 / g, g], [0, 1 / g, -g], [1 / g, g, 0], [1 / g, -g, 0], [g, 0, 1 / g], [-g, 0, 1 / g]])
     return d / np.linalg.norm(d, axis=1)[:, None]
 
@@ -67,24 +72,29 @@ def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio
     return (spring.block(edges, mesh.points, RELAXATION * factor * strength / square),)
 
 
-def _isotropic(points: int, cells: np.ndarray, volume: np.ndarray, edge_of: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def _isotropic(points: int, cells: np.ndarray, volume: np.ndarray, edge_of: np.ndarray,
+               direction: np.ndarray) -> np.ndarray:
     """Factors (e,) on k L^2 = V that make the network isotropic in every neighbourhood, for E = 1.
 
     Args:
-        points: number of nodes. cells: (c, 4), their volume (c,) [m^3], their edges (c, 6). direction: of every edge (e, 3).
+        points: number of nodes. cells: (c, 4), their volume (c,) [m^3], their edges (c, 6). direction: of every edge
+        (e, 3).
     """
     start = np.bincount(edge_of.ravel(), np.repeat(volume, 6), len(direction))
     along = (direction @ _directions().T) ** 4  # (n.d)^4, (e, 16)
     # a spring belongs to the nodes of its cells, in proportion to the cells' volume
     share = np.tile(volume[:, None] / start[edge_of], (1, 4)).ravel()
-    star = sp.coo_matrix((share, (np.repeat(cells, 6, axis=1).ravel(), np.tile(edge_of, (1, 4)).ravel())), shape=(points, len(direction))).tocsr()
+    star = sp.coo_matrix((share, (np.repeat(cells, 6, axis=1).ravel(), np.tile(edge_of, (1, 4)).ravel())),
+                         shape=(points, len(direction))).tocsr()
     aim = SPRING_ALONG * np.bincount(cells.ravel(), np.repeat(volume, 4), points)
-    # and of their neighbours: within one star of a surface node there are not enough directions, and the faces would come out too stiff
+    # and of their neighbours: within one star of a surface node there are not enough directions, and the faces would
+    # come out too stiff
     ring = (star @ star.T > 0.0).astype(float)
     around = sp.diags(1.0 / (ring @ aim)) @ ring
     back, outward = star.T.tocsr(), around.T.tocsr()
     wanted = (back @ (outward @ np.ones(points))) * along.sum(axis=1)
     strength = start
     for _ in range(_ROUNDS):
-        strength = strength * (wanted / ((back @ (outward @ (around @ (star @ (strength[:, None] * along))))) * along).sum(axis=1)) ** _HASTE
+        strength = strength * (wanted / ((back @ (outward @ (around @ (star @ (strength[:, None] * along)))))
+                                         * along).sum(axis=1)) ** _HASTE
     return strength / start

@@ -13,7 +13,7 @@ from vsfsim.core.material import MaterialField
 from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.solid import Solid
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.elements.spring import POISSON_RATIO
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
@@ -28,11 +28,13 @@ from vsfsim.physics.solve.frames import SolverOptions
 class Tier:
     """One rung.
 
-    elements: what fills the body. nonlinear: Newton's method, or the rest state's linear response (exact for anchors, whose law is linear).
-    body: element size over the body's size (cube root of its bounding box, see `body_limit`). probe: element size over the probe's radius.
+    elements: what fills the body. nonlinear: Newton's method, or the rest state's linear response (exact for anchors,
+    whose law is linear).
+    body: element size over the body's size (cube root of its bounding box, see `body_limit`). probe: element size over
+    the probe's radius.
     family: element size of a procedural family [m]. tolerance: of the equilibrium, see `SolverOptions`.
-    plain: stop conjugate gradients by the residual's length (see `SolverOptions.cg_plain`), at a looser tolerance: a third fewer back-solves
-    for the same force. Off where datasets have been released: their bits would change.
+    plain: stop conjugate gradients by the residual's length (see `SolverOptions.cg_plain`), at a looser tolerance: a
+    third fewer back-solves for the same force. Off where datasets have been released: their bits would change.
     """
 
     elements: Elements
@@ -57,11 +59,12 @@ TIERS: dict[str, Tier] = {
 FOOT = 0.05
 # a foot smaller than this part of the body's width or depth is worth a warning
 NARROW = 1 / 3
-# a sheet of 0.3 x 0.2 x 0.001 m would take 60,000 cells as long as it is thick, twice; with this many it has 47 along its length, and its
-# bending does not need more
+# a sheet of 0.3 x 0.2 x 0.001 m would take 60,000 cells as long as it is thick, twice; with this many it has 47 along
+# its length, and its bending does not need more
 THIN_CELLS = 1500
 # the cheapest tier that shows each need
-_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear", "bulging": "fem-coarse", "large-deformation": "fem"}
+_SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear",
+          "bulging": "fem-coarse", "large-deformation": "fem"}
 _UNSAID = "linear"  # a scene that names no need gets a force that can be trusted, not the cheapest toy
 
 
@@ -84,10 +87,13 @@ def choose(scene: Scene, asked: str | None = None) -> str:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
     if scene.needs and order.index(tier) < order.index(enough):
         needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
-        raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use '{enough}' or above.")
+        raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use "
+                         f"'{enough}' or above.")
     if tier == "vsf" and squeezed:
-        raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for tier 'vsf', whose layers cannot move "
-                         f"sideways: its stiffness has no bound as nu goes to 1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'spring' or above.")
+        raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for "
+                         f"tier 'vsf', whose layers cannot move "
+                         f"sideways: its stiffness has no bound as nu goes to 1/2. At most {MOST_POISSON_RATIO:g} is "
+                         f"allowed; use 'spring' or above.")
     return tier
 
 
@@ -100,7 +106,8 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
         return rung.family
     tip = rung.probe * 1.5 * min(sdf.reach(probe), 1e3)
     if isinstance(spec.shape, Rod):
-        # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its radius
+        # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its
+        # radius
         return min(10.0 * rung.body * spec.shape.radius, tip)
     if isinstance(spec.shape, MeshFile):
         # scan pulls in trimesh; a box does not need it
@@ -114,7 +121,8 @@ def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
 
 
 def body_limit(size: np.ndarray, part: float) -> float:
-    """Element [m] of which ``part`` ** -3 cells fill the bounding box of edges ``size`` (3,) [m]: cubes, or two layers of a thin body."""
+    """Element [m] of which ``part`` ** -3 cells fill the bounding box of edges ``size`` (3,) [m]: cubes, or two layers
+    of a thin body."""
     face = np.sort(size)[1:]
     return max(part * float(np.prod(size)) ** (1 / 3), part**1.5 * float(2.0 * np.prod(face)) ** 0.5)
 
@@ -122,8 +130,9 @@ def body_limit(size: np.ndarray, part: float) -> float:
 def thin_limit(size: np.ndarray) -> float:
     """Longest element of a thin body [m]: as long as the body is thick, unless that takes more than `THIN_CELLS` cells.
 
-    A quadratic element holds a constant curvature exactly; what is lost is its change over an element's length. A clamped plate of
-    60 x 40 x 2 mm loses 1.2 % of its deflection at nu = 0.45 with elements as long as it is thick, 0.1 % at nu = 0.3.
+    A quadratic element holds a constant curvature exactly; what is lost is its change over an element's length. A
+    clamped plate of 60 x 40 x 2 mm loses 1.2 % of its deflection at nu = 0.45 with elements as long as it is thick, 0.1
+    % at nu = 0.3.
 
     Args:
         size: edges of the bounding box (3,) [m].
@@ -135,7 +144,8 @@ def thin_limit(size: np.ndarray) -> float:
 def options(tier: str) -> SolverOptions:
     """Solver limits of a tier."""
     own = TIERS[tier]
-    return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain, cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
+    return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain,
+                         cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
 
 
 def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
@@ -159,9 +169,11 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     where = f"{scene.source} [object]"
     turn, shift = placement(spec)
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
-    solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed), cache=cache, focus=local,
-                        # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly, of equal area 0.05 %.
-                        # not a ball: its top would rise by 1-2 % of the radius, and the first contact with it
+    solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
+                        cache=cache, focus=local,
+                        # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly,
+                        # of equal area 0.05 %. not a ball: its top would rise by 1-2 % of the radius, and the first
+                        # contact with it
                         equal_volume=isinstance(spec.shape, (Rod, Cylinder)))
     field = spec.young_modulus
     modulus = None
@@ -180,11 +192,13 @@ def _spread(solid: Solid, points: int) -> np.ndarray:
 def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
     """One modulus a tetrahedron (m,) [Pa]: the harmonic mean over its volume.
 
-    Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic mean, or the
-    modulus at the Gauss points, would make a stiff inclusion grow by up to an element, which stiffens case S2 by 15-30 %.
+    Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic
+    mean, or the modulus at the Gauss points, would make a stiff inclusion grow by up to an element, which stiffens case
+    S2 by 15-30 %.
     """
     n = 6
-    steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i) for k in range(n + 1 - i - j)])
+    steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i)
+                      for k in range(n + 1 - i - j)])
     # drawn to the centroid a little, so that a point on a face belongs to its own tetrahedron
     bary = 0.9 * steps / n + 0.1 / 4.0
     points = np.einsum("sk,mkc->msc", bary, solid.vertices[solid.tets])
@@ -201,10 +215,12 @@ def foot_note(solid: Solid, tolerance: float) -> str:
     held = solid.vertices[solid.vertices[:, 2] <= low[2] + tolerance]
     foot, whole = np.ptp(held[:, :2], axis=0), (high - low)[:2]
     said = (f"fixed = \"bottom\" holds the lowest {100 * FOOT:g} % of the scan, {1e3 * tolerance:.1f} mm: "
-            f"a foot of {1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of {1e3 * whole[0]:.0f} x {1e3 * whole[1]:.0f} mm.")
+            f"a foot of {1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of {1e3 * whole[0]:.0f} x "
+            f"{1e3 * whole[1]:.0f} mm.")
     if (foot < NARROW * whole).any():
         box = ", ".join(f"{v:.3f}" for v in (*(low - 0.001), *(high[:2] + 0.001), low[2] + 0.25 * (high[2] - low[2])))
-        said += f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its lowest quarter."
+        said += (f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its "
+                 f"lowest quarter.")
     return said
 
 
@@ -221,7 +237,8 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
         solid = dataclasses.replace(solid, notes=(*solid.notes, foot_note(solid, tolerance)))
     if tier == "spring" and spec.poisson_ratio != POISSON_RATIO:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has {POISSON_RATIO:g}, whatever its constants. "
+            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has "
+            f"{POISSON_RATIO:g}, whatever its constants. "
             "Young's modulus is kept; use 'linear' or above where nu matters.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift,

@@ -1,4 +1,5 @@
-"""`vsfsim press` of a plant: one touch of the scene's arm, the first that `vsfsim generate` would make of this seed, with its joint torques."""
+"""`vsfsim press` of a plant: one touch of the scene's arm, the first that `vsfsim generate` would make of this seed,
+with its joint torques."""
 
 from __future__ import annotations
 
@@ -22,10 +23,15 @@ from vsfsim.physics.rods.solver import Ended
 from vsfsim.physics.runtime import compile_kernels
 
 UNITS = {
-    "node_position": "of the plant (T, n, 3) [m]", "node_rotation": "quaternions x y z w since rest (T, n, 4)", "node_rest": "(n, 3) [m]", "parent": "of each node (n,)",
-    "radius": "of the segment to each node (n,) [m]", "young_modulus": "of the segment (n,) [Pa]", "capsule_pose": "of the arm's capsules (T, K, 4, 4) [m]", "body_force": "on each capsule (T, K, 3) [N]", "body_moment": "about its origin (T, K, 3) [N m]",
-    "q": "joint angles (T, 7) [rad]", "torque": "joint torques due to the contact (T, 7) [N m]", "depth": "of the tool past its target (T,) [m]", "force": "on the arm, world (T, 3) [N]",
-    "reaction": "of the pot on the plant, world (T, 3) [N]", "converged": "(T,)", "residual": "(T,) [-]", "iterations": "(T,)", "force_balance": "(T,) [-]", "energy": "(T,) [J]", "penetration": "(T,) [m]",
+    "node_position": "of the plant (T, n, 3) [m]", "node_rotation": "quaternions x y z w since rest (T, n, 4)",
+         "node_rest": "(n, 3) [m]", "parent": "of each node (n,)",
+    "radius": "of the segment to each node (n,) [m]", "young_modulus": "of the segment (n,) [Pa]",
+         "capsule_pose": "of the arm's capsules (T, K, 4, 4) [m]", "body_force": "on each capsule (T, K, 3) [N]",
+         "body_moment": "about its origin (T, K, 3) [N m]",
+    "q": "joint angles (T, 7) [rad]", "torque": "joint torques due to the contact (T, 7) [N m]",
+         "depth": "of the tool past its target (T,) [m]", "force": "on the arm, world (T, 3) [N]",
+    "reaction": "of the pot on the plant, world (T, 3) [N]", "converged": "(T,)", "residual": "(T,) [-]",
+         "iterations": "(T,)", "force_balance": "(T,) [-]", "energy": "(T,) [J]", "penetration": "(T,) [m]",
 }
 """Arrays of the file, with shape and unit; stored in it as ``units``, a JSON object."""
 
@@ -34,11 +40,16 @@ UNITS = {
 class PlantPress:
     """One touch of a plant by the arm, T frames.
 
-    depth: way of the tool past its target, negative before it (T,) [m]. force: on the arm (T, 3) [N]. torque: at the joints, due to the contact (T, 7) [N m]. q: joint angles (T, 7) [rad]. reaction: of the pot on
-    the plant (T, 3) [N]. target: on the visible cloud (3,) [m]. axis: of the tool's way (3,). draws: targets drawn until one could be reached. contacts: samples of the plant on the arm (T,).
-    converged: (T,) bool. reason: why not (T,), words. residual: (T,) [-]. iterations: Newton (T,). audit: force_balance [-], energy [J], penetration [m], each (T,).
-    segments: of the plant. deepest: number of the frame of full depth. build_seconds, seconds: of aiming and picture, and of the touch [s]. tier, device, precision: of the model. notes: what was decided.
-    state: nodes (T, n, 3) [m], turns (T, n, 4) [-], poses (T, K, 4, 4), forces (T, K, 3) [N] and moments (T, K, 3) [N m] of the capsules in every frame, if asked for; not part of `table`.
+    depth: way of the tool past its target, negative before it (T,) [m]. force: on the arm (T, 3) [N]. torque: at the
+    joints, due to the contact (T, 7) [N m]. q: joint angles (T, 7) [rad]. reaction: of the pot on the plant (T, 3) [N].
+    target: on the visible cloud (3,) [m]. axis: of the tool's way (3,). draws: targets drawn until one could be
+    reached. contacts: samples of the plant on the arm (T,).
+    converged: (T,) bool. reason: why not (T,), words. residual: (T,) [-]. iterations: Newton (T,). audit: force_balance
+    [-], energy [J], penetration [m], each (T,).
+    segments: of the plant. deepest: number of the frame of full depth. build_seconds, seconds: of aiming and picture,
+    and of the touch [s]. tier, device, precision: of the model. notes: what was decided.
+    state: nodes (T, n, 3) [m], turns (T, n, 4) [-], poses (T, K, 4, 4), forces (T, K, 3) [N] and moments (T, K, 3) [N
+    m] of the capsules in every frame, if asked for; not part of `table`.
     """
 
     depth: np.ndarray
@@ -70,17 +81,21 @@ class PlantPress:
         return plain(dataclasses.replace(self, state=None))
 
 
-def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, seed: int, keep: bool, progress: Callable[[int, int, str], None] | None = None) -> PlantPress:
+def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, seed: int, keep: bool,
+          progress: Callable[[int, int, str], None] | None = None) -> PlantPress:
     """Make the touch.
 
     Args:
-        loaded: a scene with [arm]. tier, precision: as asked for; beams have one of each. device: Warp device. seed: of plant and touch. keep: also keep every frame's state.
+        loaded: a scene with [arm]. tier, precision: as asked for; beams have one of each. device: Warp device. seed: of
+        plant and touch. keep: also keep every frame's state.
 
     Raises:
-        SceneError: the scene has no [touches], a tier or precision that beams do not have, or nothing that the arm can reach.
+        SceneError: the scene has no [touches], a tier or precision that beams do not have, or nothing that the arm can
+        reach.
     """
     began = time.perf_counter()
-    recipe = make_recipe(loaded, seed=seed, objects=1, views=1, touches=1, tier=tier, device=device, precision=precision, renderer="warp")
+    recipe = make_recipe(loaded, seed=seed, objects=1, views=1, touches=1, tier=tier, device=device,
+                         precision=precision, renderer="warp")
     job = jobs_of(recipe, loaded.path, None, Path("."), None)[0]
     compile_kernels(_kernels(precision, loaded.sample(seed)), device, progress=progress)
     subject = prepare_job(job, device=device)
@@ -100,43 +115,61 @@ def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, s
     depth = (touch.mount_pose[:, :3, 3] - aim.target) @ aim.axis
     limit = subject.scene.touches
     assert limit is not None and touch.q is not None and touch.torque is not None and subject.arm is not None
-    notes = [*subject.plant.notes, f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
+    notes = [*subject.plant.notes,
+             f"target {aim.draws} of those drawn was within reach: ({', '.join(f'{v:.3f}' for v in aim.target)}) m, "
+             f"the tool goes along ({', '.join(f'{v:.3f}' for v in aim.axis)})"]
     if touch.ended == Ended.FORCE:
-        notes.append(f"the arm comes to its protective stop at frame {n} of {len(aim.plan)}: on the way back the contact force would be more than a quarter past force_limit = {limit.force_limit:g} N")
+        notes.append(f"the arm comes to its protective stop at frame {n} of {len(aim.plan)}: on the way back the "
+                     f"contact force would be more than a quarter past force_limit = {limit.force_limit:g} N")
     elif n < len(aim.plan):
-        notes.append(f"the touch ends at frame {n} of {len(aim.plan)}: in the next the contact force would pass force_limit = {limit.force_limit:g} N")
+        notes.append(f"the touch ends at frame {n} of {len(aim.plan)}: in the next the contact force would pass "
+                     f"force_limit = {limit.force_limit:g} N")
     elif not np.array_equal(frames.where[:n, 0], aim.plan):
-        notes.append(f"the arm turns back {1e3 * (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max() * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of its way: further in the contact force would pass "
+        notes.append(f"the arm turns back "
+                     f"{1e3 * (aim.plan.max() - frames.where[:n, 0].max()) / aim.plan.max() * np.linalg.norm(aim.stop - aim.start):.1f} mm before the end of its way: further in the contact force would pass "
                      f"force_limit = {limit.force_limit:g} N, or no equilibrium is found")
     elif not touch.touched:
         notes.append("the arm met nothing on its way; take another --seed")
     state = None
     if keep:
         assert frames.nodes is not None and frames.turns is not None
-        state = (subject, {"node_position": frames.nodes[:n, 0], "node_rotation": frames.turns[:n, 0], "capsule_pose": subject.arm.body_poses(touch.q), "body_force": frames.force[:n, 0], "body_moment": frames.moment[:n, 0]})
+        state = (subject, {"node_position": frames.nodes[:n, 0], "node_rotation": frames.turns[:n, 0],
+                           "capsule_pose": subject.arm.body_poses(touch.q), "body_force": frames.force[:n, 0],
+                           "body_moment": frames.moment[:n, 0]})
     return PlantPress(
-        depth=depth, force=touch.force, torque=touch.torque, q=touch.q, reaction=touch.reaction, target=aim.target, axis=aim.axis, draws=aim.draws, contacts=frames.contacts[:n, 0],
-        converged=touch.converged, reason=tuple(("", *touch.reason_names)[k] for k in touch.reason), residual=touch.residual, iterations=touch.iterations,
-        audit={name: touch.audit[name] for name in ("force_balance", "energy", "penetration")}, segments=len(subject.plant.nodes) - 1, deepest=int(np.argmax(depth)), build_seconds=built,
-        seconds=time.perf_counter() - began, tier=recipe.tier, device=device, precision=precision, notes=tuple(notes), state=state)
+        depth=depth, force=touch.force, torque=touch.torque, q=touch.q, reaction=touch.reaction, target=aim.target,
+                      axis=aim.axis, draws=aim.draws, contacts=frames.contacts[:n, 0],
+        converged=touch.converged, reason=tuple(("", *touch.reason_names)[k] for k in touch.reason),
+                      residual=touch.residual, iterations=touch.iterations,
+        audit={name: touch.audit[name] for name in ("force_balance", "energy", "penetration")},
+                      segments=len(subject.plant.nodes) - 1, deepest=int(np.argmax(depth)), build_seconds=built,
+        seconds=time.perf_counter() - began, tier=recipe.tier, device=device, precision=precision, notes=tuple(notes),
+                      state=state)
 
 
 def text(result: PlantPress) -> str:
     """The result as a table for people."""
-    rows = ["  tool mm past target    force N " + "".join(f"  joint {j + 1}" for j in range(7)) + " N m   balance  penetr. mm  contacts  residual  iterations"]
+    rows = ["  tool mm past target    force N " + "".join(f"  joint {j + 1}" for j in range(7))
+            + " N m   balance  penetr. mm  contacts  residual  iterations"]
     for t in range(len(result.depth)):
         mark = "" if result.converged[t] else "  NOT CONVERGED"
-        rows.append(f"{1e3 * result.depth[t]:21.2f} {np.linalg.norm(result.force[t]):10.4f} " + "".join(f"{v + 0.0:9.4f}" for v in result.torque[t])
-                    + f"       {result.audit['force_balance'][t]:8.1e} {1e3 * result.audit['penetration'][t]:10.3f} {result.contacts[t]:9d}  {result.residual[t]:8.1e} {result.iterations[t]:11d}{mark}")
+        rows.append(f"{1e3 * result.depth[t]:21.2f} {np.linalg.norm(result.force[t]):10.4f} "
+                    + "".join(f"{v + 0.0:9.4f}" for v in result.torque[t])
+                    + f"       {result.audit['force_balance'][t]:8.1e} {1e3 * result.audit['penetration'][t]:10.3f} "
+                      f"{result.contacts[t]:9d}  {result.residual[t]:8.1e} {result.iterations[t]:11d}{mark}")
     bad = np.flatnonzero(~result.converged)
     if len(bad):
         why = sorted({result.reason[t] for t in bad})
-        rows.append(f"{len(bad)} of {len(result.depth)} frames did NOT converge ({'; '.join(why)}). Their forces are not those of an equilibrium.")
+        rows.append(f"{len(bad)} of {len(result.depth)} frames did NOT converge ({'; '.join(why)}). Their forces are "
+                    f"not those of an equilibrium.")
     else:
         rows.append(f"All {len(result.depth)} frames converged.")
-    rows.append(f"Force on the arm and reaction of the pot agree to {np.nanmax(result.audit['force_balance']):.1e}; deepest penetration {1e3 * np.nanmax(result.audit['penetration']):.2g} mm. Torques are those of the contact; "
+    rows.append(f"Force on the arm and reaction of the pot agree to {np.nanmax(result.audit['force_balance']):.1e}; "
+                f"deepest penetration {1e3 * np.nanmax(result.audit['penetration']):.2g} mm. Torques are those of "
+                f"the contact; "
                 "weight is taken off.")
-    rows.append(f"{result.segments} segments, tier {result.tier}, {result.precision} on {result.device}; plant, picture and path in {result.build_seconds:.1f} s, solved in {result.seconds:.1f} s.")
+    rows.append(f"{result.segments} segments, tier {result.tier}, {result.precision} on {result.device}; plant, "
+                f"picture and path in {result.build_seconds:.1f} s, solved in {result.seconds:.1f} s.")
     rows.extend(f"note: {sentence}" for sentence in result.notes)
     return "\n".join(rows)
 
@@ -150,8 +183,10 @@ def save(result: PlantPress, path: Path) -> None:
     assert result.state is not None
     subject, states = result.state
     plant = subject.plant
-    arrays = {**states, "node_rest": plant.nodes, "parent": plant.parent, "radius": plant.radius, "young_modulus": plant.young_modulus, **result.audit,
-              **{key: getattr(result, key) for key in ("q", "torque", "depth", "force", "reaction", "converged", "residual", "iterations")}}
+    arrays = {**states, "node_rest": plant.nodes, "parent": plant.parent, "radius": plant.radius,
+              "young_modulus": plant.young_modulus, **result.audit,
+              **{key: getattr(result, key) for key in ("q", "torque", "depth", "force", "reaction", "converged",
+                                                       "residual", "iterations")}}
     assert set(arrays) == set(UNITS)
     buffer = io.BytesIO()
     np.savez_compressed(buffer, units=np.array(json.dumps(UNITS)), **arrays)
@@ -199,19 +234,22 @@ def picture(result: PlantPress, title: str, path: Path, *, device: str) -> None:
     subject, states = result.state
     assert subject.arm is not None
     t, camera = result.deepest, subject.scene.camera
-    body = plant_surface(subject.plant, pot=True, nodes=states["node_position"][t], turns=matrices(states["node_rotation"][t]))
+    body = plant_surface(subject.plant, pot=True, nodes=states["node_position"][t],
+                         turns=matrices(states["node_rotation"][t]))
     rigid = [tessellate(shape, 1.0) for shape in subject.arm.shapes]
     placed = [v @ pose[:3, :3].T + pose[:3, 3] for (v, _), pose in zip(rigid, states["capsule_pose"][t], strict=True)]
     middle = 0.5 * (subject.plant.nodes.min(axis=0) + subject.plant.nodes.max(axis=0))
     intrinsics, pose = look_at(camera, np.array([0.0, 0.0, middle[2]]))
-    image = render(with_bodies(body, placed, [f for _, f in rigid]), intrinsics, pose, camera.width, camera.height, device=device, background=(255, 255, 255)).rgb
+    image = render(with_bodies(body, placed, [f for _, f in rigid]), intrinsics, pose, camera.width, camera.height,
+                   device=device, background=(255, 255, 255)).rgb
     figure = Figure(figsize=(camera.width / 100, camera.height / 100 + 0.4), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, camera.height / 100 / (camera.height / 100 + 0.4)))
     axes.imshow(image)
     axes.set_axis_off()
     mark = "" if result.converged[t] else "   NOT CONVERGED"
-    figure.suptitle(f"{title}: tool {1e3 * result.depth[t]:.0f} mm past its target, force {np.linalg.norm(result.force[t]):.3g} N{mark}", fontsize=11)
+    figure.suptitle(f"{title}: tool {1e3 * result.depth[t]:.0f} mm past its target, force "
+                    f"{np.linalg.norm(result.force[t]):.3g} N{mark}", fontsize=11)
     figure.savefig(path, dpi=100)
 
 

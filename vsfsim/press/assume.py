@@ -11,11 +11,12 @@ from vsfsim.core.rigid import PressSpec
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Family, MeshFile, Sphere, extent
 from vsfsim.generate.effectors.probe import clearance
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.model import Model
 from vsfsim.robot.path import turn_to
 
-RADIUS = 0.2  # of the default probe, over the object's smallest edge: sharp enough to indent, blunt enough to be resolved
+# of the default probe, over the object's smallest edge: sharp enough to indent, blunt enough to be resolved
+RADIUS = 0.2
 LARGEST_RADIUS = 0.02  # [m]
 DEPTH = 0.1  # of the default press, over the object's height
 BLUNT = 0.5  # and over the probe's radius: deeper, a ball meets the body with its equator
@@ -27,7 +28,8 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     """The scene with a probe that suits the object's size, if the file has none, and what was assumed."""
     if "probe" in scene.given:
         return scene, []
-    if scene.press is not None or isinstance(scene.object.shape, Family):  # a path is made for a certain probe: the grammar's own
+    # a path is made for a certain probe: the grammar's own
+    if scene.press is not None or isinstance(scene.object.shape, Family):
         assert scene.probe == Sphere(LARGEST_RADIUS)
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
     shape = scene.object.shape
@@ -41,7 +43,8 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     radius = min(LARGEST_RADIUS, float(f"{RADIUS * size.min():.2g}"))
     if radius <= 0.0 or radius == LARGEST_RADIUS:
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
-    note = f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, {100 * RADIUS:g} % of the object's smallest edge."
+    note = (f"No [probe] is given: a ball of {1e3 * radius:.3g} mm radius was taken, {100 * RADIUS:g} % of the "
+            f"object's smallest edge.")
     return dataclasses.replace(scene, probe=Sphere(radius)), [note]
 
 
@@ -67,7 +70,8 @@ def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
             break
         where = "at its highest point (from above, the middle is empty)"
     else:
-        raise SceneError(f"{scene.source}: there is no [press], and a probe that comes from above meets nothing; add from and to, "
+        raise SceneError(f"{scene.source}: there is no [press], and a probe that comes from above meets nothing; add "
+                         f"from and to, "
                          "world coordinates of the probe's centre in metres.")
     height = float(high[2] - low[2])
     room = min(DEPTH * height, BLUNT * min(sdf.reach(scene.probe), height))
@@ -75,6 +79,7 @@ def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
     start = pose[:3, 3] + gap * DOWN
     stop = start + depth * DOWN
     spec = PressSpec((tuple(map(float, start)), tuple(map(float, stop))), (FRAMES,))
-    note = (f"No [press] is given: the probe goes from above, {where}, from first contact at ({', '.join(f'{v:.4g}' for v in start)}) m, "
+    note = (f"No [press] is given: the probe goes from above, {where}, from first contact at "
+            f"({', '.join(f'{v:.4g}' for v in start)}) m, "
             f"{1e3 * depth:.3g} mm deep, {100 * depth / height:.2g} % of the height, in {FRAMES} frames.")
     return dataclasses.replace(scene, press=spec), [note]

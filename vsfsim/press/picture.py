@@ -1,4 +1,5 @@
-"""A press as a picture: the deformed body at full depth, once with the rigid bodies and coloured by displacement, once without and coloured by contact pressure."""
+"""A press as a picture: the deformed body at full depth, once with the rigid bodies and coloured by displacement, once
+without and coloured by contact pressure."""
 
 from __future__ import annotations
 
@@ -10,14 +11,15 @@ import numpy as np
 from vsfsim.core.scene import CameraSpec
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 from vsfsim.core.solid import Appearance
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.press.probe import PressResult
 from vsfsim.sensing.camera import Surface, look_at, render
 
 SIZE, TALL = 640, 512  # of one view [px]
 ROUND = 48  # sides of a round probe
-# Of a quadratic triangle (corners 0 1 2, edges 3 4 5) at three by three by three barycentric points a side: drawn as it bends
+# Of a quadratic triangle (corners 0 1 2, edges 3 4 5) at three by three by three barycentric points a side: drawn as it
+# bends
 _SPLIT = 3
 
 
@@ -40,11 +42,14 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
     size = float(np.ptp(vertices, axis=0).max())
     rigid = [tessellate(shape, 1.2 * size) for shape in state.bodies.shapes]
     placed = [v @ pose[:3, :3].T + pose[:3, 3] for (v, _), pose in zip(rigid, state.poses[t], strict=True)]
-    looks = [(1e3 * values, "displacement [mm]", "viridis", True), (pressure / 1e3, "contact pressure [kPa]", "inferno_r", False)]
+    looks = [(1e3 * values, "displacement [mm]", "viridis", True),
+             (pressure / 1e3, "contact pressure [kPa]", "inferno_r", False)]
     intrinsics, pose = fitting_camera(vertices, np.concatenate(placed))
     # a wall or a plate between the camera and the body would hide all there is to see: it is left out
-    hides = [isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0 for shape, p in zip(state.bodies.shapes, state.poses[t], strict=True)]
-    placed, faces = ([x for x, h in zip(every, hides, strict=True) if not h] for every in (placed, [f for _, f in rigid]))
+    hides = [isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0 for shape,
+             p in zip(state.bodies.shapes, state.poses[t], strict=True)]
+    placed, faces = ([x for x, h in zip(every, hides, strict=True) if not h]
+                     for every in (placed, [f for _, f in rigid]))
     figure = Figure(figsize=(2 * (SIZE / 100 + 0.9), TALL / 100 + 0.7), dpi=100, facecolor="white")
     FigureCanvasAgg(figure)
     width, height = figure.get_size_inches()
@@ -65,19 +70,24 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
         figure.colorbar(scale, cax=bar).set_label(label, fontsize=9)
     force = np.linalg.norm(result.force[t])
     mark = "" if result.converged[t] else "   NOT CONVERGED"
-    figure.text(0.01, 1.0 - 0.22 / height, f"{title}: depth {1e3 * result.depth[t]:.2f} mm, force {force:.4g} N{mark}", va="center", fontsize=12)
-    figure.text(0.01, 0.2 / height, f"tier {result.tier}, {result.tets} tetrahedra; left: with the rigid bodies; right: the body alone", va="center", fontsize=9, color="0.35")
+    figure.text(0.01, 1.0 - 0.22 / height, f"{title}: depth {1e3 * result.depth[t]:.2f} mm, force {force:.4g} N{mark}",
+                va="center", fontsize=12)
+    figure.text(0.01, 0.2 / height,
+                f"tier {result.tier}, {result.tets} tetrahedra; left: with the rigid bodies; right: the body alone",
+                va="center", fontsize=9, color="0.35")
     figure.savefig(path, dpi=100)
 
 
-def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray,
+                                                                             np.ndarray]:
     """The boundary as it bends: every quadratic triangle cut into nine.
 
     Args:
         mesh: the body. displacement: of its nodes (n, 3) [m].
 
     Returns:
-        vertices (v, 3) [m]; triangles (g, 3); the boundary triangle each lies on (g,); length of the displacement at its middle (g,) [m].
+        vertices (v, 3) [m]; triangles (g, 3); the boundary triangle each lies on (g,); length of the displacement at
+        its middle (g,) [m].
     """
     from vsfsim.physics.contact.rigid_points import shape_values
 
@@ -99,7 +109,8 @@ def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray) -> tuple[np.
     faces = len(mesh.faces)
     triangles = (np.array(cut)[None] + len(at) * np.arange(faces)[:, None, None]).reshape(-1, 3)
     # the copies of a corner in neighbouring triangles become one again, so that the shading is smooth
-    _, first, same = np.unique(np.round(points.reshape(-1, 3) / (1e-7 * np.ptp(moved, axis=0).max())).astype(np.int64), axis=0, return_index=True, return_inverse=True)
+    _, first, same = np.unique(np.round(points.reshape(-1, 3) / (1e-7 * np.ptp(moved, axis=0).max())).astype(np.int64),
+                               axis=0, return_index=True, return_inverse=True)
     vertices = points.reshape(-1, 3)[first]
     middle = length[:, np.array(cut)].mean(axis=2).reshape(-1)
     return vertices, same.reshape(-1)[triangles], np.repeat(np.arange(faces), len(cut)), middle
@@ -108,8 +119,8 @@ def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray) -> tuple[np.
 def face_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
     """Mean contact pressure on every boundary triangle (f,) [Pa], smeared over about one element.
 
-    A nodal force is shared by the triangles around its node, by area; under a uniform pressure that gives it back exactly where edges are
-    inside the patch, because the corners of a quadratic triangle then carry nothing.
+    A nodal force is shared by the triangles around its node, by area; under a uniform pressure that gives it back
+    exactly where edges are inside the patch, because the corners of a quadratic triangle then carry nothing.
 
     Args:
         mesh: the body. surface_force: on the nodes of ``mesh.surface_nodes()`` (s, 3) [N].
@@ -124,7 +135,8 @@ def face_pressure(mesh: QuadraticMesh, surface_force: np.ndarray) -> np.ndarray:
 
 
 def tessellate(shape: ProbeShape, size: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles of a rigid shape in its own frame: vertices (v, 3) [m], corners (g, 3); a plane is a square of edge ``size`` [m]."""
+    """Triangles of a rigid shape in its own frame: vertices (v, 3) [m], corners (g, 3); a plane is a square of edge
+    ``size`` [m]."""
     half = 0.5 * size
     match shape:
         case MeshFile():
@@ -156,16 +168,20 @@ def _block(x: float, y: float, z: float) -> tuple[np.ndarray, np.ndarray]:
 def _revolved(radius: np.ndarray, height: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A profile, from the top to the bottom, turned about z."""
     turn = 2.0 * math.pi * np.arange(ROUND) / ROUND
-    vertices = np.stack([np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn)), np.repeat(height[:, None], ROUND, axis=1)], axis=-1).reshape(-1, 3)
+    vertices = np.stack([np.outer(radius, np.cos(turn)), np.outer(radius, np.sin(turn)),
+                         np.repeat(height[:, None], ROUND, axis=1)], axis=-1).reshape(-1, 3)
     i, k = np.meshgrid(np.arange(len(radius) - 1), np.arange(ROUND), indexing="ij")
     a, b = i * ROUND + k, i * ROUND + (k + 1) % ROUND
-    faces = np.concatenate([np.stack([a, a + ROUND, b + ROUND], axis=-1).reshape(-1, 3), np.stack([a, b + ROUND, b], axis=-1).reshape(-1, 3)])
-    size = np.linalg.norm(np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]), axis=1)
+    faces = np.concatenate([np.stack([a, a + ROUND, b + ROUND], axis=-1).reshape(-1, 3),
+                            np.stack([a, b + ROUND, b], axis=-1).reshape(-1, 3)])
+    size = np.linalg.norm(np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]],
+                                   vertices[faces[:, 2]] - vertices[faces[:, 0]]), axis=1)
     return vertices, faces[size > 0.0]
 
 
 def fitting_camera(vertices: np.ndarray, probe: np.ndarray, *, elevation: float = 0.6) -> tuple[np.ndarray, np.ndarray]:
-    """Intrinsics (3, 3) [px] and pose (4, 4) of a camera so far above the horizon [rad], that fits ``vertices`` and the ``probe`` (k, 3) [m] next to them tightly."""
+    """Intrinsics (3, 3) [px] and pose (4, 4) of a camera so far above the horizon [rad], that fits ``vertices`` and the
+    ``probe`` (k, 3) [m] next to them tightly."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     middle, reach = 0.5 * (low + high), float(np.linalg.norm(high - low))
     # the part of the probe that is near the body; a plane or a long handle would push the camera away
@@ -184,7 +200,8 @@ def coloured(vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarray) ->
     shades, region = np.unique(np.rint(colour * 255).astype(int), axis=0, return_inverse=True)
     plain = len(shades)
     # the renderer works in linear light
-    return Surface(vertices, triangles, region.reshape(-1), Appearance((shades / 255.0) ** 2.2, ("plain",) * plain, np.ones(plain), np.zeros(plain)), vertices)
+    return Surface(vertices, triangles, region.reshape(-1), Appearance((shades / 255.0) ** 2.2, ("plain",) * plain,
+                                                                       np.ones(plain), np.zeros(plain)), vertices)
 
 
 def with_bodies(body: Surface, placed: list[np.ndarray], faces: list[np.ndarray]) -> Surface:
@@ -196,4 +213,6 @@ def with_bodies(body: Surface, placed: list[np.ndarray], faces: list[np.ndarray]
     triangles = np.concatenate([body.triangles, *(f + s for f, s in zip(faces, start, strict=False))])
     grey = len(look.texture)
     region = np.concatenate([body.region, np.full(sum(len(f) for f in faces), grey)])
-    return Surface(vertices, triangles, region, Appearance(np.vstack([look.albedo, [0.35, 0.37, 0.40]]), (*look.texture, "plain"), np.ones(grey + 1), np.zeros(grey + 1)), vertices)
+    return Surface(vertices, triangles, region, Appearance(np.vstack([look.albedo, [0.35, 0.37, 0.40]]),
+                                                           (*look.texture, "plain"), np.ones(grey + 1),
+                                                           np.zeros(grey + 1)), vertices)

@@ -1,4 +1,5 @@
-"""A press of a bubble as a picture of its deepest frame: from outside, as a map of the dent over the rim plane, and as the camera inside sees it."""
+"""A press of a bubble as a picture of its deepest frame: from outside, as a map of the dent over the rim plane, and as
+the camera inside sees it."""
 
 from __future__ import annotations
 
@@ -37,7 +38,8 @@ def picture(result: BubblePress, scene: Scene, title: str, path: Path, *, device
     """Draw the frame of full depth into ``path`` (PNG).
 
     Args:
-        result: of a press that kept its state. scene: what was pressed. title: above everything. device: of the ray casters.
+        result: of a press that kept its state. scene: what was pressed. title: above everything. device: of the ray
+        casters.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -64,18 +66,24 @@ def picture(result: BubblePress, scene: Scene, title: str, path: Path, *, device
         axes.set_axis_off()
 
     panel(0, outside(state, scene, t, scale.to_rgba(dent[mesh.faces].mean(axis=1))[:, :3], device))
-    _map(figure, (left[1] + 0.75 / widths.sum(), 0.95 / height, (widths[1] - 1.9) / widths.sum(), (TALL / 100 - 0.75) / height), state, t, dent, norm)
+    _map(figure, (left[1] + 0.75 / widths.sum(), 0.95 / height, (widths[1] - 1.9) / widths.sum(),
+                  (TALL / 100 - 0.75) / height), state, t, dent, norm)
     panel(2, look_inside(state.node_position[t:t + 1], mesh.faces, state.model.flat, camera, device=device).rgb[0])
     mark = "" if result.converged[t] else "   NOT CONVERGED"
-    figure.text(0.01, 1.0 - 0.22 / height, f"{title}: depth {1e3 * result.depth[t]:.2f} mm, force {np.linalg.norm(result.force[t]):.4g} N, pressure change {result.pressure_change[t]:.4g} Pa{mark}",
+    figure.text(0.01, 1.0 - 0.22 / height,
+                f"{title}: depth {1e3 * result.depth[t]:.2f} mm, force {np.linalg.norm(result.force[t]):.4g} N, "
+                f"pressure change {result.pressure_change[t]:.4g} Pa{mark}",
                 va="center", fontsize=12)
-    figure.text(0.01, 0.2 / height, f"bubble of {result.nodes} nodes; left: from outside; middle: how far the skin went in along the free dome's normal, dots: nodes in contact, larger with their force; "
+    figure.text(0.01, 0.2 / height,
+                f"bubble of {result.nodes} nodes; left: from outside; middle: how far the skin went in along the free "
+                f"dome's normal, dots: nodes in contact, larger with their force; "
                 "right: from the camera inside", va="center", fontsize=9, color="0.35")
     figure.savefig(path, dpi=100)
 
 
 def inwards(state: BubbleState, t: int) -> np.ndarray:
-    """How far every node of the skin (n,) [m] has gone in along the free dome's normal in frame ``t``; less than 0 where it bulges out."""
+    """How far every node of the skin (n,) [m] has gone in along the free dome's normal in frame ``t``; less than 0
+    where it bulges out."""
     mesh = state.model.mesh
     return -((state.node_position[t] - mesh.points) * nodal_normals(mesh.points, mesh.faces)).sum(axis=1)
 
@@ -91,7 +99,8 @@ def outside(state: BubbleState, scene: Scene, t: int, colour: np.ndarray, device
         solids = [((vertices - at) @ turn, triangles)]
     else:
         rigid = [tessellate(shape, 2.0 * size) for shape in scene.bodies]
-        solids = [(v @ pose[:3, :3].T + pose[:3, 3], f) for (v, f), pose in zip(rigid, in_mount(scene, state.mount[t:t + 1])[0], strict=True)]
+        solids = [(v @ pose[:3, :3].T + pose[:3, 3], f) for (v, f),
+                  pose in zip(rigid, in_mount(scene, state.mount[t:t + 1])[0], strict=True)]
     kept = [_within(v, f, skin.mean(axis=0), _NEAR * size) for v, f in solids]
     intrinsics, pose = fitting_camera(skin, np.concatenate([skin, *(v[np.unique(f)] for v, f in kept)]), elevation=_LOW)
     # a plate between the camera and the dome would hide all there is to see: it is left out
@@ -102,13 +111,15 @@ def outside(state: BubbleState, scene: Scene, t: int, colour: np.ndarray, device
     return render(body, intrinsics, pose, SIZE, TALL, device=device, shading=0.55, background=(255, 255, 255)).rgb
 
 
-def _within(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def _within(vertices: np.ndarray, triangles: np.ndarray, middle: np.ndarray,
+            reach: float) -> tuple[np.ndarray, np.ndarray]:
     """The triangles with a corner within ``reach`` [m] of ``middle`` (3,)."""
     near = np.linalg.norm(vertices - middle, axis=1) < reach
     return vertices, triangles[near[triangles].any(axis=1)]
 
 
-def _map(figure: Figure, place: tuple[float, float, float, float], state: BubbleState, t: int, dent: np.ndarray, norm: Normalize) -> None:
+def _map(figure: Figure, place: tuple[float, float, float, float], state: BubbleState, t: int, dent: np.ndarray,
+         norm: Normalize) -> None:
     """The dent (n,) [mm] over the rim plane, and the nodes in contact."""
     mesh = state.model.mesh
     axes = figure.add_axes(place)
@@ -122,4 +133,5 @@ def _map(figure: Figure, place: tuple[float, float, float, float], state: Bubble
     axes.set_xlabel("x of the mount, free dome [mm]")
     axes.set_ylabel("y [mm]")
     ticks = [norm.vmin, 0.5 * norm.vmin, 0.0, 0.5 * norm.vmax, norm.vmax]
-    figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=ticks, format=lambda value, _: f"{value:.2g}").set_label("inwards [mm]")
+    figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=ticks, format=lambda value,
+                    _: f"{value:.2g}").set_label("inwards [mm]")

@@ -11,7 +11,8 @@ from vsfsim.press.probe import PressResult
 
 
 def plot(result: PressResult, title: str, path: Path) -> None:
-    """Draw the normal force and the support reaction against depth into ``path`` (PNG); frames that failed are crossed out."""
+    """Draw the normal force and the support reaction against depth into ``path`` (PNG); frames that failed are crossed
+    out."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -36,7 +37,8 @@ def plot(result: PressResult, title: str, path: Path) -> None:
 
 
 def plot_pressure(result: BubblePress, title: str, path: Path) -> None:
-    """Draw force and pressure change of a bubble against depth into ``path`` (PNG); frames that failed are crossed out."""
+    """Draw force and pressure change of a bubble against depth into ``path`` (PNG); frames that failed are crossed
+    out."""
     import matplotlib
 
     matplotlib.use("Agg")

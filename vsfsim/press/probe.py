@@ -15,8 +15,8 @@ from vsfsim.core.scene import Scene
 from vsfsim.generate.effectors.probe import audit, clearance
 from vsfsim.generate.table import plain
 from vsfsim.physics import tiers
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.rigid_points import sdf
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.kernels import solver_kernels
@@ -29,7 +29,8 @@ from vsfsim.robot.path import body_poses, pose_at, press_path
 class PressState:
     """The deformed body in every frame.
 
-    model: the body. bodies: the rigid shapes. poses: theirs (T, K, 4, 4), to world. displacement: of the nodes (T, n, 3) [m].
+    model: the body. bodies: the rigid shapes. poses: theirs (T, K, 4, 4), to world. displacement: of the nodes (T, n,
+    3) [m].
     surface_force: contact force on the surface nodes, in the order of ``model.mesh.surface_nodes()`` (T, s, 3) [N].
     """
 
@@ -45,14 +46,17 @@ class PressResult:
     """What `vsfsim press` prints.
 
     depth: way of the probe past first contact, along the first part of its path (T,) [m]; 0 before contact.
-    force: on the probe and its parts together (T, 3) [N]. body_force: on each rigid body (T, K, 3) [N]. bodies: their names (K,).
-    friction: Coulomb coefficient of each (K,) [-]. slipping: share of the points in contact that slip (T,) [-]. reaction: of the supports on the body (T, 3) [N]. pressure: (T,) [Pa] or None without gas.
+    force: on the probe and its parts together (T, 3) [N]. body_force: on each rigid body (T, K, 3) [N]. bodies: their
+    names (K,).
+    friction: Coulomb coefficient of each (K,) [-]. slipping: share of the points in contact that slip (T,) [-].
+    reaction: of the supports on the body (T, 3) [N]. pressure: (T,) [Pa] or None without gas.
     converged: (T,) bool. residual: (T,) [-]. iterations: Newton (T,). seconds: of each frame (T,) [s].
     audit: force_balance [-], min_det_f [-], energy [J], penetration [m], each (T,).
     build_seconds: meshing and factorisation [s]. tets, nodes, tier, device, precision: of the model.
-    element_size: edge length aimed at [m]. edge: mean edge of the mesh [m]. edge_at_contact: of the boundary triangles nearest to the probe's
-    tip [m]. volume: of the body [m^3]. tolerance: of the residual [-].
-    inward: number of frames before hold and retract. notes: what was assumed, repaired or decided. statement: of convergence, in words.
+    element_size: edge length aimed at [m]. edge: mean edge of the mesh [m]. edge_at_contact: of the boundary triangles
+    nearest to the probe's tip [m]. volume: of the body [m^3]. tolerance: of the residual [-].
+    inward: number of frames before hold and retract. notes: what was assumed, repaired or decided. statement: of
+    convergence, in words.
     state: every frame's displacements and contact forces, if asked for; not part of `table`.
     """
 
@@ -91,7 +95,8 @@ class PressResult:
 
 
 def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precision: str = "float64", seed: int = 0,
-          cache: Path | None = None, keep: bool = False, progress: Callable[[int, int, str], None] | None = None) -> PressResult:
+          cache: Path | None = None, keep: bool = False, progress: Callable[[int, int, str],
+                                                                            None] | None = None) -> PressResult:
     """Run the ``[press]`` of a scene, or a default one.
 
     Args:
@@ -106,7 +111,8 @@ def press(scene: Scene, *, tier: str | None = None, device: str = "cpu", precisi
     return run(scene, model, chosen, notes, built, device=device, precision=precision, keep=keep, progress=progress)
 
 
-def prepare(scene: Scene, *, tier: str | None, seed: int, cache: Path | None) -> tuple[Scene, Model, str, list[str], float]:
+def prepare(scene: Scene, *, tier: str | None, seed: int,
+            cache: Path | None) -> tuple[Scene, Model, str, list[str], float]:
     """The scene with its gaps filled, its model, the tier, notes, and the seconds it took."""
     began = time.perf_counter()
     chosen = tiers.choose(scene, tier)
@@ -118,7 +124,8 @@ def prepare(scene: Scene, *, tier: str | None, seed: int, cache: Path | None) ->
     return scene, model, chosen, [*notes, *more], time.perf_counter() - began
 
 
-def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float, *, device: str, precision: str, keep: bool,
+def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float, *, device: str, precision: str,
+        keep: bool,
         progress: Callable[[int, int, str], None] | None) -> PressResult:
     """Solve the frames of a prepared press; arguments as `press` and `prepare`."""
     from vsfsim.press.text import statement
@@ -130,16 +137,21 @@ def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float,
     inside = overlap(model, scene.probe, first, str(scene.source))
     compile_kernels(solver_kernels(precision, [block.kind for block in model.blocks]), device, progress=progress)
     axis = direction(scene)
-    gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:1 + len(scene.parts)], body_poses(scene, first[None])[0], strict=False))
+    gap = min(clearance(model, shape, pose, axis) for shape, pose in zip(scene.bodies[:1 + len(scene.parts)],
+                                                                         body_poses(scene, first[None])[0],
+                                                                         strict=False))
     linear = not tiers.TIERS[chosen].nonlinear
-    solver = Solver(model, scene.bodies, friction=scene.frictions, device=device, precision=precision, options=tiers.options(chosen), linear=linear)
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=device, precision=precision,
+                    options=tiers.options(chosen), linear=linear)
     every = body_poses(scene, poses)
-    frames = solver.run(every[:, None], keep=keep, progress=None if progress is None else lambda done: progress(done, len(poses), "frames"))
+    frames = solver.run(every[:, None], keep=keep, progress=None if progress is None
+                        else lambda done: progress(done, len(poses), "frames"))
     # what the audit balances, less the obstacles' share
     force = frames.force[:, 0] - frames.body_force[:, 0, 1 + len(scene.parts):].sum(axis=1)
     way = (poses[:, :3, 3] - np.array(spec.start)) @ axis
     values: dict[str, Any] = dict(
-        depth=np.maximum(way - gap, 0.0), force=force, body_force=frames.body_force[:, 0], reaction=frames.reaction[:, 0], pressure=None,
+        depth=np.maximum(way - gap, 0.0), force=force, body_force=frames.body_force[:, 0],
+                                  reaction=frames.reaction[:, 0], pressure=None,
         converged=frames.converged[:, 0], residual=frames.residual[:, 0], iterations=frames.iterations[:, 0],
         slipping=frames.slipping[:, 0], bodies=names(scene), friction=scene.frictions,
         seconds=frames.seconds, audit=audit(frames, 0), build_seconds=built, tets=len(model.mesh.tets),
@@ -151,13 +163,16 @@ def run(scene: Scene, model: Model, chosen: str, notes: list[str], built: float,
     state = None
     if keep:
         displacement = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
-        state = PressState(model, solver.bodies, every, displacement, np.stack([force[..., 0] for force in solver.surface_force]))
-    return PressResult(**values, statement=statement(frames, 0, edge=model.element_size, tolerance=values["tolerance"], linear=linear), state=state)
+        state = PressState(model, solver.bodies, every, displacement,
+                           np.stack([force[..., 0] for force in solver.surface_force]))
+    return PressResult(**values, statement=statement(frames, 0, edge=model.element_size, tolerance=values["tolerance"],
+                                                     linear=linear), state=state)
 
 
 def names(scene: Scene) -> tuple[str, ...]:
     """What the K rigid bodies of a scene are called in tables."""
-    return ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))), *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
+    return ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))),
+            *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
 
 
 def edge_at(model: Model, point: np.ndarray) -> float:
@@ -185,12 +200,14 @@ def overlap(model: Model, probe: Any, pose: np.ndarray, where: str) -> float:
     """
     centre = pose[:3, 3]
     corners = model.mesh.points[model.mesh.tets[:, :4]]
-    weights = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2), (centre - corners[:, 0])[..., None])[..., 0]
+    weights = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2),
+                              (centre - corners[:, 0])[..., None])[..., 0]
     inside = (weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)
     points = (model.mesh.points[np.unique(model.mesh.faces)] - pose[:3, 3]) @ pose[:3, :3]
     nearest = float(sdf.distance(probe, points).min())
     if inside.any() and nearest > 0.0:
-        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in centre.tolist()]} puts the whole probe inside the body, where it touches nothing; "
+        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in centre.tolist()]} puts the whole probe "
+                         f"inside the body, where it touches nothing; "
                          "start outside (world coordinates of the probe's centre, in metres).")
     return max(0.0, -nearest)
 
@@ -202,10 +219,13 @@ def path_notes(gap: float, way: float, inside: float) -> list[str]:
         gap: to first contact from the start [m]. way: how far the probe goes [m]. inside: overlap at the start [m].
     """
     if gap >= way:
-        there = "meets nothing on its line" if not np.isfinite(gap) else f"would meet it after {1e3 * gap:.1f} mm, and goes {1e3 * way:.1f} mm"
-        return [f"The probe never touches the body: it {there}. Check from and to in [press], world coordinates in metres of the probe's centre."]
+        there = ("meets nothing on its line" if not np.isfinite(gap)
+                 else f"would meet it after {1e3 * gap:.1f} mm, and goes {1e3 * way:.1f} mm")
+        return [f"The probe never touches the body: it {there}. Check from and to in [press], world coordinates in "
+                f"metres of the probe's centre."]
     if inside > 0.05 * way:  # less is the faceting of a round body
-        return [f"The probe starts {1e3 * inside:.1f} mm inside the body, so depth counts from there and not from first contact; "
+        return [f"The probe starts {1e3 * inside:.1f} mm inside the body, so depth counts from there and not from "
+                f"first contact; "
                 "move from in [press] back to where the probe is free."]
     return []
 

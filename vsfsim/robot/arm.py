@@ -1,4 +1,5 @@
-"""The arm: joint angles in, poses of links, capsules and tool out, and its gravity torques. MuJoCo computes, numpy carries.
+"""The arm: joint angles in, poses of links, capsules and tool out, and its gravity torques. MuJoCo computes, numpy
+carries.
 
 The capsules are rigid bodies for `vsfsim.physics.solve.touches.Solver(model, arm.shapes).run(arm.body_poses(q))`.
 """
@@ -43,17 +44,21 @@ class Postures:
 class Arm:
     """A Kinova Gen3. Everything is in the world's frame, whose z is up.
 
-    base: pose of its base in the world (4, 4) [m]. model: MuJoCo's model. punyo: whether it carries one. tool: "flange" or "punyo", what `Postures.tool` follows (the flange with its z
-    outwards, or the apex of the dome with its z along the dome's axis). links: names of the bodies of the chain. capsules: K of them.
+    base: pose of its base in the world (4, 4) [m]. model: MuJoCo's model. punyo: whether it carries one. tool: "flange"
+    or "punyo", what `Postures.tool` follows (the flange with its z outwards, or the apex of the dome with its z along
+    the dome's axis). links: names of the bodies of the chain. capsules: K of them.
     shapes: theirs (K,), as the solver takes them.
-    capsule_links: number in ``links`` of the body that each is fixed to (K,). capsule_offsets: their poses in its frame (K, 4, 4) [m].
-    body_ids: of the links in MuJoCo's model. reach: longest distance from joint 2 to the tool [m]. lower, upper: joint limits (7,) [rad], infinite for a continuous joint.
+    capsule_links: number in ``links`` of the body that each is fixed to (K,). capsule_offsets: their poses in its frame
+    (K, 4, 4) [m].
+    body_ids: of the links in MuJoCo's model. reach: longest distance from joint 2 to the tool [m]. lower, upper: joint
+    limits (7,) [rad], infinite for a continuous joint.
 
     Raises:
         ArmError: an unknown tool, the tool "punyo" without one, a base that is no pose, or a model that is no Gen3.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False, tool: str | None = None,
+    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False,
+                 tool: str | None = None,
                  base: np.ndarray | None = None):
         import mujoco
 
@@ -63,7 +68,8 @@ class Arm:
         if self.tool not in TOOLS:
             raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
         if self.tool == "punyo" and not punyo:
-            raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the tool 'flange'.")
+            raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the "
+                           "tool 'flange'.")
         if punyo:
             mjcf.add_punyo(spec)
         self.base = _checked_base(base)
@@ -76,14 +82,16 @@ class Arm:
         self.body_ids = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
         self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
         # views into MuJoCo's memory; to look them up takes as long as the kinematics
-        self._qpos, self._tool = self._data.qpos, (self._data.site_xpos[self._site], self._data.site_xmat[self._site].reshape(3, 3))
+        self._qpos, self._tool = self._data.qpos, (self._data.site_xpos[self._site],
+                                                   self._data.site_xmat[self._site].reshape(3, 3))
         if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
             raise ArmError(f"the model has {self.model.nq} joint coordinates; a Gen3 arm has {gen3.JOINTS}.")
         limited = self.model.jnt_limited.astype(bool)
         self.lower = np.where(limited, self.model.jnt_range[:, 0], -np.inf)
         self.upper = np.where(limited, self.model.jnt_range[:, 1], np.inf)
         self.capsules = gen3.CAPSULES + (gen3.PUNYO_CAPSULES if punyo else ())
-        self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))) for c in self.capsules)
+        self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start))))
+                            for c in self.capsules)
         self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
         self.capsule_offsets = np.stack([_capsule_pose(c) for c in self.capsules])
         self.reach = self._reach()
@@ -91,7 +99,8 @@ class Arm:
     def _id(self, kind: int, name: str) -> int:
         number = self._mujoco.mj_name2id(self.model, kind, name)
         if number < 0:
-            raise ArmError(f"the arm's model has no {'body' if kind == self._mujoco.mjtObj.mjOBJ_BODY else 'site'} '{name}'; is it a Kinova Gen3?")
+            raise ArmError(f"the arm's model has no {'body' if kind == self._mujoco.mjtObj.mjOBJ_BODY else 'site'} "
+                           f"'{name}'; is it a Kinova Gen3?")
         return number
 
     def _reach(self) -> float:
@@ -120,7 +129,8 @@ class Arm:
         return Postures(links, tool, anchors, axes)
 
     def tool_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and MuJoCo's Jacobian (6, 7) of its position [m/rad] and turn [rad/rad]."""
+        """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and MuJoCo's Jacobian (6, 7) of its position [m/rad] and turn
+        [rad/rad]."""
         data, out, pose = self._data, np.empty((6, gen3.JOINTS)), _EYE.copy()
         self._qpos[:] = q
         self._mujoco.mj_kinematics(self.model, data)
@@ -169,9 +179,11 @@ def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None
     """An arm by name.
 
     Args:
-        name: "gen3", our own model, or "menagerie": MuJoCo Menagerie's with its meshes, which the package `mujoco-menagerie` downloads.
+        name: "gen3", our own model, or "menagerie": MuJoCo Menagerie's with its meshes, which the package
+        `mujoco-menagerie` downloads.
         punyo: with a Punyo on its flange. tool: see `Arm`.
-        base: pose of its base in the world (4, 4) [m], at the origin by default; a scene's object has its own base there. joints: friction, damping and armature of the joints.
+        base: pose of its base in the world (4, 4) [m], at the origin by default; a scene's object has its own base
+        there. joints: friction, damping and armature of the joints.
 
     Raises:
         ArmError: an unknown name, or Menagerie's model cannot be had.
@@ -191,8 +203,11 @@ def _checked_base(base: np.ndarray | None) -> np.ndarray:
     if base is None:
         return np.eye(4)
     base = np.asarray(base, float)
-    if base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(base[:3, :3] @ base[:3, :3].T - np.eye(3)).max() > 1e-9 or np.linalg.det(base[:3, :3]) < 0:
-        raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a position in metres.")
+    if base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(base[:3,
+                                                                          :3] @ base[:3, :3].T
+                                                                     - np.eye(3)).max() > 1e-9 or np.linalg.det(base[:3, :3]) < 0:
+        raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a "
+                       f"position in metres.")
     return base
 
 

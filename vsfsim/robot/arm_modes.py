@@ -20,8 +20,8 @@ class Difference:
 
     kinematic: J^T f at the wanted angles (T, 7) [N m]. dynamic: readings, weight taken off (T, 7) [N m].
     rms, largest: of the difference, each joint (7,) [N m]. scale: largest kinematic torque of any joint [N m].
-    inertia, friction, lag: rms of its parts (7,) [N m]: M q'' and Coriolis; friction that the sensor sees; J^T f at the angles that the arm
-    has instead of the wanted ones. tool: largest distance of the tool from its path [m].
+    inertia, friction, lag: rms of its parts (7,) [N m]: M q'' and Coriolis; friction that the sensor sees; J^T f at the
+    angles that the arm has instead of the wanted ones. tool: largest distance of the tool from its path [m].
     motion: what the dynamic arm did. seconds: time that each took, kinematic and dynamic (2,) [s].
     """
 
@@ -38,11 +38,13 @@ class Difference:
     seconds: tuple[float, float]
 
 
-def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, moment: np.ndarray, *, drive: Drive = POSITION) -> Difference:
+def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, moment: np.ndarray, *,
+               drive: Drive = POSITION) -> Difference:
     """Runs both arms along ``q`` (T, 7) [rad] at ``times`` (T,) [s].
 
     Args:
-        force, moment: on the capsules, moments about their origins (T, K, 3) [N, N m]; at each frame's place in the kinematic arm, while the
+        force, moment: on the capsules, moments about their origins (T, K, 3) [N, N m]; at each frame's place in the
+        kinematic arm, while the
             dynamic one carries them along.
     """
     begin = time.perf_counter()
@@ -51,12 +53,15 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
     motion = simulate(arm, q, times, series(times, force, moment), drive=drive)
     end = time.perf_counter()
     there = body_torque(arm, motion.q, force, moment=moment)
-    # the sign of a rate that is rounding says nothing: what is left over after J^T f and inertia is the friction, whatever it is at rest
+    # the sign of a rate that is rounding says nothing: what is left over after J^T f and inertia is the friction,
+    # whatever it is at rest
     inertial = inertial_torque(arm, motion)
     gap = motion.torque - kinematic
     away = arm.postures(motion.q).tool[:, :3, 3] - arm.postures(q).tool[:, :3, 3]
-    return Difference(kinematic, motion.torque, _rms(gap), np.abs(gap).max(axis=0), float(np.abs(kinematic).max()), _rms(inertial),
-                      _rms(motion.torque - there - inertial), _rms(there - kinematic), float(np.linalg.norm(away, axis=1).max()), motion,
+    return Difference(kinematic, motion.torque, _rms(gap), np.abs(gap).max(axis=0), float(np.abs(kinematic).max()),
+                      _rms(inertial),
+                      _rms(motion.torque - there - inertial), _rms(there - kinematic),
+                      float(np.linalg.norm(away, axis=1).max()), motion,
                       (middle - begin, end - middle))
 
 

@@ -10,7 +10,8 @@ ALLOWED_NEIGHBOURS = 1  # links next to each other in the chain share a housing:
 
 
 def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Distance (...) [m] between the segments a-b and c-d, end points (..., 3) [m] (Ericson, Real-Time Collision Detection, 5.1.9)."""
+    """Distance (...) [m] between the segments a-b and c-d, end points (..., 3) [m] (Ericson, Real-Time Collision
+    Detection, 5.1.9)."""
     along, across, r = b - a, d - c, a - c
     aa, ee = _dot(along, along), _dot(across, across)
     f, g, h = _dot(across, r), _dot(along, r), _dot(along, across)
@@ -36,7 +37,8 @@ def ends(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def self_gaps(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray]:
-    """Gaps (T, P) [m] of all pairs of capsules whose links are no neighbours, negative where they overlap, and the pairs (P, 2)."""
+    """Gaps (T, P) [m] of all pairs of capsules whose links are no neighbours, negative where they overlap, and the
+    pairs (P, 2)."""
     first, last, radii = ends(arm, at)
     # the Punyo is rigid with the bracelet: its neighbours are the bracelet's
     place = np.minimum(arm.capsule_links, arm.links.index("bracelet_link"))

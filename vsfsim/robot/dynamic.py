@@ -1,14 +1,17 @@
-"""The dynamic arm: MuJoCo steps it under a joint controller while contact forces act on it, and its torque sensors are read.
+"""The dynamic arm: MuJoCo steps it under a joint controller while contact forces act on it, and its torque sensors are
+read.
 
     M(q) q'' + c(q, q') + g(q) = motor + friction - armature q'' + J^T f
-    motor = stiffness (q_d - q) + damping (q_d' - q') + g + c           the controller, with the model's weight and Coriolis torques
+    motor = stiffness (q_d - q) + damping (q_d' - q') + g + c           the controller, with the model's weight and
+    Coriolis torques
 
-The sensor sits between reducer and link: it reads what goes through there, motor - armature q'' + (1 - seen) friction. Weight taken off, with
-the sign of the kinematic arm, the reading is
+The sensor sits between reducer and link: it reads what goes through there, motor - armature q'' + (1 - seen) friction.
+Weight taken off, with the sign of the kinematic arm, the reading is
 
     g(q) - sensor = J^T f - M q'' - c + seen friction
 
-so at rest it is the kinematic arm's J^T f, and what moves it away are inertia, friction, and that the arm gives way (q is not q_d).
+so at rest it is the kinematic arm's J^T f, and what moves it away are inertia, friction, and that the arm gives way (q
+is not q_d).
 """
 
 from __future__ import annotations
@@ -27,12 +30,14 @@ if TYPE_CHECKING:
     import mujoco
 
 Contact = Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Time [s] and poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about their origins (K, 3) [N m]."""
+"""Time [s] and poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about their origins
+(K, 3) [N m]."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The joint controller. stiffness: (7,) [N m/rad]. damping: (7,) [N m s/rad]. settle: rest at the first posture before the readings begin [s]."""
+    """The joint controller. stiffness: (7,) [N m/rad]. damping: (7,) [N m s/rad]. settle: rest at the first posture
+    before the readings begin [s]."""
 
     stiffness: Seven
     damping: Seven
@@ -43,7 +48,8 @@ POSITION = Drive((2000.0,) * 4 + (500.0,) * 3, (100.0,) * 4 + (50.0,) * 3)
 """Position control: the gains of MuJoCo Menagerie's `kinova_gen3`; the real ones are not published."""
 
 IMPEDANCE = Drive((200.0,) * 4 + (50.0,) * 3, (30.0,) * 4 + (15.0,) * 3)
-"""Joint impedance, ten times softer: an assumption. Friction holds such an arm up to 1 degree away from where it should be."""
+"""Joint impedance, ten times softer: an assumption. Friction holds such an arm up to 1 degree away from where it should
+be."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +57,8 @@ class Motion:
     """What the arm did and read at T times.
 
     times: [s] (T,). q: joint angles (T, 7) [rad]. rate: joint rates (T, 7) [rad/s]. acceleration: (T, 7) [rad/s^2].
-    motor: torques of the motors (T, 7) [N m]. torque: the reading, weight taken off, in the sense of J^T f (T, 7) [N m].
+    motor: torques of the motors (T, 7) [N m]. torque: the reading, weight taken off, in the sense of J^T f (T, 7) [N
+    m].
     saturated: whether a motor stood at its limit at any step up to the frame (T,) bool.
     """
 
@@ -64,18 +71,21 @@ class Motion:
     saturated: np.ndarray
 
 
-def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None = None, *, drive: Drive = POSITION) -> Motion:
+def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None = None, *,
+             drive: Drive = POSITION) -> Motion:
     """Leads the arm along ``q`` (T, 7) [rad] at ``times`` (T,) [s], and reads its torques at each of them.
 
-    Between the times the wanted angles follow a cubic curve (Hermite, at rest at both ends); before the first the arm settles there,
-    under the contact of the first time.
+    Between the times the wanted angles follow a cubic curve (Hermite, at rest at both ends); before the first the arm
+    settles there, under the contact of the first time.
 
     Raises:
-        ArmError: shapes that do not fit, times that do not grow, or a state that is no longer finite (gains too high for the time step).
+        ArmError: shapes that do not fit, times that do not grow, or a state that is no longer finite (gains too high
+        for the time step).
     """
     q, times = arm.check(q), np.asarray(times, float)
     if times.shape != (len(q),) or len(q) < 2 or not (np.diff(times) > 0.0).all():
-        raise ArmError(f"times have the shape {times.shape} for {len(q)} postures; give one growing time [s] each, at least two.")
+        raise ArmError(f"times have the shape {times.shape} for {len(q)} postures; give one growing time [s] each, "
+                       f"at least two.")
     import mujoco as mj
 
     model = arm.model
@@ -109,12 +119,14 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
             rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated)))
     angles, rates, accelerations, motor, sensor, full = (np.array(column) for column in zip(*rows, strict=True))
     if not all(np.isfinite(a).all() for a in (angles, rates, sensor)):
-        raise ArmError("the simulated arm did not stay finite; its gains are too high for its time step, or the contact forces are.")
+        raise ArmError("the simulated arm did not stay finite; its gains are too high for its time step, or the "
+                       "contact forces are.")
     return Motion(times.copy(), angles, rates, accelerations, motor, arm.gravity_torque(angles) - sensor, full)
 
 
 def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:
-    """A contact whose forces and moments (T, K, 3) [N, N m] on the capsules are given at ``times`` (T,) [s], straight lines in between.
+    """A contact whose forces and moments (T, K, 3) [N, N m] on the capsules are given at ``times`` (T,) [s], straight
+    lines in between.
 
     So the frames of the quasi-static solver drive the dynamic arm: the object does not feel that the arm gives way.
     """
@@ -150,7 +162,8 @@ class _Capsules:
 
 
 def _coulomb(data: mujoco.MjData) -> np.ndarray:
-    """Coulomb's friction torques (7,) [N m], which MuJoCo keeps among its constraints, apart from those of joint limits."""
+    """Coulomb's friction torques (7,) [N m], which MuJoCo keeps among its constraints, apart from those of joint
+    limits."""
     import mujoco as mj
 
     out = np.zeros(gen3.JOINTS)

@@ -1,11 +1,13 @@
 """Kinova Gen3 (7 joints) and the Punyo on its flange, in figures: every number of the arm stands here, with its source.
 
-Frames, masses, inertias, joint ranges, flange and torque limits [table]: the maker's public description of the arm (ros_kortex,
-GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`, as collected in the project's `data/kinova_gen3.md`
-(`tests/robot/kinova_gen3.md` is that table, and a test compares it with this file).
-Girths [mesh]: coordinates read off the maker's public surface meshes in the link frames (the copies in robosuite's `kinova3` and in Menagerie's
-`kinova_gen3_7dof`): shoulder, half arm 1, forearm, spherical wrist 1 and bracelet in part; half arm 2 and spherical wrist 2 are taken to be
-built like their neighbours, and the depth of the small housings is an estimate. The capsules are fitted by us, see `CAPSULES`.
+Frames, masses, inertias, joint ranges, flange and torque limits [table]: the maker's public description of the arm
+(ros_kortex, GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`, as collected in the project's
+`data/kinova_gen3.md` (`tests/robot/kinova_gen3.md` is that table, and a test compares it with this file).
+Girths [mesh]: coordinates read off the maker's public surface meshes in the link frames (the copies in robosuite's
+`kinova3` and in Menagerie's
+`kinova_gen3_7dof`): shoulder, half arm 1, forearm, spherical wrist 1 and bracelet in part; half arm 2 and spherical
+wrist 2 are taken to be built like their neighbours, and the depth of the small housings is an estimate. The capsules
+are fitted by us, see `CAPSULES`.
 Punyo [openvsf]: its mount and the frame of its bubble as openvsf has them.
 """
 
@@ -26,9 +28,12 @@ JOINTS = 7
 class Link:
     """A body of the arm, in its parent's frame; its joint turns about its own +z.
 
-    name, parent: names of the body and of the one it hangs on. position: of its frame (3,) [m]. quaternion: w x y z (4,), unnormalised.
-    joint_range: least and largest angle (2,) [rad], infinite for a continuous joint; None: no joint. mass: [kg]. com: centre of mass (3,) [m].
-    inertia_quaternion: w x y z of the principal axes (4,). inertia: principal moments about the centre of mass (3,) [kg m^2].
+    name, parent: names of the body and of the one it hangs on. position: of its frame (3,) [m]. quaternion: w x y z
+    (4,), unnormalised.
+    joint_range: least and largest angle (2,) [rad], infinite for a continuous joint; None: no joint. mass: [kg]. com:
+    centre of mass (3,) [m].
+    inertia_quaternion: w x y z of the principal axes (4,). inertia: principal moments about the centre of mass (3,) [kg
+    m^2].
     """
 
     name: str
@@ -44,21 +49,28 @@ class Link:
 
 LINKS = (  # [table]
     Link("base_link", "world", (0, 0, 0), (1, 0, 0, 0), None, 1.697,
-         (-0.000648, -0.000166, 0.084487), (0.999294, 0.00139618, -0.0118387, 0.035636), (0.00462407, 0.00449437, 0.00207755)),
+         (-0.000648, -0.000166, 0.084487), (0.999294, 0.00139618, -0.0118387, 0.035636),
+         (0.00462407, 0.00449437, 0.00207755)),
     Link("shoulder_link", "base_link", (0, 0, 0.15643), (0, 1, 0, 0), CONTINUOUS, 1.3773,
-         (-2.3e-05, -0.010364, -0.07336), (0.707051, 0.0451246, -0.0453544, 0.704263), (0.00488868, 0.00457, 0.00135132)),
+         (-2.3e-05, -0.010364, -0.07336), (0.707051, 0.0451246, -0.0453544, 0.704263),
+         (0.00488868, 0.00457, 0.00135132)),
     Link("half_arm_1_link", "shoulder_link", (0, 0.005375, -0.12838), (1, 1, 0, 0), (-2.24, 2.24), 1.1636,
          (-4.4e-05, -0.09958, -0.013278), (0.482348, 0.516286, -0.516862, 0.483366), (0.0113017, 0.011088, 0.00102532)),
     Link("half_arm_2_link", "half_arm_1_link", (0, -0.21038, -0.006375), (1, -1, 0, 0), CONTINUOUS, 1.1636,
-         (-4.4e-05, -0.006641, -0.117892), (0.706144, 0.0213722, -0.0209128, 0.707437), (0.0111633, 0.010932, 0.00100671)),
+         (-4.4e-05, -0.006641, -0.117892), (0.706144, 0.0213722, -0.0209128, 0.707437),
+         (0.0111633, 0.010932, 0.00100671)),
     Link("forearm_link", "half_arm_2_link", (0, 0.006375, -0.21038), (1, 1, 0, 0), (-2.57, 2.57), 0.9302,
-         (-1.8e-05, -0.075478, -0.015006), (0.483678, 0.515961, -0.515859, 0.483455), (0.00834839, 0.008147, 0.000598606)),
+         (-1.8e-05, -0.075478, -0.015006), (0.483678, 0.515961, -0.515859, 0.483455),
+         (0.00834839, 0.008147, 0.000598606)),
     Link("spherical_wrist_1_link", "forearm_link", (0, -0.20843, -0.006375), (1, -1, 0, 0), CONTINUOUS, 0.6781,
-         (1e-06, -0.009432, -0.063883), (0.703558, 0.0707492, -0.0707492, 0.703558), (0.00165901, 0.001596, 0.000346988)),
-    Link("spherical_wrist_2_link", "spherical_wrist_1_link", (0, 0.00017505, -0.10593), (1, 1, 0, 0), (-2.09, 2.09), 0.6781,
+         (1e-06, -0.009432, -0.063883), (0.703558, 0.0707492, -0.0707492, 0.703558),
+         (0.00165901, 0.001596, 0.000346988)),
+    Link("spherical_wrist_2_link", "spherical_wrist_1_link", (0, 0.00017505, -0.10593), (1, 1, 0, 0), (-2.09, 2.09),
+         0.6781,
          (1e-06, -0.045483, -0.00965), (0.44426, 0.550121, -0.550121, 0.44426), (0.00170087, 0.001641, 0.00035013)),
     Link("bracelet_link", "spherical_wrist_2_link", (0, -0.10593, -0.00017505), (1, -1, 0, 0), CONTINUOUS, 0.5,
-         (0.000281, 0.011402, -0.029798), (0.394358, 0.596779, -0.577293, 0.393789), (0.000657336, 0.000587019, 0.000320645)),
+         (0.000281, 0.011402, -0.029798), (0.394358, 0.596779, -0.577293, 0.393789),
+         (0.000657336, 0.000587019, 0.000320645)),
 )
 
 FLANGE_LINK = "bracelet_link"
@@ -87,11 +99,12 @@ UPPER_WAIST = 0.029  # [mesh] 72 x 39 mm at the thinnest of the two half arms; t
 FOREARM_WAIST = 0.026  # [mesh] 61 x 42 mm at the thinnest of the forearm [m]
 
 CAPSULES = (
-    # How they are fitted. [mesh] gives: the housings are round, of radius LARGE or SMALL, and their flat faces lie 0.0555 m (large) and about
-    # 0.045 m (small) from the link's frame along the joint's axis; between two housings a link narrows on the inner side of the elbow, while
-    # its back stays straight. So each housing is a capsule of its radius whose cap touches the flat face, and each waist one of equal girth
-    # that touches the back. Rounding a housing's rim by a cap takes up to 19 mm off its edge, never off its girth.
-    # The base has panel and clamp; it does not move, so contact on it is no joint torque, and one capsule about its column will do.
+    # How they are fitted. [mesh] gives: the housings are round, of radius LARGE or SMALL, and their flat faces lie
+    # 0.0555 m (large) and about 0.045 m (small) from the link's frame along the joint's axis; between two housings a
+    # link narrows on the inner side of the elbow, while its back stays straight. So each housing is a capsule of its
+    # radius whose cap touches the flat face, and each waist one of equal girth that touches the back. Rounding a
+    # housing's rim by a cap takes up to 19 mm off its edge, never off its girth. The base has panel and clamp; it does
+    # not move, so contact on it is no joint torque, and one capsule about its column will do.
     LinkCapsule("base_link", (0.0, 0.0, 0.050), (0.0, 0.0, 0.115), 0.050),
     LinkCapsule("shoulder_link", (0.0, 0.0, -0.020), (0.0, -0.003, -0.128375), LARGE),
     LinkCapsule("half_arm_1_link", (0.0, 0.0, -0.0095), (0.0, -0.020, -0.0095), LARGE),
@@ -114,7 +127,8 @@ CAPSULES = (
 )
 
 # The Punyo in its own frame, that of the camera inside [openvsf]: rim centre, and the dome's axis
-PUNYO_ROTATION = ((0.0, -1.0, 0.0), (0.34202, 0.0, -0.93969), (0.93969, 0.0, 0.34202))  # rows, in the flange's frame; design.md, section 7
+# rows, in the flange's frame; design.md, section 7
+PUNYO_ROTATION = ((0.0, -1.0, 0.0), (0.34202, 0.0, -0.93969), (0.93969, 0.0, 0.34202))
 PUNYO_POSITION: Vector = (0.0, 0.02111, 0.096142)  # m, in the flange's frame
 PUNYO_RIM_CENTRE: Vector = (0.0157, 0.0, 0.0655)  # m
 PUNYO_AXIS: Vector = (-0.39394, 0.0, 0.91914)
@@ -127,7 +141,8 @@ _DEEP, _HALF = 0.0305 - _DOME, 0.05725 - _DOME
 
 
 def _on_dome(side: float) -> Vector:
-    return tuple(c + _DEEP * a + side * _HALF * e for c, a, e in zip(PUNYO_RIM_CENTRE, PUNYO_AXIS, PUNYO_LONG_AXIS, strict=True))  # type: ignore[return-value]
+    return tuple(c + _DEEP * a + side * _HALF * e for c, a, e in zip(PUNYO_RIM_CENTRE, PUNYO_AXIS, PUNYO_LONG_AXIS,
+                                                                     strict=True))  # type: ignore[return-value]
 
 
 PUNYO_CAPSULES = (

@@ -1,8 +1,8 @@
 """Joint angles that put the tool where it shall be: damped least squares on MuJoCo's Jacobian, inside the joint limits.
 
-Levenberg's damping (Wampler 1986; Nakamura and Hanafusa 1986) carries the search past singular postures; a joint that stands at its
-limit and would go on is left out of the step. With seven joints for six equations the step is the shortest one, so that a tool
-that moves a little moves the joints a little.
+Levenberg's damping (Wampler 1986; Nakamura and Hanafusa 1986) carries the search past singular postures; a joint that
+stands at its limit and would go on is left out of the step. With seven joints for six equations the step is the
+shortest one, so that a tool that moves a little moves the joints a little.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from vsfsim.core.rotation import rotation_vector
 from vsfsim.robot.arm import Arm
 
 LEVER = 0.3  # m: a turn by 1 rad counts as much as this way; about the length of the last three links
-POSITION, ANGLE = 1e-7, 1e-6  # m, rad: when to stop; a hundred times finer than what a touch promises, and far above rounding
+# m, rad: when to stop; a hundred times finer than what a touch promises, and far above rounding
+POSITION, ANGLE = 1e-7, 1e-6
 STEP = 0.3  # rad, the longest a joint turns in an iteration
 NEAR = 1e-9  # rad: a step that ends further inside than this meets no limit on its way, whatever rounding does
 _EYE = np.eye(6)
@@ -26,7 +27,8 @@ _EYE = np.eye(6)
 class Solution:
     """What the search ended with.
 
-    q: joint angles (7,) [rad]. position: distance from the wanted position [m]. angle: from the wanted orientation [rad].
+    q: joint angles (7,) [rad]. position: distance from the wanted position [m]. angle: from the wanted orientation
+    [rad].
     at_limit: whether a joint stands at its limit. found: whether both are within the tolerances.
     """
 
@@ -67,7 +69,8 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
     return Solution(q, float(np.linalg.norm(error[:3])), float(np.linalg.norm(error[3:])) / LEVER, at_limit)
 
 
-def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray,
+          damping: float) -> tuple[np.ndarray, np.ndarray]:
     """The damped step (7,) [rad], no joint further than `STEP`, and which joints take part (7,)."""
     low, high = q <= arm.lower, q >= arm.upper
     free, j = np.ones(q.shape, bool), jacobian
@@ -91,7 +94,8 @@ def _up_to_limits(arm: Arm, q: np.ndarray, step: np.ndarray, free: np.ndarray) -
     trial = q + short * step
     # exactly at its limit, not a rounding away from it
     met = share <= short
-    return np.where(met & (step > 0.0), arm.upper, np.where(met & (step < 0.0), arm.lower, trial)) if short < 1.0 else trial
+    return np.where(met & (step > 0.0), arm.upper, np.where(met & (step < 0.0), arm.lower,
+                                                            trial)) if short < 1.0 else trial
 
 
 def _error(arm: Arm, target: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

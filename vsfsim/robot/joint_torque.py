@@ -1,10 +1,11 @@
 """The kinematic arm: joint torques of contact forces, quasi-static. tau = sum of J^T f (SBML, eq. 7).
 
-The joints are given, nothing moves by force; weight is what the arm's own gravity compensation takes off. Sign: the torque that the contact
-exerts on the joint, positive in the sense of positive angles; the motor holds against it with the opposite.
+The joints are given, nothing moves by force; weight is what the arm's own gravity compensation takes off. Sign: the
+torque that the contact exerts on the joint, positive in the sense of positive angles; the motor holds against it with
+the opposite.
 
-For a joint with axis a through the point o, a force f at p and a moment m give a . (m + (p - o) x f) on every link behind the joint,
-and nothing on those before it.
+For a joint with axis a through the point o, a force f at p and a moment m give a . (m + (p - o) x f) on every link
+behind the joint, and nothing on those before it.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, ArmError, Postures
 
 
-def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, moment: np.ndarray | None = None, point: np.ndarray | None = None) -> np.ndarray:
+def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, moment: np.ndarray | None = None,
+                point: np.ndarray | None = None) -> np.ndarray:
     """Joint torques (T, 7) [N m] of what acts on the arm's K capsules.
 
     Args:
@@ -25,20 +27,24 @@ def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, momen
         point: (T, K, 3) [m], in the world; None: the capsules' origins, their centres.
 
     Raises:
-        ArmError: neither moment nor point is given (a force alone does not say what it turns), or a shape that does not fit.
+        ArmError: neither moment nor point is given (a force alone does not say what it turns), or a shape that does not
+        fit.
     """
     at = _postures(arm, at)
     shape = (len(at.tool), len(arm.shapes), 3)
     if moment is None and point is None:
-        raise ArmError("forces on the capsules alone do not say what they turn; give their moments about the capsules' origins, or their points.")
+        raise ArmError("forces on the capsules alone do not say what they turn; give their moments about the capsules' "
+                       "origins, or their points.")
     force = _fits("force", force, shape)
     moment = np.zeros(shape) if moment is None else _fits("moment", moment, shape)
     point = arm.capsule_poses(at)[..., :3, 3] if point is None else _fits("point", point, shape)
     return np.where(_moves(arm.capsule_links), _turn(at, force, moment, point), 0.0).sum(axis=1)
 
 
-def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """J^T v of every contact by itself (T, n, 7): joint torques [N m] of forces [N], or the rows of an observation matrix of displacements [m].
+def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points: np.ndarray,
+                 vectors: np.ndarray) -> np.ndarray:
+    """J^T v of every contact by itself (T, n, 7): joint torques [N m] of forces [N], or the rows of an observation
+    matrix of displacements [m].
 
     Args:
         at: postures, or joint angles (T, 7) [rad].
@@ -52,24 +58,29 @@ def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points:
     vectors = _fits("vectors", vectors, points.shape)
     links = np.broadcast_to(np.asarray(links, int), points.shape[:2])
     if links.size and links.max() >= len(arm.links):
-        raise ArmError(f"contact on link {links.max()}, but the arm has {len(arm.links)}: 0 is {arm.links[0]}, {len(arm.links) - 1} is {arm.links[-1]}.")
+        raise ArmError(f"contact on link {links.max()}, but the arm has {len(arm.links)}: 0 is {arm.links[0]}, "
+                       f"{len(arm.links) - 1} is {arm.links[-1]}.")
     return np.where(_moves(links), _turn(at, vectors, np.zeros(points.shape), points), 0.0)
 
 
 def jacobian(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Jacobians (T, n, 3, 7) [m/rad] of points (T, n, 3) [m] fixed to the links (T, n) or (n,): their velocity a unit of joint rate."""
-    return np.stack([contact_rows(arm, at, links, points, np.broadcast_to(unit, np.shape(points))) for unit in np.eye(3)], axis=-2)
+    """Jacobians (T, n, 3, 7) [m/rad] of points (T, n, 3) [m] fixed to the links (T, n) or (n,): their velocity a unit
+    of joint rate."""
+    return np.stack([contact_rows(arm, at, links, points, np.broadcast_to(unit, np.shape(points)))
+                     for unit in np.eye(3)], axis=-2)
 
 
 def _turn(at: Postures, force: np.ndarray, moment: np.ndarray, point: np.ndarray) -> np.ndarray:
     """a . (m + (p - o) x f) of every contact and joint (T, n, 7)."""
     # written as a . (m + p x f) - (a x o) . f, which needs no array (T, n, 7, 3)
     about_base = moment + np.cross(point, force)
-    return np.einsum("tnc,tjc->tnj", about_base, at.axes) - np.einsum("tnc,tjc->tnj", force, np.cross(at.axes, at.anchors))
+    return np.einsum("tnc,tjc->tnj", about_base, at.axes) - np.einsum("tnc,tjc->tnj", force,
+                                                                      np.cross(at.axes, at.anchors))
 
 
 def _moves(links: np.ndarray) -> np.ndarray:
-    """Whether joint j moves link l: (..., 7). Link 0 is the base, link j + 1 hangs on joint j, the Punyo on all of them."""
+    """Whether joint j moves link l: (..., 7). Link 0 is the base, link j + 1 hangs on joint j, the Punyo on all of
+    them."""
     return np.arange(gen3.JOINTS) < np.asarray(links)[..., None]
 
 

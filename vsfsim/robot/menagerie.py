@@ -1,4 +1,5 @@
-"""MuJoCo Menagerie's Gen3, with its meshes, made ready to take the place of ours: same names, motors for its position servos."""
+"""MuJoCo Menagerie's Gen3, with its meshes, made ready to take the place of ours: same names, motors for its position
+servos."""
 
 from __future__ import annotations
 
@@ -16,15 +17,18 @@ if TYPE_CHECKING:
 
 MODEL, FILE = "kinova_gen3", "gen3.xml"
 FOLDER = "VSFSIM_MENAGERIE"  # environment variable: a copy of Menagerie on this machine
-_CLONE = f"git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie && export {FOLDER}=$PWD/mujoco_menagerie"
+_CLONE = (f"git clone --depth 1 https://github.com/google-deepmind/mujoco_menagerie && export "
+          f"{FOLDER}=$PWD/mujoco_menagerie")
 _INSTEAD = "or use the arm 'gen3', which has the same frames, masses and capsules and needs no download."
 
 
 def menagerie_spec(joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
-    """The model from the folder that ``$VSFSIM_MENAGERIE`` names, or downloaded by the package `mujoco-menagerie` on its first use. Bodies, masses and meshes are Menagerie's, capsules ours.
+    """The model from the folder that ``$VSFSIM_MENAGERIE`` names, or downloaded by the package `mujoco-menagerie` on
+    its first use. Bodies, masses and meshes are Menagerie's, capsules ours.
 
     Raises:
-        ArmError: no model there, the package is not installed, the model cannot be downloaded, or it is not the arm that we know.
+        ArmError: no model there, the package is not installed, the model cannot be downloaded, or it is not the arm
+        that we know.
     """
     folder = os.environ.get(FOLDER, "")
     spec = _from_folder(Path(folder)) if folder else _from_package()
@@ -41,24 +45,28 @@ def _from_folder(folder: Path) -> mujoco.MjSpec:
                 return mujoco.MjSpec.from_file(str(file))
             except ValueError as error:
                 raise ArmError(f"{FOLDER}: MuJoCo cannot read '{file}': {error}") from error
-    raise ArmError(f"{FOLDER} is '{folder}', but neither {MODEL}/{FILE} nor {FILE} is there. Get it with `{_CLONE}`, {_INSTEAD}")
+    raise ArmError(f"{FOLDER} is '{folder}', but neither {MODEL}/{FILE} nor {FILE} is there. Get it with "
+                   f"`{_CLONE}`, {_INSTEAD}")
 
 
 def _from_package() -> mujoco.MjSpec:
     try:
         import mujoco_menagerie
     except ImportError:
-        raise ArmError(f"the arm 'menagerie' needs the package mujoco-menagerie: `pip install mujoco-menagerie`; or get the models with `{_CLONE}`, {_INSTEAD}") from None
+        raise ArmError(f"the arm 'menagerie' needs the package mujoco-menagerie: `pip install mujoco-menagerie`; or "
+                       f"get the models with `{_CLONE}`, {_INSTEAD}") from None
     try:
         robot = mujoco_menagerie.get(MODEL)
         return robot.spec(robot.default_model)
     except (mujoco_menagerie.MenagerieError, OSError) as error:
         raise ArmError(f"the model {MODEL} of MuJoCo Menagerie cannot be had: {error}. "
-                       f"It is downloaded on its first use, so this needs a way to github.com once; or get it elsewhere with `{_CLONE}`, {_INSTEAD}") from error
+                       f"It is downloaded on its first use, so this needs a way to github.com once; or get it "
+                       f"elsewhere with `{_CLONE}`, {_INSTEAD}") from error
 
 
 def adopt(spec: mujoco.MjSpec, joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
-    """Gives a Gen3 model what ours has: site, motors and friction; takes away servos, key frames and contact between its own meshes.
+    """Gives a Gen3 model what ours has: site, motors and friction; takes away servos, key frames and contact between
+    its own meshes.
 
     Raises:
         ArmError: a body or joint is missing.
@@ -79,7 +87,8 @@ def adopt(spec: mujoco.MjSpec, joints: mjcf.JointFigures | None = None, *, times
         joint.frictionloss, joint.armature = joints.coulomb[j], joints.armature[j]
         _set_damping(joint, joints.viscous[j])
         peak = gen3.PEAK_TORQUE[j]
-        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=_joint_transmission(), forcelimited=True, forcerange=[-peak, peak])
+        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=_joint_transmission(), forcelimited=True,
+                                  forcerange=[-peak, peak])
         motor.set_to_motor()
     spec.body(gen3.FLANGE_LINK).add_site(name="flange", pos=gen3.FLANGE_POSITION, quat=gen3.FLANGE_QUATERNION)
     spec.option.gravity = [0.0, 0.0, -gen3.GRAVITY]

@@ -13,7 +13,8 @@ FRAME_SECONDS = 1.0 / 30.0  # the Punyo's frame rate
 
 
 def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
-    """``steps`` positions (steps, 3) [m] on the straight line, the first one step away from ``start``, the last at ``stop``."""
+    """``steps`` positions (steps, 3) [m] on the straight line, the first one step away from ``start``, the last at
+    ``stop``."""
     t = np.arange(1, steps + 1)[:, None] / steps
     return start + t * (np.asarray(stop, float) - start)
 
@@ -48,13 +49,17 @@ def press_path(spec: PressSpec, probe: ProbeShape) -> np.ndarray:
     if spec.retract:
         # frames of the way in where their number allows, so that both ways meet the same equilibria
         back = np.concatenate([inward[::-1][1:], pose_at(spec, probe, 0)[None]])
-        at = np.linspace(-1, len(back) - 1, spec.retract + 1).round().astype(int)[1:] if spec.retract <= len(back) else None
-        parts.append(back[at] if at is not None else np.stack([pose_at(spec, probe, spec.inward * (1 - k / spec.retract)) for k in range(1, spec.retract + 1)]))
+        at = np.linspace(-1, len(back) - 1,
+                         spec.retract + 1).round().astype(int)[1:] if spec.retract <= len(back) else None
+        parts.append(back[at] if at is not None
+                     else np.stack([pose_at(spec, probe, spec.inward * (1 - k / spec.retract))
+                                    for k in range(1, spec.retract + 1)]))
     return np.concatenate(parts)
 
 
 def pose_at(spec: PressSpec, probe: ProbeShape, frame: float) -> np.ndarray:
-    """Pose (4, 4) of the probe at ``frame`` of the way in: 0 is the first point of the path, `PressSpec.inward` the last."""
+    """Pose (4, 4) of the probe at ``frame`` of the way in: 0 is the first point of the path, `PressSpec.inward` the
+    last."""
     ends = np.cumsum((0, *spec.frames))
     part = int(np.clip(np.searchsorted(ends, frame, side="left") - 1, 0, len(spec.frames) - 1))
     share = (frame - ends[part]) / spec.frames[part]
@@ -69,7 +74,8 @@ def pose_at(spec: PressSpec, probe: ProbeShape, frame: float) -> np.ndarray:
 
 
 def body_poses(scene: Scene, poses: np.ndarray) -> np.ndarray:
-    """Poses (T, K, 4, 4) of all rigid bodies of a scene, in the order of `Scene.bodies`, for poses (T, 4, 4) of the probe."""
+    """Poses (T, K, 4, 4) of all rigid bodies of a scene, in the order of `Scene.bodies`, for poses (T, 4, 4) of the
+    probe."""
     with_probe = [poses @ _place(part) for part in scene.parts]
     fixed = [np.broadcast_to(_place(obstacle), poses.shape) for obstacle in scene.obstacles]
     return np.stack([poses, *with_probe, *fixed], axis=1)

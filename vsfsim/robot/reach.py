@@ -14,7 +14,9 @@ from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.inverse_kinematics import solve
 
 STRIDE, TURN = 0.005, 0.05  # m, rad: the longest step of the tool from one solution to the next
-JUMP = 0.25  # rad: joints that move further in one such step pass a singular posture; at 1 cm/s that is 0.5 rad/s, past half of what the arm can
+# rad: joints that move further in one such step pass a singular posture; at 1 cm/s that is 0.5 rad/s, past half of what
+# the arm can
+JUMP = 0.25
 LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # m, rad: what is promised of every pose
 
 
@@ -30,15 +32,18 @@ class Reason(Enum):
 
 
 class Unreachable(ArmError):
-    """A touch that the arm cannot make. reason: why, of the attempt that came furthest. progress: how far that came, as a fraction of the path."""
+    """A touch that the arm cannot make. reason: why, of the attempt that came furthest. progress: how far that came, as
+    a fraction of the path."""
 
     def __init__(self, message: str, reason: Reason, progress: float):
         super().__init__(message)
         self.reason, self.progress = reason, progress
 
 
-def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.ndarray, *, frames: int, **limits: object) -> np.ndarray:
-    """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, turned by ``rotation`` (3, 3) all the way.
+def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.ndarray, *, frames: int,
+                   **limits: object) -> np.ndarray:
+    """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, turned by
+    ``rotation`` (3, 3) all the way.
 
     The keywords ``limits`` and the errors are those of `follow`.
     """
@@ -46,19 +51,25 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
         raise ArmError(f"frames is {frames}; a line needs its two ends, so at least 2.")
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, :3, :3] = rotation
-    poses[:, :3, 3] = np.asarray(start, float) + np.linspace(0.0, 1.0, frames)[:, None] * (np.asarray(stop, float) - np.asarray(start, float))
+    poses[:, :3, 3] = np.asarray(start, float) + np.linspace(0.0, 1.0, frames)[:,
+                                                                               None] * (np.asarray(stop,
+                                                                                                   float) - np.asarray(start, float))
     return follow(arm, poses, **limits)  # type: ignore[arg-type]
 
 
-def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0, self_clearance: float = 0.005,
+def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0,
+           self_clearance: float = 0.005,
            table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
-    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the other.
+    """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the
+    other.
 
-    Every pose is met to 1e-5 m and 1e-4 rad; between two poses the tool is led in steps of 5 mm and 0.05 rad at most, so that the joints
-    move without a jump and obstacles between them are seen. A pose that comes again gets the same angles again.
+    Every pose is met to 1e-5 m and 1e-4 rad; between two poses the tool is led in steps of 5 mm and 0.05 rad at most,
+    so that the joints move without a jump and obstacles between them are seen. A pose that comes again gets the same
+    angles again.
 
     Args:
-        near: joint angles (7,) [rad] to begin the search at. table: height of the table in the world [m], None for none; base and shoulder may stand on it.
+        near: joint angles (7,) [rad] to begin the search at. table: height of the table in the world [m], None for
+        none; base and shoulder may stand on it.
         self_clearance, table_clearance: least gap [m] between links that are no neighbours, and above the table.
         restarts: random postures that the search begins at, besides a few that face the target. seed: of these.
 
@@ -85,7 +96,8 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
     if away > arm.reach:
         reason, detail = Reason.TOO_FAR, f"{away:.3f} m from joint 2, and the arm reaches {arm.reach:.3f} m"
     x, y, z = poses[0, :3, 3]
-    raise Unreachable(f"the touch from [{x:.4f}, {y:.4f}, {z:.4f}] m cannot be made: {reason.value}, {100 * progress:.0f} % along its path ({detail}). "
+    raise Unreachable(f"the touch from [{x:.4f}, {y:.4f}, {z:.4f}] m cannot be made: {reason.value}, "
+                      f"{100 * progress:.0f} % along its path ({detail}). "
                       "Choose another start, target or orientation, or move the object.", reason, progress)
 
 
@@ -105,7 +117,9 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
                 break
             known = s.q
             if out and np.abs(known - out[-1]).max() > JUMP:
-                reason, detail = Reason.SINGULAR, f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by {np.abs(known - out[-1]).max():.2g} rad"
+                reason, detail = (Reason.SINGULAR,
+                                  f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by "
+                                  f"{np.abs(known - out[-1]).max():.2g} rad")
                 break
             seen[pose.tobytes()] = known
         out.append(known)
@@ -117,7 +131,8 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
 
 
 def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
-    """Where the search for the next posture begins: along the way of the last ones, as steps are mostly alike; half of the iterations are saved."""
+    """Where the search for the next posture begins: along the way of the last ones, as steps are mostly alike; half of
+    the iterations are saved."""
     if len(out) < 3:
         return out[-1] if out else q0
     ahead = 3.0 * (out[-1] - out[-2]) + out[-3]
@@ -127,24 +142,28 @@ def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
     return ahead
 
 
-def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float, table_clearance: float) -> tuple[int, Reason, str] | None:
+def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float,
+             table_clearance: float) -> tuple[int, Reason, str] | None:
     """The first of the postures ``q`` (T, 7) that is too close to itself or the table."""
     at, hits = arm.postures(q), []
     gaps, pairs = clearance.self_gaps(arm, at)
     if (gaps < self_clearance).any():
         frame = int((gaps < self_clearance).any(axis=1).argmax())
         i, j = (arm.capsules[k].link for k in pairs[gaps[frame].argmin()])
-        hits.append((frame, Reason.SELF_COLLISION, f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {self_clearance:g} is wanted"))
+        hits.append((frame, Reason.SELF_COLLISION,
+                     f"{i} and {j} are {gaps[frame].min():.3g} m apart, at least {self_clearance:g} is wanted"))
     if table is not None:
         gaps, moving = clearance.table_gaps(arm, at, table)
         if (gaps < table_clearance).any():
             frame = int((gaps < table_clearance).any(axis=1).argmax())
             link = arm.capsules[moving[gaps[frame].argmin()]].link
-            hits.append((frame, Reason.TABLE, f"{link} is {gaps[frame].min():.3g} m above it, at least {table_clearance:g} is wanted"))
+            hits.append((frame, Reason.TABLE,
+                         f"{link} is {gaps[frame].min():.3g} m above it, at least {table_clearance:g} is wanted"))
     return min(hits, key=lambda h: h[0]) if hits else None
 
 
-def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts: int, seed: int) -> Iterator[np.ndarray]:
+def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts: int,
+                seed: int) -> Iterator[np.ndarray]:
     """Joint angles to begin the search at: the given ones, the home posture turned towards the target, random ones."""
     if near is not None:
         yield arm.check(np.asarray(near, float)[None])[0]
@@ -184,8 +203,10 @@ def _checked(poses: np.ndarray) -> np.ndarray:
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise ArmError(f"poses have the shape {poses.shape}; give (frames, 4, 4) in metres.")
     turn = poses[:, :3, :3]
-    if not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or (np.linalg.det(turn) < 0).any():
-        raise ArmError("the poses hold a rotation that is none (its columns must be orthogonal unit vectors, right-handed) or a number that is not finite.")
+    if not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2,
+                                                                    1) - np.eye(3)).max() > 1e-6 or (np.linalg.det(turn) < 0).any():
+        raise ArmError("the poses hold a rotation that is none (its columns must be orthogonal unit vectors, "
+                       "right-handed) or a number that is not finite.")
     return poses
 
 

@@ -1,4 +1,5 @@
-"""What seven torque sensors add to the torques: offset, drift, noise, a weight not quite known, and the tare that takes some of it off."""
+"""What seven torque sensors add to the torques: offset, drift, noise, a weight not quite known, and the tare that takes
+some of it off."""
 
 from __future__ import annotations
 
@@ -15,13 +16,15 @@ from vsfsim.robot.mjcf import Seven
 class TorqueSensor:
     """Standard deviations of the errors; normal, independent between joints and touches.
 
-    noise: white, every reading (7,) [N m]. offset: constant through a touch (7,) [N m]. drift: random walk, after one second (7,) [N m].
-    weight: error of the weight that is taken off, relative to it [-]. tare: readings at the beginning of a touch whose mean is taken off; they
-    must be free of contact; 0: no tare.
+    noise: white, every reading (7,) [N m]. offset: constant through a touch (7,) [N m]. drift: random walk, after one
+    second (7,) [N m].
+    weight: error of the weight that is taken off, relative to it [-]. tare: readings at the beginning of a touch whose
+    mean is taken off; they must be free of contact; 0: no tare.
 
-    The maker publishes none of them. ``offset``: users of a Gen3 zero their torques by hand after every start and find offsets of newton metres
-    (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237). ``weight``: the released recordings of openvsf have a tare of 18.2 N m on
-    joint 2 where the model says 19.1. ``noise`` and ``drift`` are assumptions: 0.1 % of the peak torque, a tenth of that after a second.
+    The maker publishes none of them. ``offset``: users of a Gen3 zero their torques by hand after every start and find
+    offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237). ``weight``: the
+    released recordings of openvsf have a tare of 18.2 N m on joint 2 where the model says 19.1. ``noise`` and ``drift``
+    are assumptions: 0.1 % of the peak torque, a tenth of that after a second.
     """
 
     noise: Seven = (0.1,) * 4 + (0.05,) * 3
@@ -50,14 +53,18 @@ def read(torque: np.ndarray, weight: np.ndarray, times: np.ndarray, seed: np.ran
     """
     sensor = sensor or TorqueSensor()
     torque, weight, times = np.asarray(torque, float), np.asarray(weight, float), np.asarray(times, float)
-    if torque.ndim != 2 or torque.shape[1] != gen3.JOINTS or weight.shape != torque.shape or times.shape != torque.shape[:1]:
-        raise ArmError(f"torque, weight and times have the shapes {torque.shape}, {weight.shape} and {times.shape}; give (T, 7), (T, 7) and (T,).")
+    if (torque.ndim != 2 or torque.shape[1] != gen3.JOINTS or weight.shape != torque.shape
+        or times.shape != torque.shape[:1]):
+        raise ArmError(f"torque, weight and times have the shapes {torque.shape}, {weight.shape} and {times.shape}; "
+                       f"give (T, 7), (T, 7) and (T,).")
     if not 0 <= sensor.tare <= len(times):
         raise ArmError(f"tare is {sensor.tare} readings, but the touch has {len(times)}; give 0 to {len(times)}.")
     # a stream for each error: one switched off leaves the others as they were
     root = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
     # not spawn(): that would give other streams the second time
-    white, constant, walk, share = (np.random.default_rng(np.random.SeedSequence(root.entropy, spawn_key=(*root.spawn_key, k))) for k in range(4))
+    white, constant, walk, share = (np.random.default_rng(np.random.SeedSequence(root.entropy,
+                                                                                 spawn_key=(*root.spawn_key, k)))
+                                    for k in range(4))
     shape = torque.shape
     steps = np.sqrt(np.diff(times, prepend=times[:1]))[:, None] * walk.normal(size=shape)
     out = torque + np.array(sensor.noise) * white.normal(size=shape)

@@ -1,6 +1,8 @@
-"""What a bubble shows of itself in every frame: chamber pressure, nodes of the read-out mesh, forces on them, and the wrench at the mount.
+"""What a bubble shows of itself in every frame: chamber pressure, nodes of the read-out mesh, forces on them, and the
+wrench at the mount.
 
-The solver's mesh may be finer than the read-out mesh, and another one. Both are meshes of one flat skin, so a node of one lies in a triangle of the
+The solver's mesh may be finer than the read-out mesh, and another one. Both are meshes of one flat skin, so a node of
+one lies in a triangle of the
 other by its material coordinates: the flat ellipse before the air is let in.
 """
 
@@ -25,7 +27,8 @@ _SLACK = 1e-9  # of a barycentric weight: on an edge
 
 @dataclass(frozen=True)
 class FlatMesh:
-    """A mesh of the flat skin. points: material coordinates (n, 2) [m]. triangles: counter-clockwise (m, 3). rim: True where it is clamped (n,)."""
+    """A mesh of the flat skin. points: material coordinates (n, 2) [m]. triangles: counter-clockwise (m, 3). rim: True
+    where it is clamped (n,)."""
 
     points: np.ndarray
     triangles: np.ndarray
@@ -34,15 +37,17 @@ class FlatMesh:
     def __post_init__(self) -> None:
         checked_mesh(np.column_stack([self.points, np.zeros(len(self.points))]), self.triangles, "bubble mesh")
         if np.shape(self.rim) != (len(self.points),) or np.asarray(self.rim).dtype != bool:
-            raise SensorError(f"bubble mesh: rim has shape {np.shape(self.rim)}; give one bool a node, ({len(self.points)},).")
+            raise SensorError(f"bubble mesh: rim has shape {np.shape(self.rim)}; give one bool a node, "
+                              f"({len(self.points)},).")
 
 
 @dataclass(frozen=True)
 class BubbleFrames:
     """Read-outs of T frames, in the frame that the positions were given in.
 
-    pressure_change: of the chamber against the free dome (T,) [Pa]. node_position: of the read-out mesh (T, N, 3) [m]. node_force: true contact force
-    on each of its nodes (T, N, 3) [N]. force, moment: of all contact on the sensor, moment about ``origin`` (T, 3) [N], (T, 3) [N m].
+    pressure_change: of the chamber against the free dome (T,) [Pa]. node_position: of the read-out mesh (T, N, 3) [m].
+    node_force: true contact force on each of its nodes (T, N, 3) [N]. force, moment: of all contact on the sensor,
+    moment about ``origin`` (T, 3) [N], (T, 3) [N m].
     """
 
     pressure_change: np.ndarray
@@ -53,9 +58,11 @@ class BubbleFrames:
 
 
 def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (k, 3) of the triangle of ``mesh`` that holds each of the flat ``points`` (k, 2) [m], and the point's barycentric weights there (k, 3).
+    """Nodes (k, 3) of the triangle of ``mesh`` that holds each of the flat ``points`` (k, 2) [m], and the point's
+    barycentric weights there (k, 3).
 
-    A point outside (rims are polygons, and a finer one bulges further) takes the nearest point of the triangle that it is least outside of.
+    A point outside (rims are polygons, and a finer one bulges further) takes the nearest point of the triangle that it
+    is least outside of.
     """
     corner = mesh.points[mesh.triangles]
     inverse = np.linalg.inv(np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2))
@@ -76,7 +83,8 @@ def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
 
 def weights(nodes: np.ndarray, weight: np.ndarray, count: int) -> sparse.csr_matrix:
     """What `locate` found as a matrix (k, count): times nodal values it interpolates, transposed it spreads."""
-    return sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())), shape=(len(nodes), count))
+    return sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())),
+                             shape=(len(nodes), count))
 
 
 def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
@@ -96,7 +104,8 @@ class BubbleReadout:
     """From the state of the solver's mesh to the read-out mesh.
 
     Args:
-        solver: flat mesh of the solver. readout: flat mesh of the read-out; the same object gives the solver's own nodes back.
+        solver: flat mesh of the solver. readout: flat mesh of the read-out; the same object gives the solver's own
+        nodes back.
 
     Attributes:
         readout: as given. solver_triangles: of the solver's mesh (m, 3).
@@ -104,7 +113,8 @@ class BubbleReadout:
 
     def __init__(self, solver: FlatMesh, readout: FlatMesh):
         self.solver, self.readout = solver, readout
-        same = solver is readout or (solver.points.shape == readout.points.shape and np.array_equal(solver.points, readout.points)
+        same = solver is readout or (solver.points.shape == readout.points.shape
+                                     and np.array_equal(solver.points, readout.points)
                                      and np.array_equal(solver.triangles, readout.triangles))
         self._corners, share = locate(solver.points, readout)  # of each solver node: its triangle on the read-out mesh
         self._up = weights(self._corners, share, len(readout.points))
@@ -119,15 +129,17 @@ class BubbleReadout:
     def forces(self, points: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Forces on the read-out nodes (T, N, 3) [N] that are equivalent to nodal forces on the solver's mesh.
 
-        Each force goes to the three corners of the triangle it lies in, by its barycentric weights. It acts beside their plane, though, where the
-        skin is curved; a couple of forces within the triangle makes up for that moment. So net force and net moment are kept, force by force.
+        Each force goes to the three corners of the triangle it lies in, by its barycentric weights. It acts beside
+        their plane, though, where the skin is curved; a couple of forces within the triangle makes up for that moment.
+        So net force and net moment are kept, force by force.
 
         Args:
             points: solver nodes (T, n, 3) [m]. force: on them (T, n, 3) [N].
         """
         points, force = self._checked(points, "positions"), self._checked(force, "forces")
         if len(points) != len(force):
-            raise SensorError(f"bubble: {len(points)} frames of positions and {len(force)} of forces; give as many of both.")
+            raise SensorError(f"bubble: {len(points)} frames of positions and {len(force)} of forces; give as "
+                              f"many of both.")
         if self._same:
             return force.copy()
         return np.stack([self._transfer(x, f) for x, f in zip(points, force, strict=True)])
@@ -143,12 +155,15 @@ class BubbleReadout:
         np.add.at(out, self._corners, np.cross(turn[:, None], arm))
         return out
 
-    def frames(self, points: np.ndarray, force: np.ndarray, pressure: np.ndarray, *, rest_pressure: float, origin: np.ndarray | None = None) -> BubbleFrames:
+    def frames(self, points: np.ndarray, force: np.ndarray, pressure: np.ndarray, *, rest_pressure: float,
+               origin: np.ndarray | None = None) -> BubbleFrames:
         """All read-outs of T frames.
 
         Args:
-            points: solver nodes (T, n, 3) [m], mount or world frame. force: contact force on each (T, n, 3) [N], the same frame. pressure: gauge (T,) [Pa].
-            rest_pressure: of the free dome [Pa]. origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0, 0).
+            points: solver nodes (T, n, 3) [m], mount or world frame. force: contact force on each (T, n, 3) [N], the
+            same frame. pressure: gauge (T,) [Pa].
+            rest_pressure: of the free dome [Pa]. origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0,
+            0).
 
         Raises:
             SensorError: shapes that do not fit.
@@ -163,12 +178,14 @@ class BubbleReadout:
     def _checked(self, array: np.ndarray, what: str) -> np.ndarray:
         array = np.asarray(array, np.float64)
         if array.ndim != 3 or array.shape[1:] != (len(self.solver.points), 3):
-            raise SensorError(f"bubble: {what} have shape {array.shape}; give frames of all nodes of the solver's mesh, (T, {len(self.solver.points)}, 3).")
+            raise SensorError(f"bubble: {what} have shape {array.shape}; give frames of all nodes of the solver's "
+                              f"mesh, (T, {len(self.solver.points)}, 3).")
         return array
 
 
 def readout_of(model: BubbleModel) -> BubbleReadout:
-    """The read-out of a bubble that `vsfsim.physics.bubble.sensor.build_bubble` made: the solver's mesh and the 390 nodes."""
+    """The read-out of a bubble that `vsfsim.physics.bubble.sensor.build_bubble` made: the solver's mesh and the 390
+    nodes."""
     def flat(points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> FlatMesh:
         held = np.zeros(len(points), bool)
         held[rim] = True
@@ -179,18 +196,21 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
 
 
 def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:
-    """Gauge pressure (T,) [Pa] of the model's air when its nodes are at ``points`` (T, n, 3) [m]: p V^gamma, or the supply's if it is open."""
+    """Gauge pressure (T,) [Pa] of the model's air when its nodes are at ``points`` (T, n, 3) [m]: p V^gamma, or the
+    supply's if it is open."""
     spec = model.spec
     if not spec.sealed:
         return np.full(len(points), model.pressure)
     faces = closed(model.mesh.faces, model.mesh.rim)
     dome = np.array([gas.volume(x, faces) for x in points])
     start = spec.ambient_pressure + model.pressure
-    return start * ((model.mesh.volume[0] + model.dead_volume) / (dome + model.dead_volume)) ** spec.gamma - spec.ambient_pressure
+    return start * ((model.mesh.volume[0] + model.dead_volume)
+                    / (dome + model.dead_volume)) ** spec.gamma - spec.ambient_pressure
 
 
 def wrench(points: np.ndarray, force: np.ndarray, *, origin: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Net force (T, 3) [N] and its moment (T, 3) [N m] about ``origin`` (T, 3) or (3,) [m] of nodal forces (T, n, 3) at points (T, n, 3)."""
+    """Net force (T, 3) [N] and its moment (T, 3) [N m] about ``origin`` (T, 3) or (3,) [m] of nodal forces (T, n, 3) at
+    points (T, n, 3)."""
     about = np.zeros(3) if origin is None else np.asarray(origin, np.float64)
     arm = points - (about[:, None] if about.ndim == 2 else about)
     return force.sum(axis=1), np.cross(arm, force).sum(axis=1)

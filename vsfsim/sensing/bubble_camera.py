@@ -1,8 +1,10 @@
 """The camera inside the bubble: depth and colour of the skin from within, as an RGB-D camera under the rim sees it.
 
-Of the real sensor are known (bubble.md): 640 x 480 pixels, a focal length of about 430 px, a tilt of 25 degrees, the rim plane about 54 mm away. The public
-mesh, which is in the camera's frame, puts the camera 40 mm off the dome's axis along the long semi-axis, so that the tilt turns it to the middle.
-The look is ours: a pale skin with a hashed pattern of dark dots, and two lamps beside the lens; no photograph was measured.
+Of the real sensor are known (bubble.md): 640 x 480 pixels, a focal length of about 430 px, a tilt of 25 degrees, the
+rim plane about 54 mm away. The public mesh, which is in the camera's frame, puts the camera 40 mm off the dome's axis
+along the long semi-axis, so that the tilt turns it to the middle.
+The look is ours: a pale skin with a hashed pattern of dark dots, and two lamps beside the lens; no photograph was
+measured.
 """
 
 from __future__ import annotations
@@ -19,9 +21,9 @@ from vsfsim.sensing.membrane_fe import SensorError, checked_mesh, nodal_normals
 class BubbleCamera:
     """A pinhole camera in the chamber, looking at the skin from below.
 
-    width, height: of the picture [px]. focal: length [px]. tilt: between its axis and the dome's, towards +x [rad]. distance: of the rim plane,
-    along the dome's axis [m]. offset: of the camera along -x, the long semi-axis [m]. dot_spacing, dot_radius: of the print, on the stress-free
-    skin [m].
+    width, height: of the picture [px]. focal: length [px]. tilt: between its axis and the dome's, towards +x [rad].
+    distance: of the rim plane, along the dome's axis [m]. offset: of the camera along -x, the long semi-axis [m].
+    dot_spacing, dot_radius: of the print, on the stress-free skin [m].
     """
 
     width: int = 640
@@ -35,17 +37,21 @@ class BubbleCamera:
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not self.focal > 0.0:
-            raise SensorError(f"bubble camera: {self.width} x {self.height} pixels, focal length {self.focal!r} px; all must be greater than 0.")
+            raise SensorError(f"bubble camera: {self.width} x {self.height} pixels, focal length {self.focal!r} px; "
+                              f"all must be greater than 0.")
         if not abs(self.tilt) < 1.5 or not 0.0 < self.distance < 0.5 or not abs(self.offset) < 0.5:
-            raise SensorError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset {self.offset!r} m; give a tilt within 1.5 and lengths under half a metre, "
+            raise SensorError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset "
+                              f"{self.offset!r} m; give a tilt within 1.5 and lengths under half a metre, "
                               "the distance greater than 0 (the camera is below the rim plane).")
         if not 0.0 < self.dot_radius < self.dot_spacing:
-            raise SensorError(f"bubble camera: dot_radius {self.dot_radius!r} and dot_spacing {self.dot_spacing!r} m; the radius must be greater than 0 and under the spacing.")
+            raise SensorError(f"bubble camera: dot_radius {self.dot_radius!r} and dot_spacing {self.dot_spacing!r} m; "
+                              f"the radius must be greater than 0 and under the spacing.")
 
     @property
     def intrinsics(self) -> np.ndarray:
         """Pinhole matrix (3, 3) [px]; the centre of the top-left pixel is (0, 0)."""
-        return np.array([[self.focal, 0.0, 0.5 * (self.width - 1)], [0.0, self.focal, 0.5 * (self.height - 1)], [0.0, 0.0, 1.0]])
+        return np.array([[self.focal, 0.0, 0.5 * (self.width - 1)], [0.0, self.focal, 0.5 * (self.height - 1)],
+                         [0.0, 0.0, 1.0]])
 
     @property
     def pose(self) -> np.ndarray:
@@ -59,17 +65,20 @@ class BubbleCamera:
 
 @dataclass(frozen=True)
 class InsideView:
-    """T pictures from inside. depth: along the optical axis, 0 where no skin is seen (T, H, W) float32 [m]. rgb: sRGB (T, H, W, 3) uint8."""
+    """T pictures from inside. depth: along the optical axis, 0 where no skin is seen (T, H, W) float32 [m]. rgb: sRGB
+    (T, H, W, 3) uint8."""
 
     depth: np.ndarray
     rgb: np.ndarray
 
 
-def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray, camera: BubbleCamera, *, device: str = "cpu") -> InsideView:
+def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray, camera: BubbleCamera, *,
+                device: str = "cpu") -> InsideView:
     """Depth and colour of the skin in T frames.
 
     Args:
-        points: node positions, mount frame (T, n, 3) [m]. triangles: wound outwards (m, 3). material: coordinates of the nodes on the stress-free
+        points: node positions, mount frame (T, n, 3) [m]. triangles: wound outwards (m, 3). material: coordinates of
+        the nodes on the stress-free
             skin (n, 2) [m]; the dots are printed there. camera: where it stands. device: Warp device.
 
     Raises:
@@ -77,22 +86,26 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     """
     points, material = np.asarray(points, np.float64), np.asarray(material, np.float64)
     if points.ndim != 3 or len(points) == 0:
-        raise SensorError(f"bubble camera: points have shape {points.shape}; give frames of positions (T, n, 3), T >= 1.")
+        raise SensorError(f"bubble camera: points have shape {points.shape}; give frames of positions (T, n, "
+                          f"3), T >= 1.")
     if not np.isfinite(points).all():
         raise SensorError("bubble camera: a node is not finite; leave out frames that did not converge.")
     _, triangles = checked_mesh(points[0], triangles, "bubble camera")
     if material.shape != (points.shape[1], 2) or not np.isfinite(material).all():
-        raise SensorError(f"bubble camera: material coordinates have shape {material.shape}; give finite ({points.shape[1]}, 2) in metres.")
+        raise SensorError(f"bubble camera: material coordinates have shape {material.shape}; give finite "
+                          f"({points.shape[1]}, 2) in metres.")
     pose = camera.pose
     if (((points - pose[:3, 3]) @ pose[:3, 2]).max(axis=1) <= 0.0).any():
-        raise SensorError("bubble camera: the whole skin lies behind the camera; positions are in the mount frame, +z out of the dome.")
+        raise SensorError("bubble camera: the whole skin lies behind the camera; positions are in the mount frame, +z "
+                          "out of the dome.")
     from vsfsim.sensing.render_bubble import cast_inside
 
     normals = np.stack([nodal_normals(x, triangles) for x in points])
     lamps = pose[:3, 3] + np.array([[0.0, 0.02, 0.0], [0.0, -0.02, 0.0]])
     # full light where the optical axis meets the rim plane, straight before the lamps
     power = 0.5 * (camera.distance / math.cos(camera.tilt)) ** 2
-    depth, light = cast_inside(points, triangles.astype(np.int32), normals, material, camera.intrinsics, pose, camera.width, camera.height, lamps=lamps, power=power,
+    depth, light = cast_inside(points, triangles.astype(np.int32), normals, material, camera.intrinsics, pose,
+                               camera.width, camera.height, lamps=lamps, power=power,
                                dots=(camera.dot_spacing, camera.dot_radius), albedo=(0.62, 0.05), device=device)
     tint = np.array([1.0, 0.96, 0.9])
     linear = np.clip(light[..., None] * tint, 0.0, 1.0)

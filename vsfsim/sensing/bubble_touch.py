@@ -1,4 +1,5 @@
-"""The bubble's part of a dataset's touch: from the solver's state to the fields of `vsfsim.data.records.Touch`, and from these to estimated forces."""
+"""The bubble's part of a dataset's touch: from the solver's state to the fields of `vsfsim.data.records.Touch`, and
+from these to estimated forces."""
 
 from __future__ import annotations
 
@@ -16,18 +17,24 @@ if TYPE_CHECKING:
     from vsfsim.physics.bubble.sensor import BubbleModel
 
 
-def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray, mount_pose: np.ndarray, *,
-                 converged: np.ndarray | None = None, camera: BubbleCamera | None = None, device: str = "cpu") -> dict[str, Any]:
+def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray,
+                 mount_pose: np.ndarray, *,
+                 converged: np.ndarray | None = None, camera: BubbleCamera | None = None,
+                 device: str = "cpu") -> dict[str, Any]:
     """Keyword arguments for a `Touch` made with a bubble: everything that a rigid probe does not have.
 
     Args:
-        model: the bubble. position: its nodes, world (T, m, 3) [m]. force: contact force on each, world (T, m, 3) [N]. pressure: gauge (T,) [Pa].
-        mount_pose: mount to world (T, 4, 4). converged: (T,) bool; the readings of other frames are NaN, and their pictures black. None for all.
-        camera: also take pictures from inside. device: Warp device of the ray caster. Whether the solved mesh itself is kept, too, is ``model.spec.fine``.
+        model: the bubble. position: its nodes, world (T, m, 3) [m]. force: contact force on each, world (T, m, 3) [N].
+        pressure: gauge (T,) [Pa].
+        mount_pose: mount to world (T, 4, 4). converged: (T,) bool; the readings of other frames are NaN, and their
+        pictures black. None for all.
+        camera: also take pictures from inside. device: Warp device of the ray caster. Whether the solved mesh itself is
+        kept, too, is ``model.spec.fine``.
 
     Returns:
-        pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles; fine_position, fine_force, fine_rest and
-        fine_triangles if they are asked for; and inside_depth and inside_rgb if there is a camera.
+        pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles;
+        fine_position, fine_force, fine_rest and fine_triangles if they are asked for; and inside_depth and inside_rgb
+        if there is a camera.
 
     Raises:
         SensorError: shapes that do not fit, or a converged frame that is not finite.
@@ -35,22 +42,29 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     position, force, pressure, mount_pose = (np.asarray(x, np.float64) for x in (position, force, pressure, mount_pose))
     frames = len(position)
     good = np.ones(frames, bool) if converged is None else np.asarray(converged, bool)
-    if mount_pose.shape != (frames, 4, 4) or pressure.shape != (frames,) or good.shape != (frames,) or force.shape != position.shape:
-        raise SensorError(f"bubble: positions {position.shape}, forces {force.shape}, pressure {pressure.shape}, mount poses {mount_pose.shape} and converged {good.shape} "
+    if mount_pose.shape != (frames, 4, 4) or pressure.shape != (frames,
+                                                                ) or good.shape != (frames,
+                                                                                    ) or force.shape != position.shape:
+        raise SensorError(f"bubble: positions {position.shape}, forces {force.shape}, pressure {pressure.shape}, mount "
+                          f"poses {mount_pose.shape} and converged {good.shape} "
                           "must be (T, m, 3) twice, (T,), (T, 4, 4) and (T,).")
     if not (np.isfinite(position[good]).all() and np.isfinite(force[good]).all() and np.isfinite(pressure[good]).all()):
-        raise SensorError("bubble: a position, force or pressure of a converged frame is not finite; mark the frame as not converged.")
+        raise SensorError("bubble: a position, force or pressure of a converged frame is not finite; mark the frame as "
+                          "not converged.")
     readout = readout_of(model)
     nodes = len(readout.readout.points)
 
     def nan(*shape: int) -> np.ndarray:
         return np.full((frames, *shape), np.nan)
 
-    out: dict[str, Any] = {"pressure": np.where(good, pressure, np.nan), "rest_pressure": float(model.pressure), "moment": nan(3),
+    out: dict[str, Any] = {"pressure": np.where(good, pressure, np.nan), "rest_pressure": float(model.pressure),
+                           "moment": nan(3),
                            "node_position": nan(nodes, 3), "node_force": nan(nodes, 3)}
     if good.any():
-        seen = readout.frames(position[good], force[good], pressure[good], rest_pressure=model.pressure, origin=mount_pose[good, :3, 3])
-        out["moment"][good], out["node_position"][good], out["node_force"][good] = seen.moment, seen.node_position, seen.node_force
+        seen = readout.frames(position[good], force[good], pressure[good], rest_pressure=model.pressure,
+                              origin=mount_pose[good, :3, 3])
+        out["moment"][good], out["node_position"][good], out["node_force"][good] = (seen.moment, seen.node_position,
+                                                                                    seen.node_force)
     for name in ("node_position", "node_force"):
         out[name] = out[name].astype(np.float32)
     out["node_rest"] = readout.positions(model.mesh.points[None])[0]
@@ -70,13 +84,15 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     return out
 
 
-def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane", options: EstimatorOptions | None = None, position: np.ndarray | None = None,
+def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
+                    options: EstimatorOptions | None = None, position: np.ndarray | None = None,
                     pressure: np.ndarray | None = None) -> DenseForce:
     """Contact forces on the nodes of a touch of a dataset, as `DenseForceEstimator` finds them, in the world.
 
     Args:
         touch: made with a bubble. stiffness: E h of its skin [N/m]. method, options: of the estimator.
-        position: measured nodes, world (T, N, 3) [m], e.g. those of `vsfsim.bench.noise_bubble.noisy_nodes`; None for the true ones.
+        position: measured nodes, world (T, N, 3) [m], e.g. those of `vsfsim.bench.noise_bubble.noisy_nodes`; None for
+        the true ones.
         pressure: measured gauge pressure (T,) [Pa]; None for the true one.
 
     Returns:
@@ -85,18 +101,25 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
     Raises:
         SensorError: the touch was made with a rigid probe, or readings that do not fit it.
     """
-    if touch.node_position is None or touch.node_rest is None or touch.node_triangles is None or touch.pressure is None or touch.rest_pressure is None:
-        raise SensorError("dense force: the touch has no node positions or no pressure; its dataset must be made with a bubble, a [sensor] in the scene.")
+    if (touch.node_position is None or touch.node_rest is None or touch.node_triangles is None
+        or touch.pressure is None or touch.rest_pressure is None):
+        raise SensorError("dense force: the touch has no node positions or no pressure; its dataset must be made with "
+                          "a bubble, a [sensor] in the scene.")
     position = np.asarray(touch.node_position if position is None else position, np.float64)
     pressure = np.asarray(touch.pressure if pressure is None else pressure, np.float64)
     if position.shape != touch.node_position.shape or pressure.shape != touch.pressure.shape:
-        raise SensorError(f"dense force: positions {position.shape} and pressures {pressure.shape}; the touch has {touch.node_position.shape} and {touch.pressure.shape}.")
-    calibration = BubbleCalibration(touch.node_rest, touch.node_triangles, rim_of(touch.node_triangles, len(touch.node_rest)), stiffness, touch.rest_pressure,
+        raise SensorError(f"dense force: positions {position.shape} and pressures {pressure.shape}; the touch has "
+                          f"{touch.node_position.shape} and {touch.pressure.shape}.")
+    calibration = BubbleCalibration(touch.node_rest, touch.node_triangles,
+                                    rim_of(touch.node_triangles, len(touch.node_rest)), stiffness, touch.rest_pressure,
                                     reference=touch.node_reference)
     good = np.asarray(touch.converged, bool)
     turn, shift = touch.mount_pose[good, :3, :3], touch.mount_pose[good, None, :3, 3]
-    found = DenseForceEstimator(calibration, method=method, options=options).estimate(np.einsum("tni,tij->tnj", position[good] - shift, turn), pressure[good])
-    out = DenseForce(*(np.full((len(good), *value.shape[1:]), np.nan) for value in (found.force, found.position, found.residual)), np.zeros(len(good), bool))
+    found = DenseForceEstimator(calibration, method=method,
+                                options=options).estimate(np.einsum("tni,tij->tnj", position[good] - shift, turn),
+                                                          pressure[good])
+    out = DenseForce(*(np.full((len(good), *value.shape[1:]), np.nan)
+                       for value in (found.force, found.position, found.residual)), np.zeros(len(good), bool))
     out.force[good] = np.einsum("tni,tji->tnj", found.force, turn)
     out.position[good] = np.einsum("tni,tji->tnj", found.position, turn) + shift
     out.residual[good], out.converged[good] = found.residual, found.converged
@@ -105,7 +128,8 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
 
 def rim_of(triangles: np.ndarray, nodes: int) -> np.ndarray:
     """True (n,) at the nodes of edges that belong to one triangle (m, 3) alone: where an open mesh ends."""
-    edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0, return_counts=True)
+    edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
+                             return_counts=True)
     out = np.zeros(nodes, bool)
     out[edges[count == 1]] = True
     return out

@@ -56,7 +56,8 @@ def look_at(spec: CameraSpec, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
     if target.shape != (3,) or not np.isfinite(target).all():
         raise RenderError(f"camera: target is {target.tolist()}; give a finite world point (3,) in metres.")
     focal = 0.5 * spec.height / math.tan(0.5 * spec.fov)
-    intrinsics = np.array([[focal, 0.0, 0.5 * (spec.width - 1)], [0.0, focal, 0.5 * (spec.height - 1)], [0.0, 0.0, 1.0]])
+    intrinsics = np.array([[focal, 0.0, 0.5 * (spec.width - 1)], [0.0, focal, 0.5 * (spec.height - 1)],
+                           [0.0, 0.0, 1.0]])
     outward = np.array([math.cos(spec.elevation) * math.cos(spec.azimuth),
                         math.cos(spec.elevation) * math.sin(spec.azimuth), math.sin(spec.elevation)])
     forward = -outward
@@ -93,15 +94,20 @@ def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, wi
     """
     surface = _checked(surface)
     intrinsics, camera_pose = np.asarray(intrinsics, np.float64), np.asarray(camera_pose, np.float64)
-    if intrinsics.shape != (3, 3) or camera_pose.shape != (4, 4) or not (np.isfinite(intrinsics).all() and np.isfinite(camera_pose).all()):
-        raise RenderError(f"render: intrinsics {intrinsics.shape} and camera_pose {camera_pose.shape}; give finite (3, 3) and (4, 4).")
+    if intrinsics.shape != (3, 3) or camera_pose.shape != (4,
+                                                           4) or not (np.isfinite(intrinsics).all()
+                                                                      and np.isfinite(camera_pose).all()):
+        raise RenderError(f"render: intrinsics {intrinsics.shape} and camera_pose {camera_pose.shape}; give finite (3, "
+                          f"3) and (4, 4).")
     if not 0.0 <= shading <= 1.0:
-        raise RenderError(f"render: shading is {shading!r}; it must be from 0 (bare albedo) to 1 (full light and shade).")
+        raise RenderError(f"render: shading is {shading!r}; it must be from 0 (bare albedo) to 1 (full light "
+                          f"and shade).")
     if width < 1 or height < 1:
         raise RenderError(f"render: the picture is {width} x {height}; it must have at least one pixel.")
     if renderer == "warp":
         from vsfsim.sensing.render_warp import cast
-        return cast(surface, intrinsics, camera_pose, width, height, device=device, shading=shading, background=background)
+        return cast(surface, intrinsics, camera_pose, width, height, device=device, shading=shading,
+                    background=background)
     if renderer == "pyrender":
         from vsfsim.sensing.render_pyrender import rasterise
         return rasterise(surface, intrinsics, camera_pose, width, height, shading=shading, background=background)
@@ -140,22 +146,28 @@ def _checked(surface: Surface) -> Surface:
     vertices, triangles = np.asarray(surface.vertices, np.float64), np.asarray(surface.triangles)
     region, rest = np.asarray(surface.region), np.asarray(surface.rest_vertices, np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or rest.shape != vertices.shape:
-        raise RenderError(f"render: vertices {vertices.shape} and rest_vertices {rest.shape}; both must be (n, 3) in metres.")
+        raise RenderError(f"render: vertices {vertices.shape} and rest_vertices {rest.shape}; both must be (n, "
+                          f"3) in metres.")
     if not (np.isfinite(vertices).all() and np.isfinite(rest).all()):
         raise RenderError("render: the surface has a vertex that is not finite; give finite positions in metres.")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0 or region.shape != (len(triangles),):
-        raise RenderError(f"render: triangles {triangles.shape} and region {region.shape}; give (f, 3) and (f,) with f >= 1.")
+        raise RenderError(f"render: triangles {triangles.shape} and region {region.shape}; give (f, 3) and (f,) "
+                          f"with f >= 1.")
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise RenderError(f"render: a triangle names vertex {int(triangles.max())} of {len(vertices)}; indices go from 0 to {len(vertices) - 1}.")
+        raise RenderError(f"render: a triangle names vertex {int(triangles.max())} of {len(vertices)}; indices go from "
+                          f"0 to {len(vertices) - 1}.")
     look = surface.appearance
     if look is None:
         look = Appearance(np.full((1, 3), 0.45), ("plain",), np.ones(1), np.zeros(1))
         region = np.zeros_like(region)
     regions = len(look.texture)
     if region.min() < 0 or region.max() >= regions:
-        raise RenderError(f"render: a triangle is of region {int(region.max())}, but the appearance has {regions}; give one entry a region.")
-    if np.shape(look.albedo) != (regions, 3) or np.shape(look.texture_scale) != (regions,) or np.shape(look.texture_contrast) != (regions,):
-        raise RenderError(f"render: the appearance has {regions} textures; albedo must be ({regions}, 3), scale and contrast ({regions},).")
+        raise RenderError(f"render: a triangle is of region {int(region.max())}, but the appearance has {regions}; "
+                          f"give one entry a region.")
+    if np.shape(look.albedo) != (regions, 3) or np.shape(look.texture_scale) != (regions,
+                                                                                 ) or np.shape(look.texture_contrast) != (regions,):
+        raise RenderError(f"render: the appearance has {regions} textures; albedo must be ({regions}, 3), scale and "
+                          f"contrast ({regions},).")
     for name in look.texture:
         if name not in TEXTURES:
             raise RenderError(f"render: unknown texture '{name}'. {did_you_mean(name, TEXTURES)}")

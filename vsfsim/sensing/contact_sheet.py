@@ -16,8 +16,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
 
     Touches are coloured alike in both panels on the right: a dot at the target with the last 20 mm of the way to it,
     and its curve. One that met nothing is a cross without a curve; a frame that did not converge is a black cross.
-    Of a bubble also its pressure over travel, its skin at the hardest frame (dent and contact forces on its nodes, seen from outside along
-    the mount's axis), and what the camera in it sees, if it is kept.
+    Of a bubble also its pressure over travel, its skin at the hardest frame (dent and contact forces on its nodes, seen
+    from outside along the mount's axis), and what the camera in it sees, if it is kept.
 
     Args:
         views: one or more.
@@ -36,7 +36,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
     air = any(touch.pressure is not None for seen in views for touch in seen.touches)
     inside = any(touch.inside_rgb is not None for seen in views for touch in seen.touches)
     columns = 4 + 2 * air + inside
-    figure = Figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained", facecolor="white")
+    figure = Figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained",
+                    facecolor="white")
     FigureCanvasAgg(figure)
     if title:
         figure.suptitle(title, fontsize=11)
@@ -66,7 +67,8 @@ def _window(view: View) -> tuple[int, int, int, int]:
     height, width = row[-1] - row[0] + 1, column[-1] - column[0] + 1
     # All panels about 4:3, whatever the object, so that the rows line up.
     tall = 1.15 * max(height, 0.75 * width) + 8
-    return (*_span(row[0], row[-1], tall, view.mask.shape[0]), *_span(column[0], column[-1], tall / 0.75, view.mask.shape[1]))
+    return (*_span(row[0], row[-1], tall, view.mask.shape[0]),
+            *_span(column[0], column[-1], tall / 0.75, view.mask.shape[1]))
 
 
 def _span(first: int, last: int, length: float, limit: int) -> tuple[int, int]:
@@ -105,7 +107,8 @@ def _targets(axes, seen: ObjectView, colours: np.ndarray, window: tuple[int, int
         pixel = camera @ seen.view.intrinsics.T
         pixel = pixel[:, :2] / pixel[:, 2:]
         axes.plot(*pixel.T, color=colour, lw=1.2)
-        axes.plot(*pixel[0], "o" if touch.touched else "x", color=colour, ms=5, mec="black" if touch.touched else colour, mew=0.6 if touch.touched else 1.5)
+        axes.plot(*pixel[0], "o" if touch.touched else "x", color=colour, ms=5,
+                  mec="black" if touch.touched else colour, mew=0.6 if touch.touched else 1.5)
     _framed(axes, window)
     axes.set_title(f"{len(seen.touches)} touches, {touched} in contact", fontsize=9, loc="left")
 
@@ -134,7 +137,8 @@ def _pressure_change(touch: Touch) -> np.ndarray:
 
 def _hardest(seen: ObjectView) -> tuple[int, int]:
     """The touch and its converged frame with the largest force."""
-    size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0) for touch in seen.touches]
+    size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0)
+            for touch in seen.touches]
     number = int(np.argmax([values.max(initial=-1.0) for values in size])) if size else 0
     return number, int(np.argmax(size[number])) if size else 0
 
@@ -143,15 +147,18 @@ def _skin(figure, axes, seen: ObjectView, number: int, frame: int) -> None:
     """The read-out mesh in the mount's frame: its dent as shades, contact forces on its nodes as dots."""
     touch = seen.touches[number] if seen.touches else None
     axes.set(xticks=[], yticks=[], aspect="equal")
-    if touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None or not touch.converged[frame]:
+    if (touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None
+        or not touch.converged[frame]):
         axes.set_title("no frame of the skin", fontsize=9, loc="left")
         return
     pose = touch.mount_pose[frame]
     local = (touch.node_position[frame].astype(float) - pose[:3, 3]) @ pose[:3, :3]
     dent = 1e3 * (touch.node_rest[:, 2] - local[:, 2])
-    shown = axes.tripcolor(*(1e3 * touch.node_rest[:, :2].T), touch.node_triangles, dent, shading="gouraud", cmap="viridis", vmin=min(0.0, float(dent.min())), vmax=max(1e-3, float(dent.max())))
+    shown = axes.tripcolor(*(1e3 * touch.node_rest[:, :2].T), touch.node_triangles, dent, shading="gouraud",
+                           cmap="viridis", vmin=min(0.0, float(dent.min())), vmax=max(1e-3, float(dent.max())))
     size = np.linalg.norm(touch.node_force[frame].astype(float), axis=1)
-    axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white", edgecolors="black", linewidths=0.4)
+    axes.scatter(*(1e3 * touch.node_rest[:, :2].T), s=60.0 * size / max(float(size.max()), 1e-12), c="white",
+                 edgecolors="black", linewidths=0.4)
     bar = figure.colorbar(shown, ax=axes, fraction=0.04, pad=0.01)
     bar.ax.tick_params(labelsize=7)
     axes.set_title(f"dent [mm]; dots: forces to {size.max():.2f} N", fontsize=9, loc="left")

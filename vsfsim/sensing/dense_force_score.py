@@ -10,15 +10,16 @@ from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, E
 from vsfsim.sensing.membrane_fe import SensorError
 
 REGION = 0.1
-"""A node is in the contact region if its force is over this share of the frame's largest; the same for truth and estimate."""
+"""A node is in the contact region if its force is over this share of the frame's largest; the same for truth and
+estimate."""
 
 
 @dataclass(frozen=True)
 class PressRecord:
     """One press as simulated, on the read-out mesh, mount frame.
 
-    name: of the press. depth: past first contact (T,) [m]. position: of the nodes (T, n, 3) [m]. pressure: gauge (T,) [Pa]. force: true contact
-    force on each node (T, n, 3) [N].
+    name: of the press. depth: past first contact (T,) [m]. position: of the nodes (T, n, 3) [m]. pressure: gauge (T,)
+    [Pa]. force: true contact force on each node (T, n, 3) [N].
     """
 
     name: str
@@ -32,8 +33,9 @@ class PressRecord:
 class ForceScore:
     """Errors in each of T frames.
 
-    node_rms: root mean square over the nodes of the error's length (T,) [N]. node_size: the same of the true forces (T,) [N]. net: length of the error
-    of the net force (T,) [N]. net_size: length of the true net force (T,) [N]. iou: of the contact regions, intersection over union (T,) [-];
+    node_rms: root mean square over the nodes of the error's length (T,) [N]. node_size: the same of the true forces
+    (T,) [N]. net: length of the error of the net force (T,) [N]. net_size: length of the true net force (T,) [N]. iou:
+    of the contact regions, intersection over union (T,) [-];
     NaN without contact.
     """
 
@@ -47,7 +49,8 @@ class ForceScore:
 def score(estimate: np.ndarray, true: np.ndarray) -> ForceScore:
     """Compare estimated with true forces, both (T, n, 3) [N]."""
     if estimate.shape != true.shape or true.ndim != 3:
-        raise SensorError(f"dense force score: estimate {estimate.shape} and truth {true.shape}; both must be (T, n, 3).")
+        raise SensorError(f"dense force score: estimate {estimate.shape} and truth {true.shape}; both must "
+                          f"be (T, n, 3).")
     error = estimate - true
     regions = []
     for force in (estimate, true):
@@ -71,13 +74,16 @@ STARTS = (0.002, 0.02, 0.2)
 """What `calibrate` tries: E h over its nominal value [-], the force scale [N], and where the latter starts."""
 
 
-def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str, options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
-    """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31] calibrates the same way.
+def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str,
+              options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
+    """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31]
+    calibrates the same way.
 
     One after the other, until neither changes, from several starts.
 
     Args:
-        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator. options: all but the force scale.
+        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator.
+        options: all but the force scale.
 
     Returns:
         The calibration and options with the smallest RMS error of the net force, and that error [N].
@@ -88,8 +94,11 @@ def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, met
 
     def error(share: float, scale: float) -> float:
         if (share, scale) not in known:
-            estimator = DenseForceEstimator(replace(calibration, stiffness=share * calibration.stiffness), method=method, options=replace(options, force_scale=scale))
-            known[share, scale] = float(np.sqrt(np.mean(np.sum((estimator.estimate(position, pressure).force.sum(axis=1) - true) ** 2, axis=1))))
+            estimator = DenseForceEstimator(replace(calibration, stiffness=share * calibration.stiffness),
+                                            method=method, options=replace(options, force_scale=scale))
+            known[share, scale] = float(np.sqrt(np.mean(np.sum((estimator.estimate(position,
+                                                                                   pressure).force.sum(axis=1)
+                                                                - true) ** 2, axis=1))))
         return known[share, scale]
 
     for scale in STARTS:
@@ -99,4 +108,6 @@ def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, met
             share = min(STIFFNESSES, key=lambda value: error(value, before[1]))
             scale = min(FORCE_SCALES, key=lambda value: error(share, value))
     share, scale = min(known, key=known.__getitem__)
-    return replace(calibration, stiffness=share * calibration.stiffness), replace(options, force_scale=scale), known[share, scale]
+    return replace(calibration, stiffness=share * calibration.stiffness), replace(options,
+                                                                                  force_scale=scale), known[share,
+                                                                                                            scale]

@@ -1,12 +1,16 @@
-"""The convex program behind the force estimator: displacements near the measured ones whose forces are few, small and push inwards.
+"""The convex program behind the force estimator: displacements near the measured ones whose forces are few, small and
+push inwards.
 
-    min_u  1/2 w |u - d|^2 + sum_i ( lambda |f_i| + kappa/2 |f_i|^2 ) + s/2 sum_ij |f_i - f_j|^2   with  f = K u + c,  f_i in C_i
+    min_u  1/2 w |u - d|^2 + sum_i ( lambda |f_i| + kappa/2 |f_i|^2 ) + s/2 sum_ij |f_i - f_j|^2   with  f = K u + c,
+    f_i in C_i
 
-d the measured displacements, K and c a linear model of the forces, C_i all of space or the cone of Coulomb friction about the inward
-normal, ij the edges of the mesh. lambda makes nodes without contact exactly free of force (a group lasso), kappa alone makes it a quadratic program
-(ridge), and s says that a contact presses alike on neighbours: without it the noise, which K makes large between neighbours, leaves spikes.
-Solved by the alternating direction method of multipliers (Boyd et al. 2011): f is split off, its step is a projection onto the cone
-and a shrinkage, and the step of u has one sparse factor for all columns. At the end the optimality conditions are measured, not assumed.
+d the measured displacements, K and c a linear model of the forces, C_i all of space or the cone of Coulomb friction
+about the inward normal, ij the edges of the mesh. lambda makes nodes without contact exactly free of force (a group
+lasso), kappa alone makes it a quadratic program (ridge), and s says that a contact presses alike on neighbours: without
+it the noise, which K makes large between neighbours, leaves spikes.
+Solved by the alternating direction method of multipliers (Boyd et al. 2011): f is split off, its step is a projection
+onto the cone and a shrinkage, and the step of u has one sparse factor for all columns. At the end the optimality
+conditions are measured, not assumed.
 """
 
 from __future__ import annotations
@@ -28,8 +32,10 @@ _BALANCE = 5.0  # ratio of the residuals from which the penalty is changed
 class ForceProgram:
     """Weights of one program.
 
-    weight: w of the displacements, 1 / variance (one number, or one per degree of freedom) [1/m^2]. lasso: lambda [1/N]. ridge: kappa [1/N^2].
-    smooth: s, see `solve` [1/N^2]. friction: coefficient of the cone; None for no cone at all, infinity for "inwards, however slanted" [-].
+    weight: w of the displacements, 1 / variance (one number, or one per degree of freedom) [1/m^2]. lasso: lambda
+    [1/N]. ridge: kappa [1/N^2].
+    smooth: s, see `solve` [1/N^2]. friction: coefficient of the cone; None for no cone at all, infinity for "inwards,
+    however slanted" [-].
     tolerance: of the optimality conditions, relative [-]. iterations: at most.
     """
 
@@ -44,12 +50,14 @@ class ForceProgram:
     def __post_init__(self) -> None:
         weight = np.asarray(self.weight, float)
         if not (np.isfinite(weight).all() and (weight > 0.0).all()):
-            raise SensorError("force program: weight must be greater than 0 everywhere, in 1/m^2 (one over the variance of a displacement).")
+            raise SensorError("force program: weight must be greater than 0 everywhere, in 1/m^2 (one over the "
+                              "variance of a displacement).")
         for name, value in (("lasso", self.lasso), ("ridge", self.ridge), ("smooth", self.smooth)):
             if not 0.0 <= value < np.inf:
                 raise SensorError(f"force program: {name} is {value!r}; it must be at least 0 and finite.")
         if self.friction is not None and not self.friction > 0.0:
-            raise SensorError(f"force program: friction is {self.friction!r}; it must be greater than 0, or None for no cone.")
+            raise SensorError(f"force program: friction is {self.friction!r}; it must be greater than 0, or None "
+                              f"for no cone.")
 
 
 @dataclass(frozen=True)
@@ -57,8 +65,9 @@ class Solution:
     """What `solve` found, columns as given.
 
     displacement: u (3 n, T) [m]. force: f (3 n, T) [N], in the cone and exactly 0 where the lasso says so.
-    residual: of the optimality conditions (T,) [-]: the larger of |f - K u - c| over the raw forces |K d + c|, and of the stationarity in u over its
-    terms. iterations: spent. start: force (3 n, T) [N], scaled multipliers (3 n, T) [N] and penalty from which a similar program can go on; see `solve`.
+    residual: of the optimality conditions (T,) [-]: the larger of |f - K u - c| over the raw forces |K d + c|, and of
+    the stationarity in u over its terms. iterations: spent. start: force (3 n, T) [N], scaled multipliers (3 n, T) [N]
+    and penalty from which a similar program can go on; see `solve`.
     """
 
     displacement: np.ndarray
@@ -69,12 +78,14 @@ class Solution:
 
     @property
     def converged(self) -> np.ndarray:
-        """Columns (T,) bool whose residual is under 1e-3: one part in a thousand of the force, far under a sensor's noise."""
+        """Columns (T,) bool whose residual is under 1e-3: one part in a thousand of the force, far under a sensor's
+        noise."""
         return self.residual < 1e-3
 
 
 def project_cone(force: np.ndarray, inward: np.ndarray, friction: float) -> np.ndarray:
-    """Nearest force (..., 3) in the cone |tangential| <= friction (force . inward) about unit normals ``inward``; infinity for a half-space."""
+    """Nearest force (..., 3) in the cone |tangential| <= friction (force . inward) about unit normals ``inward``;
+    infinity for a half-space."""
     normal = np.einsum("...i,...i->...", force, inward)
     if np.isinf(friction):
         return force - np.minimum(normal, 0.0)[..., None] * inward
@@ -95,13 +106,15 @@ def prox(force: np.ndarray, step: float, program: ForceProgram, inward: np.ndarr
 
 
 def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, program: ForceProgram, *,
-          inward: np.ndarray | None = None, edges: np.ndarray | None = None, start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
+          inward: np.ndarray | None = None, edges: np.ndarray | None = None,
+          start: tuple[np.ndarray, np.ndarray, float] | None = None) -> Solution:
     """Solve the program for T right-hand sides that share K.
 
     Args:
         stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only. offset: c (3 n, T) [N]. measured: d (3 n, T) [m].
         program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone.
-        edges: pairs of neighbours among the n nodes (e, 2); needed with ``smooth``. start: `Solution.start` of a program like this one, to begin from
+        edges: pairs of neighbours among the n nodes (e, 2); needed with ``smooth``. start: `Solution.start` of a
+        program like this one, to begin from
             its answer.
 
     Raises:
@@ -109,30 +122,37 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
     """
     size = stiffness.shape[0]
     if offset.shape != measured.shape or len(measured) != size or stiffness.shape != (size, size) or size % 3:
-        raise SensorError(f"force program: stiffness {stiffness.shape}, offset {offset.shape} and measured {measured.shape}; give (3 n, 3 n), (3 n, T) and (3 n, T).")
+        raise SensorError(f"force program: stiffness {stiffness.shape}, offset {offset.shape} and measured "
+                          f"{measured.shape}; give (3 n, 3 n), (3 n, T) and (3 n, T).")
     if not (np.isfinite(offset).all() and np.isfinite(measured).all() and np.isfinite(stiffness.data).all()):
-        raise SensorError("force program: a stiffness, offset or measured displacement is not finite; leave out frames that were not read.")
+        raise SensorError("force program: a stiffness, offset or measured displacement is not finite; leave out frames "
+                          "that were not read.")
     if program.friction is not None and (inward is None or inward.shape != (size // 3, measured.shape[1], 3)):
         raise SensorError(f"force program: a cone needs inward normals ({size // 3}, {measured.shape[1]}, 3).")
     if program.smooth and edges is None:
         raise SensorError("force program: smooth needs the edges of the mesh, (e, 2).")
     weight = np.broadcast_to(np.asarray(program.weight, float), (size,))
     stiffness = sparse.csr_matrix(stiffness)
-    rough = program.smooth * roughness(edges, size // 3) if program.smooth and edges is not None else sparse.csr_matrix((size, size))
+    rough = program.smooth * roughness(edges,
+                                       size // 3) if program.smooth and edges is not None else sparse.csr_matrix((size,
+                                                                                                                  size))
     if program.lasso == 0.0 and program.friction is None:
         return _ridge(stiffness, offset, measured, weight, program.ridge * sparse.identity(size, format="csr") + rough)
     return _admm(stiffness, offset, measured, weight, program, inward, rough, start)
 
 
 def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
-    """R (3 n, 3 n) with f . R f = sum over the edges (e, 2) of |f_i - f_j|^2: the Laplacian of the graph, in x, y and z."""
+    """R (3 n, 3 n) with f . R f = sum over the edges (e, 2) of |f_i - f_j|^2: the Laplacian of the graph, in x, y and
+    z."""
     i, j = np.asarray(edges).T
     one = np.ones(len(i))
-    graph = sparse.csr_matrix((np.concatenate([one, one, -one, -one]), (np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i]))), shape=(nodes, nodes))
+    graph = sparse.csr_matrix((np.concatenate([one, one, -one, -one]),
+                               (np.concatenate([i, j, i, j]), np.concatenate([i, j, j, i]))), shape=(nodes, nodes))
     return sparse.kron(graph, sparse.identity(3)).tocsr()
 
 
-def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, quadratic: sparse.csr_matrix) -> Solution:
+def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray,
+           quadratic: sparse.csr_matrix) -> Solution:
     """The quadratic program without cone, f . quadratic f / 2: its normal equations, at once."""
     pulled = k.T @ quadratic
     factor = splu(sparse.csc_matrix(sparse.diags(weight) + pulled @ k))
@@ -143,13 +163,15 @@ def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarra
     return Solution(u, f, np.linalg.norm(gradient, axis=0) / np.maximum(scale, 1e-300), 1)
 
 
-def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram, inward: np.ndarray | None,
+def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram,
+          inward: np.ndarray | None,
           rough: sparse.csr_matrix, start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
     gram = sparse.csc_matrix(k.T @ k)
     transposed = sparse.csr_matrix(k.T)
     pulled = sparse.csr_matrix(transposed @ rough)
     fixed = sparse.csc_matrix(sparse.diags(weight) + pulled @ k)
-    # weight u + rho K^T K u: the displacements that are neither stiff nor soft decide; 100 is what takes the fewest steps on bubbles
+    # weight u + rho K^T K u: the displacements that are neither stiff nor soft decide; 100 is what takes the fewest
+    # steps on bubbles
     rho = 100.0 * float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
     f = k @ d + c
     raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # below a nanonewton there is nothing to solve
@@ -186,7 +208,9 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
             break
         ratio = float(np.median(primal[left]) / max(np.median(dual[left]), 1e-300))
         if not left.all():
-            open_, c, d, aim, f, scaled, raw = open_[left], c[:, left], d[:, left], aim[:, left], f[:, left], scaled[:, left], raw[left]
+            open_, c, d, aim, f, scaled, raw = open_[left], c[:, left], d[:,
+                                                                          left], aim[:, left], f[:, left], scaled[:,
+                                                                                                                  left], raw[left]
             inward = None if inward is None else inward[:, left]
         if (ratio > _BALANCE or ratio < 1.0 / _BALANCE) and iteration % (5 * _CHECK) == 0:
             factor_of = float(np.clip(np.sqrt(ratio), 0.2, 5.0))

@@ -1,9 +1,10 @@
-"""What a time-of-flight camera like Azure Kinect does to depth: noise that grows with distance, whole millimetres, and holes along edges.
+"""What a time-of-flight camera like Azure Kinect does to depth: noise that grows with distance, whole millimetres, and
+holes along edges.
 
     z' = 1 mm * round((z + N(0, s(z))) / 1 mm),   s(z) = 0.5 mm + 0.9 mm (z / 1 m)^2
 
-The standard deviation follows measurements of such a camera (Toelgyessy et al. 2021, Sensors 21:413: about 1 mm at 1 m, a few millimetres at 3 m); the share of
-pixels that are lost where near and far mix in one pixel is an assumption.
+The standard deviation follows measurements of such a camera (Toelgyessy et al. 2021, Sensors 21:413: about 1 mm at 1 m,
+a few millimetres at 3 m); the share of pixels that are lost where near and far mix in one pixel is an assumption.
 """
 
 from __future__ import annotations

@@ -1,11 +1,12 @@
 """Finite elements of a thin membrane over air, in numpy: what the force estimator knows of the sensor.
 
-They are the estimator's own, apart from the simulator's elements in `vsfsim.physics`, and work on the read-out mesh of linear triangles.
+They are the estimator's own, apart from the simulator's elements in `vsfsim.physics`, and work on the read-out mesh of
+linear triangles.
 
     plane stress   K_e = A B^T D B in the plane of each triangle, D of modulus times thickness E h [N/m] and nu
-    tension        K_e = A N gradN_a . gradN_b I: a taut skin resists being moved across itself (isotropic tension N [N/m])
-    neo-Hookean    W = mu h / 2 (tr C + 1 / det C - 3) per reference area; incompressible, plane stress (Treloar 1943)
-    air            force p a_i on node i, a_i a third of the area vectors of the triangles around it
+    tension        K_e = A N gradN_a . gradN_b I: a taut skin resists being moved across itself (isotropic tension N
+    [N/m]) neo-Hookean    W = mu h / 2 (tr C + 1 / det C - 3) per reference area; incompressible, plane stress (Treloar
+    1943) air            force p a_i on node i, a_i a third of the area vectors of the triangles around it
 """
 
 from __future__ import annotations
@@ -24,15 +25,18 @@ def checked_mesh(points: np.ndarray, triangles: np.ndarray, where: str) -> tuple
     """Points (n, 3) [m] and triangles (m, 3) as float64 and int64.
 
     Raises:
-        SensorError: shapes that do not fit, a point that is not finite, an index out of range, or a triangle without area.
+        SensorError: shapes that do not fit, a point that is not finite, an index out of range, or a triangle without
+        area.
     """
     points, triangles = np.asarray(points, np.float64), np.asarray(triangles)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise SensorError(f"{where}: points have shape {points.shape}; give finite positions (n, 3) in metres.")
     if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0 or triangles.dtype.kind not in "iu":
-        raise SensorError(f"{where}: triangles have shape {triangles.shape} and dtype {triangles.dtype}; give whole numbers (m, 3), m >= 1.")
+        raise SensorError(f"{where}: triangles have shape {triangles.shape} and dtype {triangles.dtype}; give whole "
+                          f"numbers (m, 3), m >= 1.")
     if triangles.min() < 0 or triangles.max() >= len(points):
-        raise SensorError(f"{where}: a triangle names point {int(triangles.max())} of {len(points)}; indices go from 0 to {len(points) - 1}.")
+        raise SensorError(f"{where}: a triangle names point {int(triangles.max())} of {len(points)}; indices go from 0 "
+                          f"to {len(points) - 1}.")
     flat = np.flatnonzero(np.linalg.norm(area_vectors(points, triangles), axis=1) <= 0.0)
     if len(flat):
         raise SensorError(f"{where}: triangle {int(flat[0])} has no area; remove it or mend the mesh.")
@@ -79,14 +83,17 @@ def _gradients(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, n
     return axes, np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1), area
 
 
-def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness: float, *, poisson_ratio: float = 0.5) -> sparse.csr_matrix:
+def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness: float, *,
+                           poisson_ratio: float = 0.5) -> sparse.csr_matrix:
     """Linear stiffness (3 n, 3 n) [N/m] of a membrane about ``points`` (n, 3) [m].
 
     Args:
-        stiffness: Young's modulus times thickness, E h [N/m]. poisson_ratio: nu, -1 < nu < 1; 0.5 is incompressible, and fine in plane stress.
+        stiffness: Young's modulus times thickness, E h [N/m]. poisson_ratio: nu, -1 < nu < 1; 0.5 is incompressible,
+        and fine in plane stress.
     """
     axes, gradient, area = _gradients(points, triangles)
-    d = stiffness / (1.0 - poisson_ratio**2) * np.array([[1.0, poisson_ratio, 0.0], [poisson_ratio, 1.0, 0.0], [0.0, 0.0, 0.5 * (1.0 - poisson_ratio)]])
+    d = stiffness / (1.0 - poisson_ratio**2) * np.array([[1.0, poisson_ratio, 0.0], [poisson_ratio, 1.0, 0.0],
+                                                         [0.0, 0.0, 0.5 * (1.0 - poisson_ratio)]])
     # strain of node a moving along in-plane axis i, then along x, y, z
     b = np.zeros((len(triangles), 3, 3, 2))
     b[:, 0, :, 0], b[:, 1, :, 1] = gradient[..., 0], gradient[..., 1]
@@ -98,7 +105,8 @@ def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness:
 def tension_stiffness(points: np.ndarray, triangles: np.ndarray, tension: float) -> sparse.csr_matrix:
     """Geometric stiffness (3 n, 3 n) [N/m] of a uniform tension [N/m] at ``points`` (n, 3) [m].
 
-    Only the part across the skin; what a tension does to a stretch in the plane belongs to the elastic part, which was calibrated as a whole.
+    Only the part across the skin; what a tension does to a stretch in the plane belongs to the elastic part, which was
+    calibrated as a whole.
     """
     axes, gradient, area = _gradients(points, triangles)
     normal = np.cross(axes[:, 0], axes[:, 1])
@@ -108,7 +116,8 @@ def tension_stiffness(points: np.ndarray, triangles: np.ndarray, tension: float)
 
 
 def uniform_tension(points: np.ndarray, triangles: np.ndarray, pressure: float, inner: np.ndarray) -> float:
-    """The uniform tension [N/m] that comes closest to balancing the air's pressure [Pa] on the nodes ``inner`` (k,): a soap film's.
+    """The uniform tension [N/m] that comes closest to balancing the air's pressure [Pa] on the nodes ``inner`` (k,): a
+    soap film's.
 
     Raises:
         SensorError: the mesh is flat, so that no tension balances a pressure.
@@ -118,7 +127,8 @@ def uniform_tension(points: np.ndarray, triangles: np.ndarray, pressure: float, 
     np.add.at(pull, triangles, np.einsum("m,mai,mix->max", area, gradient, axes))
     air = nodal_areas(points, triangles)
     if not np.linalg.norm(pull[inner]) > 1e-6 * np.linalg.norm(air[inner]):
-        raise SensorError("membrane: the rest shape is flat, and no tension holds a pressure there; give the inflated dome.")
+        raise SensorError("membrane: the rest shape is flat, and no tension holds a pressure there; give the "
+                          "inflated dome.")
     return float(pressure * np.sum(pull[inner] * air[inner]) / np.sum(pull[inner] ** 2))
 
 
@@ -142,7 +152,8 @@ class NeoHookeanMembrane:
     """An incompressible neo-Hookean membrane whose stress-free state is flat.
 
     Args:
-        reference: material coordinates of the nodes, stress-free (n, 2) [m]. triangles: (m, 3). shear: mu times the stress-free thickness,
+        reference: material coordinates of the nodes, stress-free (n, 2) [m]. triangles: (m, 3). shear: mu times the
+        stress-free thickness,
             mu h = E h / 3 (one number or (m,)) [N/m].
 
     Raises:
@@ -151,10 +162,12 @@ class NeoHookeanMembrane:
 
     def __init__(self, reference: np.ndarray, triangles: np.ndarray, shear: float | np.ndarray):
         reference = np.asarray(reference, np.float64)
-        edges = np.stack([reference[triangles[:, 1]] - reference[triangles[:, 0]], reference[triangles[:, 2]] - reference[triangles[:, 0]]], axis=2)
+        edges = np.stack([reference[triangles[:, 1]] - reference[triangles[:, 0]],
+                          reference[triangles[:, 2]] - reference[triangles[:, 0]]], axis=2)
         area = 0.5 * np.linalg.det(edges)
         if not (area > 0.0).all():
-            raise SensorError(f"membrane: reference triangle {int(np.argmin(area))} has area {area.min():.3g} m^2; all must be wound the same way, area > 0.")
+            raise SensorError(f"membrane: reference triangle {int(np.argmin(area))} has area {area.min():.3g} m^2; all "
+                              f"must be wound the same way, area > 0.")
         self.shear = np.broadcast_to(np.asarray(shear, np.float64), area.shape)
         if not (np.isfinite(self.shear).all() and (self.shear > 0.0).all()):
             raise SensorError(f"membrane: mu h is {shear!r}; it must be greater than 0, in newtons per metre.")
@@ -167,7 +180,8 @@ class NeoHookeanMembrane:
         c = np.einsum("mxi,mxj->mij", f, f)
         det = c[:, 0, 0] * c[:, 1, 1] - c[:, 0, 1] ** 2
         if not (det > 0.0).all():
-            raise SensorError(f"membrane: triangle {int(np.argmin(det))} is squashed flat; the positions are not those of a sensor.")
+            raise SensorError(f"membrane: triangle {int(np.argmin(det))} is squashed flat; the positions are not those "
+                              f"of a sensor.")
         return f, c, det, np.linalg.inv(c)
 
     def energy(self, points: np.ndarray) -> float:
@@ -193,7 +207,10 @@ class NeoHookeanMembrane:
         half = np.einsum("mbi,myj->mbyij", self.gradient, f)
         dc = half + np.swapaxes(half, 3, 4)
         trace = np.einsum("mij,mbyij->mby", inverse, dc)
-        ds = (scale / det)[:, None, None, None, None] * (trace[..., None, None] * inverse[:, None, None] + np.einsum("mik,mbykl,mlj->mbyij", inverse, dc, inverse))
+        ds = (scale / det)[:, None, None, None, None] * (trace[..., None,
+                                                               None] * inverse[:, None,
+                                                                               None] + np.einsum("mik,mbykl,mlj->mbyij",
+                                                                                                 inverse, dc, inverse))
         element = np.einsum("mxi,mbyij,maj->maxby", f, ds, self.gradient)
         element += np.einsum("mab,xy->maxby", geometric, np.eye(3))
         return assemble(self.triangles, element.reshape(len(self.triangles), 9, 9), self.nodes)

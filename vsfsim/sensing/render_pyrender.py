@@ -49,11 +49,13 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
     colour = np.concatenate([surface.appearance.albedo[surface.region], np.ones((len(faces), 1))], axis=1)
     material = pyrender.MetallicRoughnessMaterial(metallicFactor=0.0, roughnessFactor=0.7, doubleSided=True)
-    primitive = pyrender.Primitive(positions=positions.astype(np.float32), normals=np.repeat(normals, 3, axis=0).astype(np.float32),
+    primitive = pyrender.Primitive(positions=positions.astype(np.float32),
+                                   normals=np.repeat(normals, 3, axis=0).astype(np.float32),
                                    color_0=np.repeat(colour, 3, axis=0).astype(np.float32), material=material, mode=4)
     node = scene.add(pyrender.Mesh([primitive]))
     # pyrender counts pixels from the corner of the picture, we from the centre of the first pixel.
-    camera = pyrender.IntrinsicsCamera(intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] + 0.5, intrinsics[1, 2] + 0.5,
+    camera = pyrender.IntrinsicsCamera(intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] + 0.5,
+                                       intrinsics[1, 2] + 0.5,
                                        znear=near, zfar=far)
     scene.add(camera, pose=np.eye(4))
     light = np.eye(4)
@@ -114,6 +116,8 @@ def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
-def _empty(intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, background: tuple[int, int, int]) -> View:
+def _empty(intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int,
+           background: tuple[int, int, int]) -> View:
     rgb = np.broadcast_to(np.asarray(background, np.uint8), (height, width, 3)).copy()
-    return View(rgb, np.zeros((height, width), np.float32), np.zeros((height, width), bool), intrinsics.copy(), camera_pose.copy())
+    return View(rgb, np.zeros((height, width), np.float32), np.zeros((height, width), bool), intrinsics.copy(),
+                camera_pose.copy())

@@ -94,7 +94,8 @@ def _texture(kind: int, p: wp.vec3) -> float:
     """Brightness of a texture at ``p`` (in wavelengths), -1..1 with mean about 0."""
     turn = float(_TURN)
     if kind == _NOISE:
-        n = _value_noise(p) + 0.5 * _value_noise(2.03 * p + wp.vec3(17.0)) + 0.25 * _value_noise(4.01 * p + wp.vec3(41.0))
+        n = _value_noise(p) + 0.5 * _value_noise(2.03 * p
+                                                 + wp.vec3(17.0)) + 0.25 * _value_noise(4.01 * p + wp.vec3(41.0))
         return wp.clamp((n / 1.75 - 0.5) * 3.0, -1.0, 1.0)
     if kind == _WEAVE:
         # Two crossing sets of threads over all three axes: cuts in any plane show a weave.

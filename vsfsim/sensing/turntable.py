@@ -43,7 +43,8 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
     if young_modulus is not None:
         modulus = np.asarray(young_modulus, np.float64)
         if modulus.shape != (len(surface.triangles),) or not (np.isfinite(modulus).all() and (modulus > 0.0).all()):
-            raise RenderError(f"turntable: young_modulus has shape {modulus.shape}; give a positive number of pascals a triangle, ({len(surface.triangles)},).")
+            raise RenderError(f"turntable: young_modulus has shape {modulus.shape}; give a positive number of pascals "
+                              f"a triangle, ({len(surface.triangles)},).")
         # A body of one modulus still gets a bar with two ends, and a power of ten on it to read.
         room = 1.05 if modulus.max() > 10.0 * modulus.min() else 3.5
         low, high = modulus.min() / room, modulus.max() * room
@@ -67,19 +68,24 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
             row = (k // columns) * len(looks) + j
             axes = figure.add_axes(((k % columns) * inch / width, 1.0 - (head + (row + 1) * high_inch) / height,
                                     inch / width, high_inch / height))
-            axes.imshow(render(look, intrinsics, pose, size, tall, device=device, renderer=renderer, shading=shading).rgb)
+            axes.imshow(render(look, intrinsics, pose, size, tall, device=device, renderer=renderer,
+                               shading=shading).rgb)
             axes.set_axis_off()
             if j == 0:
-                axes.text(0.03, 0.96, f"{360.0 * k / frames:.0f}°", transform=axes.transAxes, va="top", fontsize=9, color="0.25")
+                axes.text(0.03, 0.96, f"{360.0 * k / frames:.0f}°", transform=axes.transAxes, va="top", fontsize=9,
+                          color="0.25")
     extent = surface.vertices.max(axis=0) - surface.vertices.min(axis=0)
     name = f"{title}   " if title else ""
-    figure.text(0.01, 1.0 - 0.5 * head / height, f"{name}{' × '.join(f'{1e3 * e:.0f}' for e in extent)} mm, {len(surface.triangles)} triangles",
+    figure.text(0.01, 1.0 - 0.5 * head / height,
+                f"{name}{' × '.join(f'{1e3 * e:.0f}' for e in extent)} mm, {len(surface.triangles)} triangles",
                 va="center", fontsize=10)
     if scale is not None:
         length = min(4.0, height - head - 0.4)
-        axes = figure.add_axes(((width - bar + 0.12) / width, 0.5 - 0.5 * (length + head) / height, 0.16 / width, length / height))
+        axes = figure.add_axes(((width - bar + 0.12) / width, 0.5 - 0.5 * (length + head) / height, 0.16 / width,
+                                length / height))
         figure.colorbar(scale, cax=axes).set_label("Young's modulus [Pa]", fontsize=9)
-        axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())  # powers of ten alone leave room for the label
+        # powers of ten alone leave room for the label
+        axes.yaxis.set_minor_formatter(matplotlib.ticker.NullFormatter())
     figure.savefig(out_png, dpi=100)
 
 

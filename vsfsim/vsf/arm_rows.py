@@ -1,7 +1,7 @@
 """Joint torques of a VSF touched by a whole arm: the particles that its capsules drag, and the rows of SBML eq. 7.
 
-Each capsule drags particles by the stick-slip motion of `vsf.dynamics`. A particle that several capsules hold at once goes with the one that displaces it
-most. A particle held by link l turns only the joints before l.
+Each capsule drags particles by the stick-slip motion of `vsf.dynamics`. A particle that several capsules hold at once
+goes with the one that displaces it most. A particle held by link l turns only the joints before l.
 """
 
 from __future__ import annotations
@@ -17,17 +17,22 @@ from vsfsim.vsf.dynamics import Displacements, simulate_each
 from vsfsim.vsf.observe import joint_torque_rows
 
 
-def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[tuple[int, Displacements]]:
-    """The displaced particles of every frame, by the link that holds them: (link, displacements), links that hold none left out.
+def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu",
+                      max_step: float = 2e-3) -> list[tuple[int, Displacements]]:
+    """The displaced particles of every frame, by the link that holds them: (link, displacements), links that hold none
+    left out.
 
     Args:
-        particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp device. max_step: see `dynamics.simulate` [m].
+        particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp
+        device. max_step: see `dynamics.simulate` [m].
     """
     return arm_displacements_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
 
 
-def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[list[tuple[int, Displacements]]]:
-    """`arm_displacements` of several touches, each through particles at rest; on a GPU together, see `dynamics.simulate_each`."""
+def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float,
+                           device: str = "cpu", max_step: float = 2e-3) -> list[list[tuple[int, Displacements]]]:
+    """`arm_displacements` of several touches, each through particles at rest; on a GPU together, see
+    `dynamics.simulate_each`."""
     low, high = (particles.min(axis=0), particles.max(axis=0)) if len(particles) else (np.zeros(3), np.zeros(3))
     moves: list[tuple[Capsule, np.ndarray]] = []
     which: list[tuple[int, int, int, int]] = []
@@ -47,9 +52,11 @@ def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequenc
             moves.append((Capsule(capsule.radius, length), poses[begin:end, k]))
             which.append((number, capsule.link, begin, end))
     found: list[list[tuple[int, Displacements]]] = [[] for _ in touches]
-    for (number, link, begin, end), moved in zip(which, simulate_each(particles, moves, friction=friction, device=device, max_step=max_step), strict=True):
+    for (number, link, begin, end), moved in zip(which, simulate_each(particles, moves, friction=friction,
+                                                                      device=device, max_step=max_step), strict=True):
         if len(moved.particle):
-            pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer, np.full(len(touches[number]) - end, moved.pointer[-1])])
+            pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer,
+                                      np.full(len(touches[number]) - end, moved.pointer[-1])])
             found[number].append((link, Displacements(pointer, moved.particle, moved.displacement)))
     return [_shared_out(some, len(q)) for some, q in zip(found, touches, strict=True)]
 
@@ -75,18 +82,23 @@ def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tup
     return out
 
 
-def arm_torque_rows(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> sparse.csr_matrix:
-    """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques of the contact on the joints [N m] (SBML eq. 7)."""
+def arm_torque_rows(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu",
+                    max_step: float = 2e-3) -> sparse.csr_matrix:
+    """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques of the contact on the joints [N
+    m] (SBML eq. 7)."""
     return arm_torque_rows_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
 
 
-def arm_torque_rows_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float, device: str = "cpu", max_step: float = 2e-3) -> list[sparse.csr_matrix]:
+def arm_torque_rows_each(particles: np.ndarray, chain: Chain, touches: Sequence[np.ndarray], *, friction: float,
+                         device: str = "cpu", max_step: float = 2e-3) -> list[sparse.csr_matrix]:
     """`arm_torque_rows` of several touches, each through particles at rest."""
     out = []
-    for q, found in zip(touches, arm_displacements_each(particles, chain, touches, friction=friction, device=device, max_step=max_step), strict=True):
+    for q, found in zip(touches, arm_displacements_each(particles, chain, touches, friction=friction, device=device,
+                                                        max_step=max_step), strict=True):
         axes, origins = chain.joint_axes(chain.links(q))
         total = sparse.csr_matrix((len(q) * chain.dof, len(particles)))
         for link, moved in found:
-            total = total + joint_torque_rows(moved, particles, np.where(chain.moves(link)[None, :, None], axes, 0.0), origins)
+            total = total + joint_torque_rows(moved, particles, np.where(chain.moves(link)[None, :, None], axes, 0.0),
+                                              origins)
         out.append(sparse.csr_matrix(total))
     return out

@@ -71,8 +71,8 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
     """Drag a rigid probe through a cloud of particles.
 
     Particles start at rest. One that lies inside the probe at the first pose starts at the nearest point of the
-    probe's surface (from a sphere's very centre: along the probe's +z). A dome is moved as it is, undented, and particles
-    stick to it whatever the friction, as to rubber; inside it at the first pose they stay free.
+    probe's surface (from a sphere's very centre: along the probe's +z). A dome is moved as it is, undented, and
+    particles stick to it whatever the friction, as to rubber; inside it at the first pose they stay free.
 
     Args:
         particles: rest positions, world (n, 3) [m].
@@ -103,7 +103,8 @@ def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.nd
     Args, Raises: as `simulate`.
     """
     if not wp.get_device(device).is_cuda:
-        return [simulate(particles, probe, poses, friction=friction, device=device, precision=precision, max_step=max_step) for probe, poses in moves]
+        return [simulate(particles, probe, poses, friction=friction, device=device, precision=precision,
+                         max_step=max_step) for probe, poses in moves]
     streams = [wp.Stream(device) for _ in range(min(_STREAMS, len(moves)))]
     out: list[Displacements] = []
     for first in range(0, len(moves), _TOGETHER):
@@ -116,7 +117,8 @@ def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.nd
     return out
 
 
-def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str, max_step: float) -> Callable[[], Displacements]:
+def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str,
+           max_step: float) -> Callable[[], Displacements]:
     """Launches what `simulate` asks for; what comes back fetches the result."""
     particles, poses = _checked(particles, probe, poses, friction, precision, max_step)
     frames = len(poses)
@@ -150,14 +152,16 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
     return lambda: _joined([_sparse(moved.numpy().astype(np.float64), index) for moved, index, _ in launched], frames)
 
 
-def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray, frame_of: np.ndarray) -> Displacements:
+def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray,
+           frame_of: np.ndarray) -> Displacements:
     from vsfsim.vsf.sticking import stick
 
     vertices = np.einsum("sij,nj->sni", rotation, dome.points) + origin[:, None]
     all_steps = stick(particles[near], vertices, dome.faces).displacements()
     kept = [all_steps.frame(int(s)) for s in np.flatnonzero(frame_of >= 0)]
     pointer = np.concatenate([[0], np.cumsum([len(index) for index, _ in kept])]).astype(np.int64)
-    return Displacements(pointer, near[np.concatenate([index for index, _ in kept])].astype(np.int64), np.concatenate([moved for _, moved in kept]))
+    return Displacements(pointer, near[np.concatenate([index for index, _ in kept])].astype(np.int64),
+                         np.concatenate([moved for _, moved in kept]))
 
 
 def _sparse(moved: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -245,7 +249,8 @@ def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
         axis, angle = _axis_angle(before[:3, :3].T @ after[:3, :3])
         count = max(1, math.ceil((float(np.linalg.norm(shift)) + angle * reach) / step - 1e-9))
         s = np.arange(1, count + 1) / count
-        turn = before[:3, :3] @ _rotations(axis, angle * s) if angle > 0.0 else np.repeat(before[None, :3, :3], count, axis=0)
+        turn = before[:3, :3] @ _rotations(axis,
+                                           angle * s) if angle > 0.0 else np.repeat(before[None, :3, :3], count, axis=0)
         turn[-1] = after[:3, :3]
         rotations.append(turn)
         way = before[:3, 3] + s[:, None] * shift
@@ -282,18 +287,24 @@ def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, fricti
              max_step: float) -> tuple[np.ndarray, np.ndarray]:
     particles, poses = np.asarray(particles, np.float64), np.asarray(poses, np.float64)
     if particles.ndim != 2 or particles.shape[1] != 3 or not np.isfinite(particles).all():
-        raise VsfError(f"vsf.simulate: particles have shape {particles.shape}; give finite world positions (n, 3) in metres.")
+        raise VsfError(f"vsf.simulate: particles have shape {particles.shape}; give finite world positions (n, "
+                       f"3) in metres.")
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not np.isfinite(poses).all():
-        raise VsfError(f"vsf.simulate: poses have shape {poses.shape}; give finite probe-to-world transforms (T, 4, 4).")
+        raise VsfError(f"vsf.simulate: poses have shape {poses.shape}; give finite probe-to-world "
+                       f"transforms (T, 4, 4).")
     turn = poses[:, :3, :3]
-    if len(poses) and (np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6 or np.linalg.det(turn).min() < 0.0):
-        raise VsfError("vsf.simulate: a pose is not rigid; its upper left 3x3 block must be a rotation (no scale, no mirror).")
+    if len(poses) and (np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
+                       or np.linalg.det(turn).min() < 0.0):
+        raise VsfError("vsf.simulate: a pose is not rigid; its upper left 3x3 block must be a rotation (no scale, "
+                       "no mirror).")
     if not isinstance(probe, (Sphere, Capsule, Cylinder, Box, Plane, Dome)):
-        raise VsfError(f"vsf.simulate: probe is {probe!r}; it must be a Sphere, Capsule, Cylinder, Box or Plane of vsfsim.core.shape, or a Dome.")
+        raise VsfError(f"vsf.simulate: probe is {probe!r}; it must be a Sphere, Capsule, Cylinder, Box or Plane of "
+                       f"vsfsim.core.shape, or a Dome.")
     if not float(friction) >= 0.0:
         raise VsfError(f"vsf.simulate: friction is {friction!r}; it must be 0 or greater (math.inf sticks always).")
     if precision not in PRECISIONS:
         raise VsfError(f"vsf.simulate: precision is {precision!r}; allowed: {', '.join(PRECISIONS)}.")
     if not 0.0 < max_step < math.inf:
-        raise VsfError(f"vsf.simulate: max_step is {max_step!r}; it must be a length in metres greater than 0, e.g. 1e-3.")
+        raise VsfError(f"vsf.simulate: max_step is {max_step!r}; it must be a length in metres greater than "
+                       f"0, e.g. 1e-3.")
     return particles, poses

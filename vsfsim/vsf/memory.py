@@ -1,4 +1,5 @@
-"""What this process holds, as Linux counts it: the peak can be begun anew, so that a method's is not that of what was loaded before."""
+"""What this process holds, as Linux counts it: the peak can be begun anew, so that a method's is not that of what was
+loaded before."""
 
 from __future__ import annotations
 
@@ -7,7 +8,8 @@ from pathlib import Path
 
 
 def held_memory(*, reset: bool = False) -> float:
-    """What this process holds now [MiB]; ``reset`` begins the peak anew, where the kernel lets it (else the peak is that since the start)."""
+    """What this process holds now [MiB]; ``reset`` begins the peak anew, where the kernel lets it (else the peak is
+    that since the start)."""
     if reset:
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")

@@ -51,12 +51,14 @@ def normal_force_rows(displacements: Displacements, particles: int, axis: np.nda
     """
     axis = np.asarray(axis, np.float64)
     if axis.shape != (3,) or not abs(float(np.linalg.norm(axis)) - 1.0) < 1e-6:
-        raise VsfError(f"vsf.normal_force_rows: axis is {axis.tolist()}; give a unit vector (3,), the press direction in the world.")
+        raise VsfError(f"vsf.normal_force_rows: axis is {axis.tolist()}; give a unit vector (3,), the press direction "
+                       f"in the world.")
     return _rows(displacements, displacements.displacement @ axis, particles, "normal_force_rows")
 
 
 def pressure_rows(displacements: Displacements, particles: int, axes: np.ndarray, *, area: float) -> sparse.csr_matrix:
-    """Rows of the pressure in a bubble, W[t, i] = u_i . axis_t / area: the force into the bubble over the area of its base.
+    """Rows of the pressure in a bubble, W[t, i] = u_i . axis_t / area: the force into the bubble over the area of its
+    base.
 
     Args:
         displacements: of one touch. particles: how many particles the VSF has, n.
@@ -70,8 +72,10 @@ def pressure_rows(displacements: Displacements, particles: int, axes: np.ndarray
         VsfError: as `normal_force_rows`; an area that is not positive.
     """
     axes = np.asarray(axes, np.float64)
-    if axes.shape != (displacements.frames, 3) or (len(axes) and np.abs(np.linalg.norm(axes, axis=1) - 1.0).max() > 1e-6):
-        raise VsfError(f"vsf.pressure_rows: axes have shape {axes.shape}; give one unit vector a frame, ({displacements.frames}, 3).")
+    if axes.shape != (displacements.frames,
+                      3) or (len(axes) and np.abs(np.linalg.norm(axes, axis=1) - 1.0).max() > 1e-6):
+        raise VsfError(f"vsf.pressure_rows: axes have shape {axes.shape}; give one unit vector a frame, "
+                       f"({displacements.frames}, 3).")
     if not 0.0 < area < np.inf:
         raise VsfError(f"vsf.pressure_rows: area is {area!r}; it must be greater than 0, in square metres.")
     frame = np.repeat(np.arange(displacements.frames), np.diff(displacements.pointer))
@@ -79,14 +83,18 @@ def pressure_rows(displacements: Displacements, particles: int, axes: np.ndarray
     return _rows(displacements, values, particles, "pressure_rows")
 
 
-def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.ndarray, origins: np.ndarray) -> sparse.csr_matrix:
-    """Rows of the joint torques, W[(t, j), i] = -J_i^T u_i (SBML eq. 7): the torque of the contact on joint j in frame t.
+def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.ndarray,
+                      origins: np.ndarray) -> sparse.csr_matrix:
+    """Rows of the joint torques, W[(t, j), i] = -J_i^T u_i (SBML eq. 7): the torque of the contact on joint j in frame
+    t.
 
-    Column j of J(p) is axis_j x (p - origin_j) for a revolute joint; the force of particle i on the arm is -K_i u_i at p_i = p0_i + u_i.
+    Column j of J(p) is axis_j x (p - origin_j) for a revolute joint; the force of particle i on the arm is -K_i u_i at
+    p_i = p0_i + u_i.
 
     Args:
         displacements: of one touch. rest: positions of all particles, world (n, 3) [m].
-        axes: unit axis of every joint in every frame, world (T, J, 3) [-]; zero for a joint past the touched link, which feels nothing.
+        axes: unit axis of every joint in every frame, world (T, J, 3) [-]; zero for a joint past the touched link,
+        which feels nothing.
         origins: a point on each of them, world (T, J, 3) [m].
 
     Returns:
@@ -98,10 +106,12 @@ def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.n
     rest, axes, origins = (np.asarray(x, np.float64) for x in (rest, axes, origins))
     frames = displacements.frames
     if axes.ndim != 3 or axes.shape[0] != frames or axes.shape[2:] != (3,) or origins.shape != axes.shape:
-        raise VsfError(f"vsf.joint_torque_rows: axes {axes.shape} and origins {origins.shape}; both must be (T, J, 3) with T = {frames} frames.")
+        raise VsfError(f"vsf.joint_torque_rows: axes {axes.shape} and origins {origins.shape}; both must be (T, J, 3) "
+                       f"with T = {frames} frames.")
     joints = axes.shape[1]
     if len(displacements.particle) and int(displacements.particle.max()) >= len(rest):
-        raise VsfError(f"vsf.joint_torque_rows: the touch displaces particle {int(displacements.particle.max())}, but {len(rest)} rest positions are given.")
+        raise VsfError(f"vsf.joint_torque_rows: the touch displaces particle {int(displacements.particle.max())}, but "
+                       f"{len(rest)} rest positions are given.")
     frame = np.repeat(np.arange(frames), np.diff(displacements.pointer))
     u = displacements.displacement
     arm = (rest[displacements.particle] + u)[:, None] - origins[frame]
@@ -112,7 +122,8 @@ def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.n
 
 
 def dense_force_rows(contacts: Contacts, particles: int, triangles: np.ndarray, vertices: int) -> sparse.csr_matrix:
-    """Rows of the forces on a sensor's vertices, W[(t, v, x), i] = -(A_i^T u_i)[v, x] (Neural VSF eq. 3, by virtual work).
+    """Rows of the forces on a sensor's vertices, W[(t, v, x), i] = -(A_i^T u_i)[v, x] (Neural VSF eq. 3, by virtual
+    work).
 
     A particle is held by three vertices, so a column has 9 entries a frame.
 
@@ -121,15 +132,17 @@ def dense_force_rows(contacts: Contacts, particles: int, triangles: np.ndarray, 
         triangles: corners (m, 3), as given to `stick`. vertices: how many the surface has, N.
 
     Returns:
-        W (T N 3, n) [m], frame by frame, vertex by vertex, x y z: times stiffnesses [N/m] it gives the force of the object on each
-        vertex, world [N].
+        W (T N 3, n) [m], frame by frame, vertex by vertex, x y z: times stiffnesses [N/m] it gives the force of the
+        object on each vertex, world [N].
 
     Raises:
         VsfError: a held particle is not among the n, or a triangle not among the given ones.
     """
     triangles = np.asarray(triangles)
-    if len(contacts.particle) and (int(contacts.particle.max()) >= particles or int(contacts.triangle.max()) >= len(triangles)):
-        raise VsfError(f"vsf.dense_force_rows: contacts name particle {int(contacts.particle.max())} and triangle {int(contacts.triangle.max())}, but there are {particles} and {len(triangles)}.")
+    if len(contacts.particle) and (int(contacts.particle.max()) >= particles
+                                   or int(contacts.triangle.max()) >= len(triangles)):
+        raise VsfError(f"vsf.dense_force_rows: contacts name particle {int(contacts.particle.max())} and triangle "
+                       f"{int(contacts.triangle.max())}, but there are {particles} and {len(triangles)}.")
     frames = len(contacts.pointer) - 1
     frame = np.repeat(np.arange(frames), np.diff(contacts.pointer))
     values = -contacts.weight[:, :, None] * contacts.displacement[:, None, :]
@@ -141,7 +154,8 @@ def dense_force_rows(contacts: Contacts, particles: int, triangles: np.ndarray, 
 def _rows(displacements: Displacements, values: np.ndarray, particles: int, where: str) -> sparse.csr_matrix:
     if len(displacements.particle) and int(displacements.particle.max()) >= particles:
         raise VsfError(
-            f"vsf.{where}: the touch displaces particle {int(displacements.particle.max())}, but the VSF is said to have "
+            f"vsf.{where}: the touch displaces particle {int(displacements.particle.max())}, but the VSF is "
+            f"said to have "
             f"{particles}; give the number of particles that `simulate` was run with."
         )
     shape = (displacements.frames, particles)

@@ -37,7 +37,8 @@ def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
     """
     cloud = view.points()
     if len(cloud) == 0:
-        raise VsfError("vsf.bounds_from_view: the view's mask is empty; point the camera at the object, or give the bounds.")
+        raise VsfError("vsf.bounds_from_view: the view's mask is empty; point the camera at the object, or give "
+                       "the bounds.")
     if not 0.0 <= margin < math.inf:
         raise VsfError(f"vsf.bounds_from_view: margin is {margin!r}; it must be a length in metres, 0 or more.")
     bounds = np.stack([cloud.min(axis=0) - margin, cloud.max(axis=0) + margin])
@@ -66,9 +67,11 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
     """
     bounds = bounds_from_view(view) if bounds is None else np.asarray(bounds, np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
-        raise VsfError(f"vsf.particles: bounds are {bounds.tolist()}; give the lower and the upper corner, (2, 3) in metres.")
+        raise VsfError(f"vsf.particles: bounds are {bounds.tolist()}; give the lower and the upper corner, (2, "
+                       f"3) in metres.")
     if not 0.0 < spacing < math.inf:
-        raise VsfError(f"vsf.particles: spacing is {spacing!r}; it must be a length in metres greater than 0, e.g. 0.005.")
+        raise VsfError(f"vsf.particles: spacing is {spacing!r}; it must be a length in metres greater than 0, "
+                       f"e.g. 0.005.")
     if max_particles is not None and max_particles < 1:
         raise VsfError(f"vsf.particles: max_particles is {max_particles!r}; it must be at least 1, or None for all.")
     # At least one cell an axis, the grid centred in the bounds; 1e-9 keeps 0.1 / 0.005 at 20 cells.
@@ -76,7 +79,8 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
     if count.prod() > _MAX_GRID:
         raise VsfError(
             f"vsf.particles: a spacing of {spacing:g} m makes {count.prod():.2g} grid points in a volume of "
-            f"{' x '.join(f'{s:.3g}' for s in bounds[1] - bounds[0])} m; at most {_MAX_GRID:.0e}. Is the spacing in metres?"
+            f"{' x '.join(f'{s:.3g}' for s in bounds[1] - bounds[0])} m; at most {_MAX_GRID:.0e}. Is the "
+            f"spacing in metres?"
         )
     shape = tuple(int(c) for c in count)
     first = 0.5 * (bounds[0] + bounds[1]) - 0.5 * (count - 1) * spacing

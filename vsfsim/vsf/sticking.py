@@ -1,9 +1,9 @@
 """Particles against a sensor surface that deforms: pure sticking (Neural VSF section III-B).
 
-A particle is met when a triangle of the surface passes over it, from its outer side. It then sticks to that very point of the
-triangle, kept in barycentric coordinates, and is carried along; it lets go and returns to rest when its pull points
-out of the surface. The friction of a rubber bubble is high, so it does not slide. The particle's place is A V with A made of the
-barycentric coordinates (III-C), and the same A turns its force into forces on the vertices.
+A particle is met when a triangle of the surface passes over it, from its outer side. It then sticks to that very point
+of the triangle, kept in barycentric coordinates, and is carried along; it lets go and returns to rest when its pull
+points out of the surface. The friction of a rubber bubble is high, so it does not slide. The particle's place is A V
+with A made of the barycentric coordinates (III-C), and the same A turns its force into forces on the vertices.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from vsfsim.vsf.dynamics import Displacements, VsfError
 
 # Triangles whose centres are nearest to a particle that are tried as the one that passes over it.
 _CANDIDATES = 12
-# How far outside a triangle a crossing still counts, in barycentric units: neighbours share an edge, and rounding must not let a
-# particle slip between them.
+# How far outside a triangle a crossing still counts, in barycentric units: neighbours share an edge, and rounding must
+# not let a particle slip between them.
 _EDGE = 1e-6
 
 
@@ -27,7 +27,8 @@ class Contacts:
     """Where a touch holds particles, in CSR form by frame.
 
     pointer: entries of frame t are pointer[t] : pointer[t + 1] (T + 1,). particle: (k,) int, rising within a frame.
-    triangle: that it sticks to (k,) int. weight: barycentric coordinates on it (k, 3) [-]. displacement: u = p - p0, world (k, 3) [m].
+    triangle: that it sticks to (k,) int. weight: barycentric coordinates on it (k, 3) [-]. displacement: u = p - p0,
+    world (k, 3) [m].
     """
 
     pointer: np.ndarray
@@ -52,11 +53,15 @@ def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) ->
     Raises:
         VsfError: shapes that do not fit, values that are not finite, or corners out of range.
     """
-    particles, vertices, triangles = np.asarray(particles, np.float64), np.asarray(vertices, np.float64), np.asarray(triangles)
-    if particles.ndim != 2 or particles.shape[1] != 3 or vertices.ndim != 3 or vertices.shape[2] != 3 or triangles.ndim != 2 or triangles.shape[1] != 3:
-        raise VsfError(f"vsf.stick: particles {particles.shape}, vertices {vertices.shape}, triangles {triangles.shape}; give (n, 3), (T, N, 3), (m, 3).")
+    particles, vertices, triangles = np.asarray(particles, np.float64), np.asarray(vertices,
+                                                                                   np.float64), np.asarray(triangles)
+    if (particles.ndim != 2 or particles.shape[1] != 3 or vertices.ndim != 3 or vertices.shape[2] != 3
+        or triangles.ndim != 2 or triangles.shape[1] != 3):
+        raise VsfError(f"vsf.stick: particles {particles.shape}, vertices {vertices.shape}, triangles "
+                       f"{triangles.shape}; give (n, 3), (T, N, 3), (m, 3).")
     if not (np.isfinite(particles).all() and np.isfinite(vertices).all()):
-        raise VsfError("vsf.stick: particles and vertices must be finite; leave out frames without a reconstruction of the surface.")
+        raise VsfError("vsf.stick: particles and vertices must be finite; leave out frames without a reconstruction of "
+                       "the surface.")
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < vertices.shape[1]:
         raise VsfError(f"vsf.stick: triangles name vertex {triangles.max()}, but the surface has {vertices.shape[1]}.")
     held = np.full(len(particles), -1)
@@ -90,8 +95,10 @@ def _within(particles: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     return np.flatnonzero(np.all((particles >= low) & (particles <= high), axis=1))
 
 
-def _met(points: np.ndarray, before: np.ndarray, after: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which of ``points`` (k, 3) a triangle passed over between two frames: their indices, the triangles, barycentric coordinates."""
+def _met(points: np.ndarray, before: np.ndarray, after: np.ndarray,
+         triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which of ``points`` (k, 3) a triangle passed over between two frames: their indices, the triangles, barycentric
+    coordinates."""
     none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     if len(points) == 0 or len(triangles) == 0:
         return none

@@ -32,9 +32,13 @@ from vsfsim.sensing.camera import look_at
 from vsfsim.sensing.kinect import kinect_depth
 
 _DEPTH = 3  # random stream of the depth camera's noise, after those of `generate.run`
-JOINT_RATE = 0.3  # rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
-TRAVEL, WORK, PATIENCE = 120, 120, 30_000  # Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter strides any more, and in all.
-# with 200 for the second the work is a third more and the longest touch half as long again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as much
+# rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
+JOINT_RATE = 0.3
+# Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
+# strides any more, and in all.
+TRAVEL, WORK, PATIENCE = 120, 120, 30_000
+# with 200 for the second the work is a third more and the longest touch half as long again, and 3.7 % of the readings
+# are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as much
 
 
 @dataclass
@@ -59,18 +63,21 @@ class Seconds:
         return now
 
 
-def make_views(jobs: Sequence[Any], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+def make_views(jobs: Sequence[Any], *, device: str, progress: Callable[[int], None] | None = None,
+               seconds: Seconds | None = None) -> list[ObjectView]:
     """The object views of some jobs (`generate.run.Job`), touched together.
 
     Args:
         device: Warp device. progress: called with the number of frames newly done. seconds: where the time is charged.
     """
-    return touch([prepare_job(job, device=device, seconds=seconds) for job in jobs], device=device, progress=progress, seconds=seconds)
+    return touch([prepare_job(job, device=device, seconds=seconds) for job in jobs], device=device, progress=progress,
+                 seconds=seconds)
 
 
 @dataclass(frozen=True)
 class Outline:
-    """A view before it is seen: its scene, the plant as this view turns it, and that as beams. seeds: streams by name: "depth", and "aim" with the number of a touch."""
+    """A view before it is seen: its scene, the plant as this view turns it, and that as beams. seeds: streams by name:
+    "depth", and "aim" with the number of a touch."""
 
     scene: Scene
     touches: TouchSpec
@@ -94,7 +101,8 @@ def outline(job: Any) -> Outline:
         return stream(r.seed, _DEPTH, o, v) if name == "depth" else stream(r.seed, _AIM, o, v, int(name.split()[1]))
 
     plant = grow(scene, stream(r.seed, _BODY, o), number=o).turned(2.0 * np.pi * v / r.views)
-    return Outline(scene, dataclasses.replace(scene.touches, count=r.touches), plant, build(plant, gravity=scene.gravity), seeds)
+    return Outline(scene, dataclasses.replace(scene.touches, count=r.touches), plant,
+                   build(plant, gravity=scene.gravity), seeds)
 
 
 def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Subject:
@@ -105,7 +113,8 @@ def prepare_job(job: Any, *, device: str, seconds: Seconds | None = None) -> Sub
     seconds.charge("grow", since)
     view = look(o, job, device=device, seconds=seconds)
     arm, aims, poses = choose(o, view.points(), range(o.touches.count), seconds=seconds)
-    return Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, view, arm, aims, poses)
+    return Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, view, arm, aims,
+                   poses)
 
 
 def look(o: Outline, job: Any, *, device: str, seconds: Seconds) -> View:
@@ -119,11 +128,13 @@ def look(o: Outline, job: Any, *, device: str, seconds: Seconds) -> View:
 
 
 def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -> tuple[Arm, list[ArmAim], np.ndarray]:
-    """The scene's arm, the touches ``numbers`` of a view whose visible cloud (n, 3) [m] is given, and the poses of the arm's capsules along their lines (P, B, K, 4, 4) [m]."""
+    """The scene's arm, the touches ``numbers`` of a view whose visible cloud (n, 3) [m] is given, and the poses of the
+    arm's capsules along their lines (P, B, K, 4, 4) [m]."""
     since = seconds.begin()
     assert o.scene.arm is not None
     arm = load(o.scene.arm)
-    aims = aim_arm(arm, o.scene.arm, o.touches, o.plant, cloud, lambda k: np.random.default_rng(o.seeds(f"aim {k}")), numbers=numbers, where=str(o.scene.source))
+    aims = aim_arm(arm, o.scene.arm, o.touches, o.plant, cloud, lambda k: np.random.default_rng(o.seeds(f"aim {k}")),
+                   numbers=numbers, where=str(o.scene.source))
     since = seconds.charge("aim", since)
     poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
     seconds.charge("kinematics", since)
@@ -132,7 +143,9 @@ def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -
 
 @dataclass(frozen=True)
 class Subject:
-    """A view that is ready to be touched, or some touches of it. name, split: of the view. numbers: (object, view). plant: turned as this view shows it. poses: of the arm's capsules along the lines of the touches (P, B, K, 4, 4) [m]."""
+    """A view that is ready to be touched, or some touches of it. name, split: of the view. numbers: (object, view).
+    plant: turned as this view shows it. poses: of the arm's capsules along the lines of the touches (P, B, K, 4, 4)
+    [m]."""
 
     name: str
     split: str
@@ -154,8 +167,10 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
     """
     shape = scene.object.shape
     if not isinstance(shape, Family):
-        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not {type(shape).__name__.lower()}.")
-    plant = grow_family(shape, np.random.default_rng(seed), where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
+        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not "
+                         f"{type(shape).__name__.lower()}.")
+    plant = grow_family(shape, np.random.default_rng(seed),
+                        where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
     return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
 
 
@@ -166,10 +181,13 @@ def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View
     return plant_view(plant, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)
 
 
-def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None, seconds: Seconds | None = None) -> list[ObjectView]:
+def touch(subjects: Sequence[Subject], *, device: str, progress: Callable[[int], None] | None = None,
+          seconds: Seconds | None = None) -> list[ObjectView]:
     """Carry out the touches of some views together."""
-    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames), seconds=seconds)
-    return [finish(subject, frames, device=device, seconds=seconds) for subject, frames in zip(subjects, found, strict=True)]
+    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames),
+                  seconds=seconds)
+    return [finish(subject, frames, device=device, seconds=seconds) for subject,
+            frames in zip(subjects, found, strict=True)]
 
 
 def rod_options(scene: Scene) -> RodOptions:
@@ -178,25 +196,31 @@ def rod_options(scene: Scene) -> RodOptions:
     guarded = scene.arm.at_limit == "return"
     _, _, hold, out = scene.touches.frames
     options = RodOptions(force_limit=scene.touches.force_limit)
-    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE) if guarded else options
+    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK,
+                               patience=PATIENCE) if guarded else options
 
 
 def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
     """The touches of a subject enter a batch, as of its solver's plant ``number``; their places."""
     aims = subject.aims
-    return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]), friction=subject.scene.object.friction, inward=np.array([a.inward for a in aims]))
+    return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]),
+                     friction=subject.scene.object.friction, inward=np.array([a.inward for a in aims]))
 
 
-def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None, seconds: Seconds | None = None, keep_nodes: bool = False) -> list[RodFrames]:
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None,
+          seconds: Seconds | None = None, keep_nodes: bool = False) -> list[RodFrames]:
     """The equilibria of some views' touches, for each view its frames; in `plant_batches` views come and go.
 
     Args:
-        progress: called with the number of frames newly done and of the touches that go on. keep_nodes: as of `RodSolver.run`.
+        progress: called with the number of frames newly done and of the touches that go on. keep_nodes: as of
+        `RodSolver.run`.
     """
     seconds = seconds or Seconds()
     since = seconds.begin()
-    solver = RodSolver([s.model for s in subjects], arm_of(subjects[0]).shapes, device=device, options=rod_options(subjects[0].scene))
-    batch = RodBatch(solver, sum(len(s.aims) for s in subjects), frames=len(subjects[0].aims[0].plan), poses=len(subjects[0].poses), keep_nodes=keep_nodes)
+    solver = RodSolver([s.model for s in subjects], arm_of(subjects[0]).shapes, device=device,
+                       options=rod_options(subjects[0].scene))
+    batch = RodBatch(solver, sum(len(s.aims) for s in subjects), frames=len(subjects[0].aims[0].plan),
+                     poses=len(subjects[0].poses), keep_nodes=keep_nodes)
     places = [begin(batch, s, k) for k, s in enumerate(subjects)]
     while batch.live:
         new = batch.advance()
@@ -215,7 +239,8 @@ def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds
     touches = finish_touches(subject, frames)
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
-    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction, device=device)
+    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction,
+                        device=device)
     seconds.charge("truth", since)
     return ObjectView(subject.name, *subject.numbers, subject.split, chain, subject.view, tuple(touches), truth)
 
@@ -248,7 +273,8 @@ def _touch(subject: Subject, a: ArmAim, frames: RodFrames, b: int) -> Touch:
     time_ = times(n)
     if spec.mode == "dynamic" and n > 1:
         time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
-        motion = simulate(arm, q, time_, series(time_, force, moment), drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
+        motion = simulate(arm, q, time_, series(time_, force, moment),
+                          drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
         q, torque = motion.q, motion.torque
     else:
         torque = body_torque(arm, postures, force, moment=moment)
@@ -256,9 +282,12 @@ def _touch(subject: Subject, a: ArmAim, frames: RodFrames, b: int) -> Touch:
     found = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
     converged = found & (frames.force_balance[:n, b] <= _BALANCE)
     audit = {name: getattr(frames, name)[:n, b] for name in AUDIT_COLUMNS if name != "min_det_f"}
-    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis, force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
-                 residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64), touched=bool((frames.contacts[:n, b] > 0).any()),
-                 reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64), reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
+    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis,
+                 force=force.sum(axis=1), reaction=frames.reaction[:n, b], converged=converged,
+                 residual=frames.residual[:n, b], iterations=frames.iterations[:n, b].astype(np.int64),
+                 touched=bool((frames.contacts[:n, b] > 0).any()),
+                 reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:n, b])).astype(np.int64),
+                 reason_names=REASONS, audit=audit, q=q, torque=torque, link_force=link_force, link_moment=link_moment,
                  draws=a.draws, ended=int(frames.ended[b]) if spec.at_limit == "return" else None)
 
 

@@ -1,7 +1,9 @@
-"""Touches of one object view by an air-filled bubble: where its mount aims, how far it goes, and what both bodies answer.
+"""Touches of one object view by an air-filled bubble: where its mount aims, how far it goes, and what both bodies
+answer.
 
-As the rigid probe's (`touch.py`): the mount comes in along the normal that the camera sees, its +z leading, or tilted from it. The apex of the free dome points at
-the target; depth counts from where the dome, undented, first meets the object at rest, which may be beside the apex.
+As the rigid probe's (`touch.py`): the mount comes in along the normal that the camera sees, its +z leading, or tilted
+from it. The apex of the free dome points at the target; depth counts from where the dome, undented, first meets the
+object at rest, which may be beside the apex.
 """
 
 from __future__ import annotations
@@ -33,7 +35,9 @@ BATCH = {"cpu": 9, "cuda": 256}  # touches that advance together; part of what f
 KINDS = ("tet10", "triangle", "hinge", "gas")  # of the elements of object and bubble
 _LEADS = Plane()  # as a plane's, a sensor's +z leads
 _PATIENCE = 200  # conjugate gradients of a touch in one frame
-_STEPS = 30  # Newton iterations of a touch in one frame, on a GPU: there hundreds of touches wait for the last one, whose steps cost as much as everybody's
+# Newton iterations of a touch in one frame, on a GPU: there hundreds of touches wait for the last one, whose steps cost
+# as much as everybody's
+_STEPS = 30
 _GRID = 1e-3  # of the places at which the dome is cut by a wall [m]
 
 
@@ -47,7 +51,8 @@ def tier_for(scene: Scene, asked: str | None) -> str:
     if tiers.TIERS[chosen].nonlinear and chosen != "spring":
         return chosen
     if (asked or scene.object.tier) != "auto":
-        raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which bends far; use 'fem-coarse' or finer.")
+        raise SceneError(f"{scene.source}: tier '{chosen}' cannot be touched by a [sensor], which bends far; use "
+                         f"'fem-coarse' or finer.")
     return "fem-coarse"
 
 
@@ -55,17 +60,21 @@ def check(scene: Scene, precision: str) -> None:
     """Refuse at once what could not be touched.
 
     Raises:
-        SceneError: single precision, too many nodes, a bubble that cannot be inflated, or a depth that the dome has not.
+        SceneError: single precision, too many nodes, a bubble that cannot be inflated, or a depth that the dome has
+        not.
     """
     assert scene.sensor is not None and scene.touches is not None
     if precision != "float64":
-        raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: at rest its skin balances some 50 N of gas pressure node by node, "
+        raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: at "
+                         f"rest its skin balances some 50 N of gas pressure node by node, "
                          "and single precision leaves more of it unbalanced than a light touch pushes.")
     if scene.sensor.nodes > SENSOR_NODES:
-        raise SceneError(f"{scene.source} [sensor]: nodes is {scene.sensor.nodes}; against an object up to {SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
+        raise SceneError(f"{scene.source} [sensor]: nodes is {scene.sensor.nodes}; against an object up to "
+                         f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
     height = float(build_bubble(scene.sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
     if scene.touches.depth > height:
-        raise SceneError(f"{scene.source} [touches]: depth is {scene.touches.depth:g} m, but the free dome of the [sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
+        raise SceneError(f"{scene.source} [touches]: depth is {scene.touches.depth:g} m, but the free dome of the "
+                         f"[sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
 
 
 def dome_of(model: BubbleModel) -> Dome:
@@ -74,10 +83,12 @@ def dome_of(model: BubbleModel) -> Dome:
     return Dome.of(seen.positions(model.mesh.points[None])[0], seen.readout.triangles)
 
 
-def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: View, stream: Callable[[int], np.random.Generator]) -> list[Aim]:
+def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: View,
+        stream: Callable[[int], np.random.Generator]) -> list[Aim]:
     """Draw the touches of a view: uniform on the visible cloud, along its normal or tilted from it.
 
-    Targets that the dome cannot reach are drawn again: another part of the object is more than `_BLOCKED` in the way, or the table (z < 0) is.
+    Targets that the dome cannot reach are drawn again: another part of the object is more than `_BLOCKED` in the way,
+    or the table (z < 0) is.
 
     Args:
         spec: how many, and how deep. model: the object. sensor: the bubble. stream: random stream of touch k.
@@ -87,7 +98,8 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: 
     """
     cloud = view.points()
     if not len(cloud):
-        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, elevation and fov.")
+        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
+                         f"elevation and fov.")
     eye = view.camera_pose[:3, 3]
     samples, dome = _surface_samples(model), dome_of(sensor)
     depth = min(spec.depth, depth_at(sensor, spec.force_limit))
@@ -103,13 +115,15 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: 
                 out.append(Aim(target, normal, axis, contact, depth))
                 break
         else:
-            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached by the [sensor] without meeting the table or another part first; "
+            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached by the [sensor] without "
+                             f"meeting the table or another part first; "
                              "use a smaller bubble, approach or depth, or an object with more free surface.")
     return out
 
 
 def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:
-    """A direction (3,) drawn evenly, by solid angle, from the cone of half angle ``most`` [rad] about a unit ``axis`` (3,)."""
+    """A direction (3,) drawn evenly, by solid angle, from the cone of half angle ``most`` [rad] about a unit ``axis``
+    (3,)."""
     height = 1.0 - rng.random() * (1.0 - np.cos(most))
     turn = 2.0 * np.pi * rng.random()
     side = turn_to(axis, _LEADS)[:, :2] @ [np.cos(turn), np.sin(turn)]
@@ -117,10 +131,12 @@ def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarra
 
 
 def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """The mount's origin (3,) [m] when the free dome, coming in along ``axis`` with its apex over ``target``, first meets a body.
+    """The mount's origin (3,) [m] when the free dome, coming in along ``axis`` with its apex over ``target``, first
+    meets a body.
 
     Args:
-        dome: the sensor. samples: points that cover the body's surface (k, 3) [m]. target: a point (3,) [m]. axis: unit direction of the press (3,).
+        dome: the sensor. samples: points that cover the body's surface (k, 3) [m]. target: a point (3,) [m]. axis: unit
+        direction of the press (3,).
     """
     local = (samples - target) @ turn_to(axis, _LEADS)
     # with the apex over it, the target itself is met at the latest: no point beyond its plane comes before it
@@ -129,7 +145,8 @@ def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.
     return target - max(float(gone.max(initial=-np.inf)), dome.height) * axis
 
 
-def _reachable(dome: Dome, contact: np.ndarray, target: np.ndarray, axis: np.ndarray, depth: float, approach: float) -> bool:
+def _reachable(dome: Dome, contact: np.ndarray, target: np.ndarray, axis: np.ndarray, depth: float,
+               approach: float) -> bool:
     if (target - contact) @ axis - dome.height > _BLOCKED:
         return False
     low = float((dome.points @ turn_to(axis, _LEADS).T)[:, 2].min())
@@ -139,8 +156,8 @@ def _reachable(dome: Dome, contact: np.ndarray, target: np.ndarray, axis: np.nda
 def depth_at(sensor: BubbleModel, force: float) -> float:
     """Depth [m] at which a flat rigid wall would push with ``force`` [N]; infinite if it never does before the rim.
 
-    A plate carries pressure times contact area; both are taken of the free dome cut by the wall, which is more than the true ones, so the press stops
-    early rather than late. A soft object dents the dome less.
+    A plate carries pressure times contact area; both are taken of the free dome cut by the wall, which is more than the
+    true ones, so the press stops early rather than late. A soft object dents the dome less.
     """
     dome = dome_of(sensor)
     a, b = dome.points[:, 0].max(), dome.points[:, 1].max()
@@ -153,7 +170,8 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
     pressure = np.full(len(depth), sensor.pressure)
     if spec.sealed:
         inside = float(sensor.mesh.volume[0]) + sensor.dead_volume
-        pressure = (spec.ambient_pressure + sensor.pressure) * (inside / np.maximum(inside - gone, 1e-3 * inside)) ** spec.gamma - spec.ambient_pressure
+        pressure = (spec.ambient_pressure + sensor.pressure) * (inside / np.maximum(inside - gone,
+                                                                                    1e-3 * inside)) ** spec.gamma - spec.ambient_pressure
     push = pressure * area
     if push[-1] <= force:
         return float("inf")
@@ -161,7 +179,8 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
 
 
 def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
-    """Poses (T, 4, 4) of the mount: as a rigid probe's, but the way out ends where the way in had its first reading, still in contact.
+    """Poses (T, 4, 4) of the mount: as a rigid probe's, but the way out ends where the way in had its first reading,
+    still in contact.
 
     Two soft bodies that stuck part somewhere near first contact, and there is no force left to measure an imbalance by.
     """
@@ -174,16 +193,19 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
 
 
 def options(tier: str, device: str) -> SolverOptions:
-    """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do not depend on the machine's load.
+    """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do
+    not depend on the machine's load.
 
-    A frame on its way takes some 50 conjugate gradients, seldom 100; what has not arrived after `_PATIENCE` seldom does, and one such touch would hold up its batch.
+    A frame on its way takes some 50 conjugate gradients, seldom 100; what has not arrived after `_PATIENCE` seldom
+    does, and one such touch would hold up its batch.
     Of 900 frames of `shoes-punyo-mini` 11 take more than `_STEPS` Newton iterations, and 6 of these arrive nowhere.
     """
     limits = dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=_PATIENCE)
     return limits if device == "cpu" else dataclasses.replace(limits, newton_frame=_STEPS)
 
 
-def touch_all(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, aims: list[Aim], *, options: SolverOptions, device: str,
+def touch_all(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, aims: list[Aim], *,
+              options: SolverOptions, device: str,
               progress: Callable[[int], None] | None = None) -> list[Touch]:
     """Simulate touches, `BATCH` at a time.
 
@@ -205,19 +227,26 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, 
         width = len(part)
         frames = solver.run(poses, keep=True, progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):
-            position, force = (np.stack([x[..., k] for x in kept]) for kept in (solver.sensor_position, solver.sensor_force))
-            out.append(_record(a, poses[:, k], frames, k, sensor, position, force, np.stack(solver.pressure)[:, k], camera, device))
+            position, force = (np.stack([x[..., k] for x in kept])
+                               for kept in (solver.sensor_position, solver.sensor_force))
+            out.append(_record(a, poses[:, k], frames, k, sensor, position, force, np.stack(solver.pressure)[:, k],
+                               camera, device))
     return out
 
 
-def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, sensor: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray,
+def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, sensor: BubbleModel, position: np.ndarray,
+            force: np.ndarray, pressure: np.ndarray,
             camera: BubbleCamera | None, device: str) -> Touch:
-    finite = np.isfinite(frames.force[:, k]).all(axis=1) & np.isfinite(position).all(axis=(1, 2)) & np.isfinite(force).all(axis=(1, 2)) & np.isfinite(pressure)
+    finite = np.isfinite(frames.force[:,
+                                      k]).all(axis=1) & np.isfinite(position).all(axis=(1,
+                                                                                        2)) & np.isfinite(force).all(axis=(1, 2)) & np.isfinite(pressure)
     found = frames.converged[:, k] & finite
     converged = found & (frames.force_balance[:, k] <= _BALANCE)
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
-        iterations=frames.iterations[:, k], touched=bool((np.linalg.norm(np.nan_to_num(frames.force[:, k]), axis=1) > 0.0).any()),
-        reason=np.where(converged, 0, np.where(found, len(REASONS), np.maximum(frames.reason[:, k], 1))), reason_names=REASONS, audit=audit(frames, k),
+        iterations=frames.iterations[:, k],
+                 touched=bool((np.linalg.norm(np.nan_to_num(frames.force[:, k]), axis=1) > 0.0).any()),
+        reason=np.where(converged, 0, np.where(found, len(REASONS), np.maximum(frames.reason[:, k], 1))),
+                 reason_names=REASONS, audit=audit(frames, k),
         **touch_fields(sensor, position, force, pressure, poses, converged=converged, camera=camera, device=device))

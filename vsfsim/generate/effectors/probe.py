@@ -12,7 +12,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import ProbeShape
 from vsfsim.data.records import AUDIT_COLUMNS, Touch, View
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -39,7 +39,8 @@ class Aim:
 
 
 def cloud_normals(cloud: np.ndarray, at: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """Outward unit normals (k, 3) of a point cloud (n, 3) [m] at ``at`` (k, 3): least-variance direction of the neighbours.
+    """Outward unit normals (k, 3) of a point cloud (n, 3) [m] at ``at`` (k, 3): least-variance direction of the
+    neighbours.
 
     Args:
         eye: the camera's centre (3,) [m]; a visible surface faces it.
@@ -62,7 +63,8 @@ def _surface_samples(model: Model) -> np.ndarray:
     return np.einsum("sk,fkc->fsc", steps, corners).reshape(-1, 3)
 
 
-def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, *, samples: np.ndarray | None = None) -> float:
+def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, *,
+              samples: np.ndarray | None = None) -> float:
     """How far the probe can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the body at rest [m].
 
     Conservative advancement on the signed distance; infinite if it meets nothing within 2 m.
@@ -84,18 +86,20 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callabl
         device: str = "cpu") -> list[Aim]:
     """Draw the touches of a view: uniform on the visible cloud, along its normal.
 
-    Targets that the probe cannot reach are drawn again: another part of the object is in the way, or the table (z < 0) is. The depth is cut where the rest state's linear
-    response passes ``force_limit``, as a careful robot would stop.
+    Targets that the probe cannot reach are drawn again: another part of the object is in the way, or the table (z < 0)
+    is. The depth is cut where the rest state's linear response passes ``force_limit``, as a careful robot would stop.
 
     Args:
-        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones. device: Warp device.
+        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones. device:
+        Warp device.
 
     Raises:
         SceneError: nothing is visible, or no reachable target was found in 200 draws.
     """
     cloud = view.points()
     if not len(cloud):
-        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, elevation and fov.")
+        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
+                         f"elevation and fov.")
     eye = view.camera_pose[:3, 3]
     samples = _surface_samples(model)
     out: list[Aim] = []
@@ -109,12 +113,14 @@ def aim(scene: Scene, spec: TouchSpec, model: Model, view: View, stream: Callabl
                 out.append(found)
                 break
         else:
-            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached without meeting the table or another part first; "
+            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached without meeting the table or "
+                             f"another part first; "
                              "use a smaller probe, approach or depth.")
     return _limit(scene, spec, model, out, device)
 
 
-def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray, normal: np.ndarray) -> Aim | None:
+def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray,
+            normal: np.ndarray) -> Aim | None:
     probe, axis = scene.probe, -normal
     rotation = turn_to(axis, probe)
     size = sdf.support(probe, rotation.T @ axis)
@@ -135,13 +141,15 @@ def _aim_at(scene: Scene, spec: TouchSpec, model: Model, samples: np.ndarray, ta
 
 
 def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
-    """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few frames suffices."""
+    """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few
+    frames suffices."""
     if not aims:
         return aims
     steps = 8
     depth = spec.depth * np.arange(1, steps + 1) / steps
     poses = np.stack([[_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
-    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
+    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
+                    options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
     force = np.linalg.norm(frames.force, axis=-1)
     out = []
     for k, a in enumerate(aims):
@@ -174,7 +182,8 @@ def touch_all(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], *, o
     for start in range(0, len(aims), batch):
         part = aims[start:start + batch]
         poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth) for a in part], axis=1)
-        solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision, options=options, linear=linear)
+        solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
+                        options=options, linear=linear)
         width = len(part)
         frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
         out.extend(_record(a, poses[:, k], frames, k) for k, a in enumerate(part))
@@ -199,4 +208,5 @@ def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
         force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
         # the solver's own reasons keep their codes, the audit's comes after them
-        reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:, k])), reason_names=REASONS, audit=audit(frames, k))
+        reason=np.where(converged, 0, np.where(found, len(REASONS), frames.reason[:, k])), reason_names=REASONS,
+                 audit=audit(frames, k))

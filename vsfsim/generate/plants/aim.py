@@ -1,4 +1,5 @@
-"""Where the arm touches a plant: straight lines of the tool past points that the camera sees, as far as the arm can go."""
+"""Where the arm touches a plant: straight lines of the tool past points that the camera sees, as far as the arm can
+go."""
 
 from __future__ import annotations
 
@@ -17,16 +18,21 @@ from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
 
 DRAWS = 100  # targets that are tried for one touch
-TURN, LIFT = 0.6, 0.35  # rad: how far the tool's axis may turn sideways from the way arm to target, and how far up or down
-SWEEP = 1.0  # rad: how far the line of motion may turn from the tool's axis, in half of the touches; the tool goes along its own axis in the others
+# rad: how far the tool's axis may turn sideways from the way arm to target, and how far up or down
+TURN, LIFT = 0.6, 0.35
+# rad: how far the line of motion may turn from the tool's axis, in half of the touches; the tool goes along its own
+# axis in the others
+SWEEP = 1.0
 SHORTEST = 0.4  # of the scene's depth: a touch goes between this share and all of it past its target
 PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
 
 
 @dataclass(frozen=True)
 class ArmAim:
-    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the tool (3,) [m]. line: joint angles along the way in (P, 7) [rad]. plan: where on it each frame is
-    meant to be (T,), in numbers of its rows. inward: frames before the way out. draws: targets drawn. refused: why those before were not taken."""
+    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the
+    tool (3,) [m]. line: joint angles along the way in (P, 7) [rad]. plan: where on it each frame is meant to be (T,),
+    in numbers of its rows. inward: frames before the way out. draws: targets drawn. refused: why those before were not
+    taken."""
 
     target: np.ndarray
     axis: np.ndarray
@@ -39,7 +45,8 @@ class ArmAim:
     refused: Counter
 
     def angles(self, where: np.ndarray) -> np.ndarray:
-        """Joint angles (T, 7) [rad] at numbers ``where`` (T,) of the line: its rows, and between them the cubic through the four around, as `physics.rods.kernels.guard` takes the poses of the capsules."""
+        """Joint angles (T, 7) [rad] at numbers ``where`` (T,) of the line: its rows, and between them the cubic through
+        the four around, as `physics.rods.kernels.guard` takes the poses of the capsules."""
         last = len(self.line) - 1
         row = np.clip(np.floor(where).astype(int), 0, last)
         out = self.line[row].copy()
@@ -64,11 +71,14 @@ def load(spec: ArmSpec) -> Arm:
     return load_arm(spec.model, punyo=spec.punyo, base=base)
 
 
-def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
-    """Draw touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot is drawn again.
+def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
+            stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
+    """Draw touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot
+    is drawn again.
 
     Args:
-        cloud: of the view (n, 3) [m]. stream: random stream of touch k. numbers: of the touches to draw; each has its own stream, so they may be drawn apart. where: of the scene, for messages.
+        cloud: of the view (n, 3) [m]. stream: random stream of touch k. numbers: of the touches to draw; each has its
+        own stream, so they may be drawn apart. where: of the scene, for messages.
 
     Raises:
         SceneError: nothing is visible, or none of 100 targets of a touch can be reached; with what was in the way.
@@ -78,7 +88,8 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
     return [_one(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
 
 
-def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator, where: str) -> ArmAim:
+def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator,
+         where: str) -> ArmAim:
     shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
     refused: Counter = Counter()
     free, inward, hold, out = touches.frames
@@ -91,7 +102,8 @@ def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.nd
         roll, depth = rng.uniform(-np.pi, np.pi), touches.depth * rng.uniform(SHORTEST, 1.0)
         start, stop = target - touches.approach * way, target + depth * way
         try:
-            line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1, restarts=1, seed=seed, table=0.0)
+            line = straight_touch(arm, start, stop, _frame(axis, roll), frames=inward + 1, restarts=1, seed=seed,
+                                  table=0.0)
         except Unreachable as error:
             refused[error.reason.value] += 1
             continue
@@ -107,11 +119,13 @@ def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.nd
         plan = np.concatenate([np.zeros(free), np.arange(1.0, inward + 1), np.full(hold, float(inward)), back])
         return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
-    raise SceneError(f"{where} [touches]: none of {DRAWS} targets can be reached: {reasons}. Move [arm] base or the object, or use a smaller approach or depth.")
+    raise SceneError(f"{where} [touches]: none of {DRAWS} targets can be reached: {reasons}. Move [arm] base or the "
+                     f"object, or use a smaller approach or depth.")
 
 
 def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarray) -> float:
-    """Least gap [m] between capsules of ends (K, 3), radii (K,) and a plant at rest; a blade counts as a round segment of half its width."""
+    """Least gap [m] between capsules of ends (K, 3), radii (K,) and a plant at rest; a blade counts as a round segment
+    of half its width."""
     a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
     thick = np.maximum(plant.radius, plant.half_width)[1:]
     gaps = clearance.segment_distance(first[:, None], last[:, None], a[None], b[None]) - radii[:, None] - thick[None]
@@ -119,7 +133,8 @@ def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarr
 
 
 def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
-    """Least gap [m] between the moving capsules and the pot, taken as a capsule of its top radius, at postures (T, 7)."""
+    """Least gap [m] between the moving capsules and the pot, taken as a capsule of its top radius, at postures (T,
+    7)."""
     assert plant.pot is not None
     first, last, radii = clearance.ends(arm, arm.postures(q))
     moving = arm.capsule_links >= arm.links.index("half_arm_1_link")

@@ -1,6 +1,8 @@
-"""Many views of plants at once: prepared and finished by CPU processes, while those that are ready are touched together on one device.
+"""Many views of plants at once: prepared and finished by CPU processes, while those that are ready are touched together
+on one device.
 
-A GPU's warp carries out one touch, so the touches of one view alone would leave it idle: views come in as they are prepared and go out as they are done. The bits of a touch do not depend on which others it is solved with.
+A GPU's warp carries out one touch, so the touches of one view alone would leave it idle: views come in as they are
+prepared and go out as they are done. The bits of a touch do not depend on which others it is solved with.
 """
 
 from __future__ import annotations
@@ -24,7 +26,9 @@ from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
 
 PLACES = 4096  # touches on a device at once: 7 GB
 SHORT_SPAN = 3.0  # s: a launch on a GPU while touches are still to come
-PART = 17  # touches of a view that a process chooses at a time: the first ones are touched soon, and where most targets are out of reach no process is held up for long
+# touches of a view that a process chooses at a time: the first ones are touched soon, and where most targets are out of
+# reach no process is held up for long
+PART = 17
 
 
 @contextlib.contextmanager
@@ -32,7 +36,8 @@ def crew(jobs: int, workers: int | None) -> Iterator[ProcessPoolExecutor]:
     """Processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``."""
     kept = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
-    pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)), mp_context=multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
+                               mp_context=multiprocessing.get_context("spawn"))
     try:
         yield pool
     finally:
@@ -45,14 +50,17 @@ def crew(jobs: int, workers: int | None) -> Iterator[ProcessPoolExecutor]:
 
 
 class _Preparation:
-    """Views on their way to be touched: each is looked at by one process, and then aimed at by several, `PART` touches at a time.
+    """Views on their way to be touched: each is looked at by one process, and then aimed at by several, `PART` touches
+    at a time.
 
-    outlines: of the views. ready: parts that can be touched: number of the view, of the part, and these touches of the view.
+    outlines: of the views. ready: parts that can be touched: number of the view, of the part, and these touches of the
+    view.
     """
 
     def __init__(self, jobs: Sequence[Any], pool: ProcessPoolExecutor, device: str, spent: Seconds):
         self._jobs, self._pool, self._spent = jobs, pool, spent
-        self._looking: dict[Future[tuple[View, np.ndarray, Seconds]], int] = {pool.submit(look_one, job, device): k for k, job in enumerate(jobs)}
+        self._looking: dict[Future[tuple[View, np.ndarray, Seconds]],
+                            int] = {pool.submit(look_one, job, device): k for k, job in enumerate(jobs)}
         self._aiming: dict[Future[tuple[list[ArmAim], np.ndarray, Seconds]], tuple[int, int]] = {}
         self._views: dict[int, View] = {}
         # while the processes begin
@@ -80,12 +88,14 @@ class _Preparation:
                 self._views[k], cloud, took = future.result()
                 count = self.outlines[k].touches.count
                 for part in range(self.parts(k)):
-                    self._aiming[self._pool.submit(aim_one, self._jobs[k], cloud, range(part * PART, min((part + 1) * PART, count)))] = k, part
+                    self._aiming[self._pool.submit(aim_one, self._jobs[k], cloud,
+                                                   range(part * PART, min((part + 1) * PART, count)))] = k, part
             else:
                 k, part = self._aiming.pop(future)
                 aims, poses, took = future.result()
                 o, job = self.outlines[k], self._jobs[k]
-                self.ready.append((k, part, Subject(job.name, job.split, (job.object_index, job.view_index), o.scene, o.plant, o.model, self._views[k], None, aims, poses)))
+                self.ready.append((k, part, Subject(job.name, job.split, (job.object_index, job.view_index), o.scene,
+                                                    o.plant, o.model, self._views[k], None, aims, poses)))
             add(self._spent, took)
         return sum(len(s.aims) for *_, s in self.ready[before:])
 
@@ -95,20 +105,26 @@ class _Preparation:
             future.cancel()
 
 
-def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spent: Seconds, until: float | None = None, watch: Callable[[str, int, int], None] | None = None) -> Iterator[tuple[int, Subject, RodFrames]]:
+def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spent: Seconds, until: float | None = None,
+            watch: Callable[[str, int, int], None] | None = None) -> Iterator[tuple[int, Subject, RodFrames]]:
     """Number, subject and frames of the views of ``jobs`` (`generate.run.Job`), in the order in which they are done.
 
     Args:
-        pool: processes that prepare. spent: where the time of all processes is charged. until: on the clock (`time.perf_counter`) when no launch is begun any more; touches under way then come as far as they are, others not at all.
-        watch: called with what happened, "prepared" or "solved", how many touches or frames newly did, and touches that go on.
+        pool: processes that prepare. spent: where the time of all processes is charged. until: on the clock
+        (`time.perf_counter`) when no launch is begun any more; touches under way then come as far as they are, others
+        not at all.
+        watch: called with what happened, "prepared" or "solved", how many touches or frames newly did, and touches that
+        go on.
     """
     coming = _Preparation(jobs, pool, device, spent)
     since = spent.begin()
     first = coming.outlines[0]
     assert first.scene.arm is not None
     free, inward, hold, out = first.touches.frames
-    solver = RodSolver([o.model for o in coming.outlines], load(first.scene.arm).shapes, device=device, options=rod_options(first.scene))
-    batch = RodBatch(solver, min(max(PLACES, PART), sum(o.touches.count for o in coming.outlines)), frames=free + inward + hold + out, poses=inward + 1)
+    solver = RodSolver([o.model for o in coming.outlines], load(first.scene.arm).shapes, device=device,
+                       options=rod_options(first.scene))
+    batch = RodBatch(solver, min(max(PLACES, PART), sum(o.touches.count for o in coming.outlines)),
+                     frames=free + inward + hold + out, poses=inward + 1)
     spent.charge("solve", since)
     inside: dict[tuple[int, int], tuple[Subject, slice]] = {}
     done: dict[int, dict[int, tuple[Subject, RodFrames]]] = {}
@@ -180,7 +196,8 @@ def look_one(job: Any, device: str) -> tuple[View, np.ndarray, Seconds]:
 
 
 def aim_one(job: Any, cloud: np.ndarray, numbers: range) -> tuple[list[ArmAim], np.ndarray, Seconds]:
-    """In a process of its own: some touches of a view, the poses along their lines, and where the time went. The arm holds a simulator, which does not travel."""
+    """In a process of its own: some touches of a view, the poses along their lines, and where the time went. The arm
+    holds a simulator, which does not travel."""
     seconds = Seconds()
     since = seconds.begin()
     o = outline(job)

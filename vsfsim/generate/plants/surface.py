@@ -15,7 +15,8 @@ _SIDES, _POT_SIDES = 8, 40
 _POT_COLOUR, _SOIL_COLOUR = (0.42, 0.17, 0.08), (0.06, 0.04, 0.03)
 
 
-def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None, turns: np.ndarray | None = None) -> Surface:
+def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
+                  turns: np.ndarray | None = None) -> Surface:
     """Its surface, at rest or where ``nodes`` (n, 3) [m] and node rotations ``turns`` (n, 3, 3) are."""
     nodes = plant.nodes if nodes is None else nodes
     turns = np.tile(np.eye(3), (len(nodes), 1, 1)) if turns is None else turns
@@ -53,24 +54,32 @@ def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None, t
         add(now, np.concatenate([plant.nodes[p] + ring0, plant.nodes[i] + ring1]), triangles, int(look[i]))
     appearance = plant.appearance
     if pot and plant.pot is not None:
-        grey = Appearance(np.full((int(look.max()) + 1, 3), 0.4), ("plain",) * (int(look.max()) + 1), np.ones(int(look.max()) + 1), np.zeros(int(look.max()) + 1))
+        grey = Appearance(np.full((int(look.max()) + 1, 3), 0.4), ("plain",) * (int(look.max()) + 1),
+                          np.ones(int(look.max()) + 1), np.zeros(int(look.max()) + 1))
         appearance = appearance or grey
         kinds = len(appearance.texture)
         k = np.arange(_POT_SIDES)
         j = (k + 1) % _POT_SIDES
-        circle = np.stack([np.cos(2 * np.pi * k / _POT_SIDES), np.sin(2 * np.pi * k / _POT_SIDES), np.zeros(_POT_SIDES)], 1)
+        circle = np.stack([np.cos(2 * np.pi * k / _POT_SIDES), np.sin(2 * np.pi * k / _POT_SIDES),
+                           np.zeros(_POT_SIDES)], 1)
         up = np.array([0.0, 0.0, plant.pot.height])
         wall = np.concatenate([plant.pot.radius_bottom * circle, plant.pot.radius_top * circle + up])
-        add(wall, wall, np.concatenate([np.stack([k, j, j + _POT_SIDES], 1), np.stack([k, j + _POT_SIDES, k + _POT_SIDES], 1)]), kinds)
+        add(wall, wall, np.concatenate([np.stack([k, j, j + _POT_SIDES], 1),
+                                        np.stack([k, j + _POT_SIDES, k + _POT_SIDES], 1)]), kinds)
         soil = np.concatenate([plant.pot.radius_top * circle + up, up[None]])
         add(soil, soil, np.stack([k, j, np.full(_POT_SIDES, _POT_SIDES)], 1), kinds + 1)
-        appearance = Appearance(np.concatenate([appearance.albedo, [_POT_COLOUR, _SOIL_COLOUR]]), (*appearance.texture, "plain", "noise"),
-                                np.append(appearance.texture_scale, [0.02, 0.01]), np.append(appearance.texture_contrast, [0.0, 0.3]))
-    return Surface(np.concatenate(points), np.concatenate(faces), np.concatenate(region), appearance, np.concatenate(rest))
+        appearance = Appearance(np.concatenate([appearance.albedo, [_POT_COLOUR, _SOIL_COLOUR]]),
+                                (*appearance.texture, "plain", "noise"),
+                                np.append(appearance.texture_scale, [0.02, 0.01]),
+                                np.append(appearance.texture_contrast, [0.0, 0.3]))
+    return Surface(np.concatenate(points), np.concatenate(faces), np.concatenate(region), appearance,
+                   np.concatenate(rest))
 
 
-def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *, device: str, renderer: str) -> View:
-    """A picture of plant and pot; the mask and the depth are the plant's alone, so that nobody touches the pot for it."""
+def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *, device: str,
+               renderer: str) -> View:
+    """A picture of plant and pot; the mask and the depth are the plant's alone, so that nobody touches the pot for
+    it."""
     whole = render(plant_surface(plant, pot=True), intrinsics, pose, width, height, device=device, renderer=renderer)
     bare = render(plant_surface(plant, pot=False), intrinsics, pose, width, height, device=device, renderer=renderer)
     mask = bare.mask & (bare.depth <= whole.depth + 1e-5)

@@ -1,4 +1,5 @@
-"""The truth of a plant: modulus and section of every segment, stiffness at visible points, and the papers' particle model fitted to all torques."""
+"""The truth of a plant: modulus and section of every segment, stiffness at visible points, and the papers' particle
+model fitted to all torques."""
 
 from __future__ import annotations
 
@@ -15,12 +16,16 @@ from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
 PROBE_VOXEL = 0.01  # SBML appendix C.4 [m]
-VSF_SPACING = 0.02  # m: SBML appendix B.2 has 10 mm; every other point of that grid, as the oracle is fitted for every view of every dataset
+# m: SBML appendix B.2 has 10 mm; every other point of that grid, as the oracle is fitted for every view of every
+# dataset
+VSF_SPACING = 0.02
 FITTED_FRAMES = 40  # of a touch, evenly spread
 
 
-def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Segment (k,), place along it (k,), offset from its middle line (k, 3) [m] and distance (k,) [m] of the plant's surface points nearest to ``points`` (k, 3) [m]."""
+def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray,
+                                                                          np.ndarray]:
+    """Segment (k,), place along it (k,), offset from its middle line (k, 3) [m] and distance (k,) [m] of the plant's
+    surface points nearest to ``points`` (k, 3) [m]."""
     plant = model.plant
     a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
     along = b - a
@@ -39,11 +44,13 @@ def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.nda
     return segment, place, offset, best
 
 
-def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain, *, friction: float, device: str) -> Truth:
+def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain, *, friction: float,
+                device: str) -> Truth:
     """All that the simulator knows and no method may see.
 
-    ``probe_stiffness`` is the force along minus the visible normal over the displacement of the material point there, at rest. The oracle VSF is fitted to the noise-free torques of this
-    view's converged frames (zero mean, std 1e4 N/m, noise 1 mN m).
+    ``probe_stiffness`` is the force along minus the visible normal over the displacement of the material point there,
+    at rest. The oracle VSF is fitted to the noise-free torques of this view's converged frames (zero mean, std 1e4 N/m,
+    noise 1 mN m).
     """
     plant = model.plant
     points = voxel_sample(view.points(), PROBE_VOXEL)
@@ -52,18 +59,24 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
     stiffness = model.point_stiffness(segment, along, offset, normals)
     keep = np.isfinite(stiffness) & (away < 0.01)
     bounds = bounds_from_view(view, margin=0.01)
-    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device, tolerance=0.5 * VSF_SPACING)
+    particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device,
+                                    tolerance=0.5 * VSF_SPACING)
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
     some = [np.unique(np.rint(np.linspace(0, len(touch.time) - 1, FITTED_FRAMES)).astype(int)) for touch in touches]
-    found = arm_torque_rows_each(particles, chain, [touch.q[k] for touch, k in zip(touches, some, strict=True)], friction=friction, device=device, max_step=4e-3)  # type: ignore[index]
+    found = arm_torque_rows_each(particles, chain, [touch.q[k] for touch, k in zip(touches, some, strict=True)],
+                                 friction=friction, device=device, max_step=4e-3)  # type: ignore[index]
     for touch, k, w in zip(touches, some, found, strict=True):
         assert touch.torque is not None
         good = touch.converged[k]
         rows.append(w[np.flatnonzero(np.repeat(good, chain.dof))])
         values.append(touch.torque[k][good].ravel())
     w = sparse.csr_matrix(sparse.vstack(rows))
-    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0, prior_var=1e8).mean if len(particles) else np.zeros(0)
+    fitted = map_estimate(w, np.concatenate(values), noise_std=1e-3, prior_mean=0.0,
+                          prior_var=1e8).mean if len(particles) else np.zeros(0)
     ends = np.stack([plant.nodes[plant.parent[1:]], plant.nodes[1:]], axis=1)
-    return Truth(points=ends.mean(axis=1), young_modulus=plant.young_modulus[1:], region=plant.region[1:].astype(np.int64), region_names=plant.region_names,
-                 probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep], vsf_points=particles, vsf_stiffness=fitted,
-                 vsf_touched=np.diff(w.tocsc().indptr) > 0, radius=plant.radius[1:], half_width=plant.half_width[1:], segment_ends=ends)
+    return Truth(points=ends.mean(axis=1), young_modulus=plant.young_modulus[1:],
+                 region=plant.region[1:].astype(np.int64), region_names=plant.region_names,
+                 probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
+                 vsf_points=particles, vsf_stiffness=fitted,
+                 vsf_touched=np.diff(w.tocsc().indptr) > 0, radius=plant.radius[1:], half_width=plant.half_width[1:],
+                 segment_ends=ends)

@@ -1,7 +1,9 @@
-"""From the flat sheet to the inflated dome: continuation in the volume, which goes through the limit points that the pressure does not.
+"""From the flat sheet to the inflated dome: continuation in the volume, which goes through the limit points that the
+pressure does not.
 
-A rubber membrane bears a highest pressure: beyond its *limit point* more volume needs less pressure, and at a prescribed pressure the membrane
-would blow up without bound. The working state of a sensor is on the branch that comes from the flat state, before that point.
+A rubber membrane bears a highest pressure: beyond its *limit point* more volume needs less pressure, and at a
+prescribed pressure the membrane would blow up without bound. The working state of a sensor is on the branch that comes
+from the flat state, before that point.
 """
 
 from __future__ import annotations
@@ -23,7 +25,8 @@ def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> 
     """The equilibrium at a gauge pressure on the branch that comes from the flat state.
 
     Args:
-        sheet: with u = 0 flat and clamped. guess: a shallow dome (3 n,) [m]. pressure: [Pa]. where: scene and section, for messages.
+        sheet: with u = 0 flat and clamped. guess: a shallow dome (3 n,) [m]. pressure: [Pa]. where: scene and section,
+        for messages.
 
     Raises:
         SceneError: the pressure is beyond the limit point, or the branch could not be followed.
@@ -46,7 +49,8 @@ def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tu
         if first is not None and first.pressure <= pressure and above is not None:
             return first, above
         if shrink > 60:
-            raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of {pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
+            raise SceneError(f"{where}: the membrane could not be inflated from flat to a gauge pressure of "
+                             f"{pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
     states = [first]
     growth = _GROWTH
     while states[-1].pressure < pressure:
@@ -66,12 +70,16 @@ def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tu
             top = _top(sheet, states[-3:] if len(states) > 2 else states)
             if top.pressure < pressure:
                 raise SceneError(
-                    f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane's limit point is at {top.pressure:.5g} Pa (volume {1e6 * top.volume:.4g} mL, height "
-                    f"{1e3 * float(np.abs(top.displacement).max()):.3g} mm): beyond it a rubber membrane blows up without bound. Give less pressure, or a larger young_modulus or thickness.")
+                    f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane's limit point is at "
+                    f"{top.pressure:.5g} Pa (volume {1e6 * top.volume:.4g} mL, height "
+                    f"{1e3 * float(np.abs(top.displacement).max()):.3g} mm): beyond it a rubber membrane blows up "
+                    f"without bound. Give less pressure, or a larger young_modulus or thickness.")
             return now if now.pressure <= pressure else states[-3], top
     if states[-1].pressure < pressure:
-        raise SceneError(f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane could be followed to {states[-1].pressure:.5g} Pa only (volume "
-                         f"{1e6 * states[-1].volume:.4g} mL). Give less pressure, or a larger young_modulus or thickness.")
+        raise SceneError(f"{where}: gauge_pressure is {pressure:g} Pa, but the membrane could be followed to "
+                         f"{states[-1].pressure:.5g} Pa only (volume "
+                         f"{1e6 * states[-1].volume:.4g} mL). Give less pressure, or a larger young_modulus "
+                         f"or thickness.")
     return states[-2], states[-1]
 
 
@@ -82,7 +90,8 @@ def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
         return now.displacement * volume / now.volume, now.pressure * volume / now.volume
     before = states[-2]
     share = (volume - now.volume) / (now.volume - before.volume)
-    return now.displacement + share * (now.displacement - before.displacement), now.pressure + share * (now.pressure - before.pressure)
+    return now.displacement + share * (now.displacement
+                                       - before.displacement), now.pressure + share * (now.pressure - before.pressure)
 
 
 def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
@@ -96,7 +105,9 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
             break
         middle = best.volume
         # the larger part is cut
-        volume = middle + (1.0 - golden) * (high - middle) if high - middle > middle - low else middle - (1.0 - golden) * (middle - low)
+        volume = middle + (1.0 - golden) * (high
+                                            - middle) if high - middle > middle - low else middle - (1.0
+                                                                                                     - golden) * (middle - low)
         near = min(known, key=lambda s: abs(s.volume - volume))
         found = sheet.at_volume(near.displacement, near.pressure, volume)
         if found is None:
@@ -111,7 +122,8 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
 
 
 def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
-    """Regula falsi in the volume, then Newton's method at the pressure itself; the volume's alone where that does not converge, as near the limit."""
+    """Regula falsi in the volume, then Newton's method at the pressure itself; the volume's alone where that does not
+    converge, as near the limit."""
     for _ in range(_SECANT):
         span = high.pressure - low.pressure
         share = min(0.95, max(0.05, (pressure - low.pressure) / span)) if span > 0.0 else 0.5
@@ -129,4 +141,5 @@ def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where
         low, high = (found, high) if found.pressure < pressure else (low, found)
     else:
         return found
-    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check young_modulus, thickness and pre_stretch.")
+    raise SceneError(f"{where}: the membrane could not be brought to a gauge pressure of {pressure:g} Pa; check "
+                     f"young_modulus, thickness and pre_stretch.")

@@ -17,15 +17,16 @@ from vsfsim.core.bubble import NODES, Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.solid import Solid
 from vsfsim.physics import disk_cache
-from vsfsim.physics.bubble.sensor import inflation
+from vsfsim.physics.bubble import inflation
 from vsfsim.physics.bubble.sheet import Sheet
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.membrane_factor import MembraneFactor
+from vsfsim.physics.mesh import membrane as membrane_mesh
+from vsfsim.physics.mesh import membrane_refine
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed
 from vsfsim.physics.mesh.membrane_refine import Wishes
-from vsfsim.physics.mesh.quadratic import assemble, membrane_refine
-from vsfsim.physics.mesh.quadratic import membrane as membrane_mesh
+from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 
 # Part of the cache key: raise it when a mesh, a law or the inflation changes.
@@ -41,7 +42,8 @@ _models: OrderedDict[str, BubbleModel] = OrderedDict()
 class ReadOut:
     """The mesh that a user of the sensor sees: the Punyo's 390 nodes, tied to the material.
 
-    faces: triangles (714, 3), wound outwards. rim: nodes of the edge in order (64,). flat: places before inflation (390, 2) [m].
+    faces: triangles (714, 3), wound outwards. rim: nodes of the edge in order (64,). flat: places before inflation
+    (390, 2) [m].
     weights: positions of its nodes are ``weights @`` those of the fine mesh (390, n) [-], sparse.
     """
 
@@ -61,11 +63,13 @@ class ReadOut:
 class BubbleModel(Model):
     """A bubble in its mount frame: a `Model` whose rest, u = 0, is the free inflated dome.
 
-    mesh: linear triangles, a `TriangleMesh`. young_modulus: E h over the mean edge (1,) [Pa], what the contact counts as its modulus.
-    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of the inflated mesh [m], where it was
-    made finer of the nodes that are touched.
+    mesh: linear triangles, a `TriangleMesh`. young_modulus: E h over the mean edge (1,) [Pa], what the contact counts
+    as its modulus.
+    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of
+    the inflated mesh [m], where it was made finer of the nodes that are touched.
     spec: what it was built from. flat: places of the nodes in the clamped, uninflated sheet (n, 2) [m].
-    pressure: gauge, of the free dome [Pa]. dead_volume: of the chamber behind the rim plane [m^3]. read_out: the 390 nodes.
+    pressure: gauge, of the free dome [Pa]. dead_volume: of the chamber behind the rim plane [m^3]. read_out: the 390
+    nodes.
     """
 
     spec: Bubble
@@ -75,15 +79,18 @@ class BubbleModel(Model):
     read_out: ReadOut
 
     def least_force(self) -> float:
-        """Forces under this are zero [N]: 1e-7 of the gas's push on the rim plane (6 uN for the Punyo), which 20,000 nodes balance at u = 0 to 1e-12 only."""
+        """Forces under this are zero [N]: 1e-7 of the gas's push on the rim plane (6 uN for the Punyo), which 20,000
+        nodes balance at u = 0 to 1e-12 only."""
         return 1e-7 * self.pressure * np.pi * self.spec.semi_axes[0] * self.spec.semi_axes[1]
 
 
-def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]", cache: Path | None = None) -> BubbleModel:
+def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]",
+                 cache: Path | None = None) -> BubbleModel:
     """The model of a bubble; the same spec again costs nothing, and in a new process only the factor.
 
     Args:
-        spec: the bubble. finer: where its mesh is to be finer than even. where: scene and section, for messages. cache: folder for inflated shapes; None is the user's own.
+        spec: the bubble. finer: where its mesh is to be finer than even. where: scene and section, for messages. cache:
+        folder for inflated shapes; None is the user's own.
 
     Raises:
         SceneError: the gauge pressure is beyond the membrane's limit point, or there is less gas than the dome holds.
@@ -99,7 +106,8 @@ def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]", c
 
 
 def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Flat places (n, 2) [m], triangles (f, 3) and rim (r,); with the default number of nodes the read-out mesh is part of it."""
+    """Flat places (n, 2) [m], triangles (f, 3) and rim (r,); with the default number of nodes the read-out mesh is part
+    of it."""
     a, b = spec.semi_axes
     nodes = spec.nodes if nodes is None else nodes
     total, rim = membrane_mesh.READ_OUT
@@ -110,12 +118,15 @@ def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.nd
 
 
 def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[Block, Block]:
-    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in ``points`` (n, 3) [m].
+    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in
+    ``points`` (n, 3) [m].
 
-    The rim may turn: a clamp bends the sheet over sqrt(D / tension), 0.3 mm, less than any element; half resolved, it would make the dome depend on the mesh.
+    The rim may turn: a clamp bends the sheet over sqrt(D / tension), 0.3 mm, less than any element; half resolved, it
+    would make the dome depend on the mesh.
     """
     rest = flat / spec.pre_stretch
-    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending, clamped=False)
+    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending,
+                                                                                 clamped=False)
 
 
 def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:
@@ -141,22 +152,26 @@ def _dome(spec: Bubble, flat: np.ndarray) -> np.ndarray:
 def inflate(spec: Bubble, where: str) -> np.ndarray:
     """Displacements (n, 3) [m] from the flat sheet to the free dome.
 
-    The way there is followed on a coarse mesh; the fine one begins from its dome, or goes the whole way itself where that does not lead to it.
+    The way there is followed on a coarse mesh; the fine one begins from its dome, or goes the whole way itself where
+    that does not lead to it.
     """
     fine = flat_mesh(spec)
     own = sheet(spec, *fine)
     if spec.nodes > _COARSE:
         coarse = flat_mesh(spec, _COARSE)
         there = sheet(spec, *coarse)
-        dome = inflation.inflate(there, _dome(spec, coarse[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
-        found = own.at_pressure((locate(coarse[0], coarse[1], fine[0]) @ dome).ravel() * own.free, spec.gauge_pressure, iterations=20)
+        dome = inflation.inflate(there, _dome(spec, coarse[0]), spec.gauge_pressure,
+                                 where=where).displacement.reshape(-1, 3)
+        found = own.at_pressure((locate(coarse[0], coarse[1], fine[0]) @ dome).ravel() * own.free, spec.gauge_pressure,
+                                iterations=20)
         if found is not None:
             return found.displacement.reshape(-1, 3)
     return inflation.inflate(own, _dome(spec, fine[0]), spec.gauge_pressure, where=where).displacement.reshape(-1, 3)
 
 
 def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix:
-    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to places ``at`` (k, 2) [m]; outside, the nearest triangle is drawn on."""
+    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to places ``at`` (k, 2) [m]; outside, the
+    nearest triangle is drawn on."""
     from scipy.spatial import cKDTree
 
     corners = flat[faces]
@@ -168,16 +183,20 @@ def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix
     rows = np.arange(len(at))
     weights = weights[rows, best]
     weights[np.abs(weights) < 1e-12] = 0.0
-    return sp.csr_matrix((weights.ravel(), (np.repeat(rows, 3), faces[near[rows, best]].ravel())), shape=(len(at), len(flat)))
+    return sp.csr_matrix((weights.ravel(), (np.repeat(rows, 3), faces[near[rows, best]].ravel())),
+                         shape=(len(at), len(flat)))
 
 
 def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> BubbleModel:
     # the gas plays no part in the inflation: only what does is in the file's name
-    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes, *finer, _RECIPE)
-    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
+    content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes,
+               *finer, _RECIPE)
+    stored = (disk_cache.folder() if cache is None
+              else Path(cache)) / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
     if finer:
         even = build_bubble(spec, where=where, cache=cache)
-        flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes, even.mesh.points, finer)
+        flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes,
+                                                 even.mesh.points, finer)
     else:
         flat, faces, rim = flat_mesh(spec)
 
@@ -198,30 +217,37 @@ def _between(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.nda
     """Displacements (n, 3) [m] from flat to free dome of a mesh that begins from the dome of the even one."""
     own = sheet(even.spec, flat, faces, rim)
     dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
-    found = own.at_pressure((locate(even.flat, even.mesh.faces, flat) @ dome).ravel() * own.free, even.spec.gauge_pressure, iterations=20)
+    found = own.at_pressure((locate(even.flat, even.mesh.faces, flat) @ dome).ravel() * own.free,
+                            even.spec.gauge_pressure, iterations=20)
     if found is None:
         found = inflation.inflate(own, _dome(even.spec, flat), even.spec.gauge_pressure, where=where)
     return found.displacement.reshape(-1, 3)
 
 
-def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str, *,
+def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str,
+                    *,
                     touched: np.ndarray | None = None) -> BubbleModel:
-    """The model whose free dome is at ``points`` (n, 3) [m]; ``touched``: the nodes whose elements count as its size, or None for all; other arguments as `sheet` and `build_bubble`."""
+    """The model whose free dome is at ``points`` (n, 3) [m]; ``touched``: the nodes whose elements count as its size,
+    or None for all; other arguments as `sheet` and `build_bubble`."""
     mesh = TriangleMesh.of(points, faces, rim)
     inside = float(mesh.volume[0])
     dead = spec.gas_volume - inside
     if dead < 0.0:
-        raise SceneError(f"{where}: gas_volume is {1e6 * spec.gas_volume:.4g} mL, but the inflated dome alone holds {1e6 * inside:.4g} mL; gas_volume is all of "
+        raise SceneError(f"{where}: gas_volume is {1e6 * spec.gas_volume:.4g} mL, but the inflated dome alone holds "
+                         f"{1e6 * inside:.4g} mL; gas_volume is all of "
                          "the enclosed air, dome and chamber behind it, so give more than that (in m^3).")
-    air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma, ambient=spec.ambient_pressure,
+    air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma,
+                    ambient=spec.ambient_pressure,
                     dead_volume=dead, sealed=spec.sealed)
     blocks = (*elastic_blocks(spec, points, flat, faces), air)
     free = _free(len(points), rim)
-    factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(), *gas.rest_coupling(air, len(points)))
+    factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(),
+                               *gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)
     total, edges = membrane_mesh.READ_OUT
     seen, seen_faces, seen_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
     read_out = ReadOut(seen_faces.astype(np.int32), seen_rim, seen, locate(flat, faces, seen))
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
-    return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size), spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,
+    return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),
+                       spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,
                        edge, factor, spec, flat, spec.gauge_pressure, dead, read_out)

@@ -6,12 +6,14 @@ import numpy as np
 
 from vsfsim.physics.bubble.sensor import BubbleModel
 
-# measured from 150 frames of a real sensor: h = HEIGHT (1 - rho^2)^POWER, rho the elliptical radius, 0.5 mm rms from its own frames
+# measured from 150 frames of a real sensor: h = HEIGHT (1 - rho^2)^POWER, rho the elliptical radius, 0.5 mm rms from
+# its own frames
 HEIGHT, POWER = 30.89e-3, 0.763
 
 
 def stretches(model: BubbleModel, points: np.ndarray | None = None) -> np.ndarray:
-    """Principal stretches of every triangle against the unstretched rubber (f, 2) [-], the larger first; at ``points`` (n, 3) [m], or of the free dome."""
+    """Principal stretches of every triangle against the unstretched rubber (f, 2) [-], the larger first; at ``points``
+    (n, 3) [m], or of the free dome."""
     block = model.blocks[0]
     x = (model.mesh.points if points is None else points)[block.nodes]
     deformation = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ block.parameters["inverse"]
@@ -19,7 +21,8 @@ def stretches(model: BubbleModel, points: np.ndarray | None = None) -> np.ndarra
 
 
 def punyo_rms(model: BubbleModel) -> float:
-    """Root mean square difference [m] of the dome's height from the measured map over the rim plane, by projected area."""
+    """Root mean square difference [m] of the dome's height from the measured map over the rim plane, by projected
+    area."""
     a, b = model.spec.semi_axes
     corners = model.mesh.points[model.mesh.faces]
     edge, other = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]

@@ -1,6 +1,8 @@
-"""A clamped sheet or closed skin under the pressure of a gas, by Newton's method with a sparse factor of every state's own tangent.
+"""A clamped sheet or closed skin under the pressure of a gas, by Newton's method with a sparse factor of every state's
+own tangent.
 
-    f(x) - p grad V(x) = 0       with the pressure p given, or the volume V (then p is an unknown too, and a limit point of the pressure is no obstacle)
+    f(x) - p grad V(x) = 0       with the pressure p given, or the volume V (then p is an unknown too, and a limit point
+    of the pressure is no obstacle)
 
 It serves the inflation of a sensor from its flat state and the closed forms; touches go through `Solver`.
 """
@@ -21,12 +23,14 @@ from vsfsim.physics.solve.elasticity import Elasticity
 
 _ITERATIONS = 60
 _TIGHT = 1e-11  # unbalanced over acting force: two digits above the rounding of sums of thousands of nodes
-_GOOD = 1e-6  # what counts as balanced where rounding lets no step lower the residual: flat sheets under next to no pressure
+# what counts as balanced where rounding lets no step lower the residual: flat sheets under next to no pressure
+_GOOD = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
 class Balanced:
-    """An equilibrium. displacement: (3 n,) [m]. pressure: gauge [Pa]. volume: inside the surface [m^3]. residual: unbalanced over acting force [-]."""
+    """An equilibrium. displacement: (3 n,) [m]. pressure: gauge [Pa]. volume: inside the surface [m^3]. residual:
+    unbalanced over acting force [-]."""
 
     displacement: np.ndarray
     pressure: float
@@ -38,7 +42,8 @@ class Sheet:
     """Elements of a surface and the volume that it closes.
 
     Args:
-        points: positions at u = 0 (n, 3) [m]. blocks: elastic elements. closed: faces of the closed surface (m, 3), a cap over the rim among them.
+        points: positions at u = 0 (n, 3) [m]. blocks: elastic elements. closed: faces of the closed surface (m, 3), a
+        cap over the rim among them.
         free: 1 where a degree of freedom may move (3 n,).
     """
 
@@ -49,8 +54,10 @@ class Sheet:
         self._elastic = Elasticity(model, device="cpu", real=wp.float64)  # type: ignore[arg-type]
         self._elastic.begin(1)
         self._index = wp.zeros(1, dtype=wp.int32, device="cpu")
-        self._constant = [None if hasattr(block.element, "matrices") else block.element.rest_stiffness(block) for block in blocks]
-        dofs = [(3 * nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(nodes), -1) for nodes in (*(b.nodes for b in blocks), closed)]
+        self._constant = [None if hasattr(block.element, "matrices") else block.element.rest_stiffness(block)
+                          for block in blocks]
+        dofs = [(3 * nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(nodes), -1)
+                for nodes in (*(b.nodes for b in blocks), closed)]
         self._rows = np.concatenate([np.repeat(d, d.shape[1], axis=1).ravel() for d in dofs])
         self._columns = np.concatenate([np.tile(d, (1, d.shape[1])).ravel() for d in dofs])
 
@@ -88,8 +95,10 @@ class Sheet:
         acting = np.abs(pressure * gradient[self._moves]).sum() + 1e-9 * np.abs(forces[self._moves]).sum() + 1e-300
         return residual, gradient[self._moves], float(np.abs(residual).sum() / acting)
 
-    def at_volume(self, u: np.ndarray, pressure: float, volume: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium with this volume [m^3], from the guess u (3 n,) [m] and pressure [Pa]; None if Newton's method finds none."""
+    def at_volume(self, u: np.ndarray, pressure: float, volume: float, *,
+                  iterations: int = _ITERATIONS) -> Balanced | None:
+        """The equilibrium with this volume [m^3], from the guess u (3 n,) [m] and pressure [Pa]; None if Newton's
+        method finds none."""
         u = u.copy()
         inside = self.volume(u)
         residual, gradient, error = self._state(u, pressure)
@@ -100,7 +109,8 @@ class Sheet:
             tangent = self.tangent(u, pressure)[self._moves][:, self._moves]
             whole = sp.bmat([[tangent, -gradient[:, None]], [-gradient[None], None]], format="csc")
             try:
-                step = splu(whole, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": False}).solve(np.append(residual, -short))
+                step = splu(whole, permc_spec="MMD_AT_PLUS_A",
+                            options={"SymmetricMode": False}).solve(np.append(residual, -short))
             except RuntimeError:  # singular to the last digit
                 return None
             if not np.isfinite(step).all():
@@ -125,7 +135,8 @@ class Sheet:
         return Balanced(u, float(pressure), inside, error)
 
     def at_pressure(self, u: np.ndarray, pressure: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium at this gauge pressure [Pa] nearest to the guess u (3 n,) [m]; None if Newton's method finds none."""
+        """The equilibrium at this gauge pressure [Pa] nearest to the guess u (3 n,) [m]; None if Newton's method finds
+        none."""
         u = u.copy()
         residual, _, error = self._state(u, pressure)
         for _ in range(iterations):

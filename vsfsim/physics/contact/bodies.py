@@ -1,4 +1,5 @@
-"""A set of rigid shapes as one thing: on the device a struct of arrays for the contact kernels, on the host distances and sizes.
+"""A set of rigid shapes as one thing: on the device a struct of arrays for the contact kernels, on the host distances
+and sizes.
 
 Poses are not part of it: who moves the shapes gives one pose each, every frame.
 """
@@ -13,7 +14,7 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.shape import MeshFile, ProbeShape
-from vsfsim.physics.contact.rigid_points import sdf
+from vsfsim.physics.contact import sdf
 
 
 class RigidBodies:
@@ -29,7 +30,8 @@ class RigidBodies:
         self.shapes: tuple[ProbeShape, ...] = tuple(shapes) if isinstance(shapes, Sequence) else (shapes,)
         if not self.shapes:
             raise ValueError("no rigid shape given")
-        self.notes = tuple(dict.fromkeys(note for s in self.shapes if isinstance(s, MeshFile) for note in sdf.grid(s).notes))
+        self.notes = tuple(dict.fromkeys(note for s in self.shapes if isinstance(s, MeshFile)
+                                         for note in sdf.grid(s).notes))
 
     def __len__(self) -> int:
         return len(self.shapes)
@@ -61,10 +63,14 @@ class RigidBodies:
         zero = np.zeros(3)
         columns = {
             "kind": (np.array(kinds), wp.int32), "size": (np.array(sizes), functions.vec4),
-            "start": (of(lambda g: starts[id(g)], 0), wp.int32), "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
-            "origin": (of(lambda g: g.origin, zero), functions.vec3), "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
-            "lower": (of(lambda g: g.lower, zero), functions.vec3), "upper": (of(lambda g: g.upper, zero), functions.vec3),
-            "coefficients": (np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())]), functions.real),
+            "start": (of(lambda g: starts[id(g)], 0), wp.int32),
+                   "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
+            "origin": (of(lambda g: g.origin, zero), functions.vec3),
+                   "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
+            "lower": (of(lambda g: g.lower, zero), functions.vec3),
+                   "upper": (of(lambda g: g.upper, zero), functions.vec3),
+            "coefficients": (np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())]),
+                             functions.real),
         }
         bodies = functions.Bodies()
         for name, (values, dtype) in columns.items():

@@ -7,13 +7,15 @@ import warp as wp
 
 
 def functions(real: type, module: str) -> Any:
-    """``on_triangle`` (barycentric coordinates on a flat triangle) and ``nearest`` (on a face of three or six nodes) for one scalar type and module."""
+    """``on_triangle`` (barycentric coordinates on a flat triangle) and ``nearest`` (on a face of three or six nodes)
+    for one scalar type and module."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec6 = wp.types.vector(length=6, dtype=real)
 
     @wp.func(module=module)
     def on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
-        # barycentric coordinates of the nearest point of a flat triangle, by Voronoi regions of its corners, edges and face
+        # barycentric coordinates of the nearest point of a flat triangle, by Voronoi regions of its corners, edges and
+        # face
         ab = b - a
         ac = c - a
         ap = p - a
@@ -84,7 +86,8 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def nearest(p: vec3, b: int, face: int, nodes: int, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        # nearest point of one face: shape values of its six nodes (three if flat), the point, and the face's outward normal there
+        # nearest point of one face: shape values of its six nodes (three if flat), the point, and the face's outward
+        # normal there
         x0 = x[b, faces[b, face, 0]]
         x1 = x[b, faces[b, face, 1]]
         x2 = x[b, faces[b, face, 2]]
@@ -119,8 +122,10 @@ def functions(real: type, module: str) -> Any:
             n = quadratic(at)
             c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
             # derivatives by the coordinates 1 and 2, coordinate 0 being what is left
-            tu = (one - four * at[0]) * x0 + (four * at[1] - one) * x1 + four * ((at[0] - at[1]) * x3 + at[2] * x4 - at[2] * x5)
-            tv = (one - four * at[0]) * x0 + (four * at[2] - one) * x2 + four * (at[1] * x4 - at[1] * x3 + (at[0] - at[2]) * x5)
+            tu = (one - four * at[0]) * x0 + (four * at[1] - one) * x1 + four * ((at[0] - at[1]) * x3 + at[2] * x4
+                                                                                 - at[2] * x5)
+            tv = (one - four * at[0]) * x0 + (four * at[2] - one) * x2 + four * (at[1] * x4 - at[1] * x3
+                                                                                 + (at[0] - at[2]) * x5)
             r = p - c
             a11 = wp.dot(tu, tu)
             a12 = wp.dot(tu, tv)

@@ -1,7 +1,9 @@
-"""Linear complementarity problems of a batch: find z >= 0 with y = G z + b >= 0 and z y = 0, G symmetric positive definite.
+"""Linear complementarity problems of a batch: find z >= 0 with y = G z + b >= 0 and z y = 0, G symmetric positive
+definite.
 
-It is the frictionless contact of a linear body: z the forces, y the gaps. Block principal pivoting (Kostreva 1978; Judice and Pires 1994): all
-unknowns of the wrong sign change sides at once as long as their number falls, else for a while, then only the last one (Murty), which ends.
+It is the frictionless contact of a linear body: z the forces, y the gaps. Block principal pivoting (Kostreva 1978;
+Judice and Pires 1994): all unknowns of the wrong sign change sides at once as long as their number falls, else for a
+while, then only the last one (Murty), which ends.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ def solve(matrix: torch.Tensor, offset: torch.Tensor, start: torch.Tensor, *, it
     """The solutions z (k, p).
 
     Args:
-        matrix: G (k, p, p). offset: b (k, p). start: who is guessed to have z > 0 (k, p) bool. iterations: limit; what is left then keeps
+        matrix: G (k, p, p). offset: b (k, p). start: who is guessed to have z > 0 (k, p) bool. iterations: limit; what
+        is left then keeps
             its last guess with the negative z set to 0.
     """
     inside = start.clone()
@@ -31,7 +34,8 @@ def solve(matrix: torch.Tensor, offset: torch.Tensor, start: torch.Tensor, *, it
         held = torch.where(both, matrix, torch.where(inside[:, :, None], 0.0, eye))
         z = torch.cholesky_solve(torch.where(inside, -offset, 0.0)[:, :, None], torch.linalg.cholesky(held))[:, :, 0]
         y = (matrix @ z[:, :, None])[:, :, 0] + offset
-        wrong = torch.where(inside, z < -_SMALL * z.abs().amax(dim=1, keepdim=True), y < -_SMALL * offset.abs().amax(dim=1, keepdim=True))
+        wrong = torch.where(inside, z < -_SMALL * z.abs().amax(dim=1, keepdim=True),
+                            y < -_SMALL * offset.abs().amax(dim=1, keepdim=True))
         left = wrong.sum(dim=1)
         if not bool(left.any()):
             break

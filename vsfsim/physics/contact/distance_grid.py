@@ -2,12 +2,14 @@
 
     phi(x) = sum_ijk c_ijk B(x/h - i) B(y/h - j) B(z/h - k),     phi(x_ijk) = signed distance at node (i, j, k)
 
-B is the cardinal cubic B-spline, so phi is C2: gap, gradient and Hessian are derivatives of one function. The coefficients make phi
-interpolate the nodes (Unser 1999, "Splines: a perfect fit for signal and image processing"): where the distance is smooth the error falls
-as h^4. Near an edge or a medial surface, where it has a kink, phi rounds it over about one spacing: error O(h), 0.1 h at an edge of 90 degrees.
+B is the cardinal cubic B-spline, so phi is C2: gap, gradient and Hessian are derivatives of one function. The
+coefficients make phi interpolate the nodes (Unser 1999, "Splines: a perfect fit for signal and image processing"):
+where the distance is smooth the error falls as h^4. Near an edge or a medial surface, where it has a kink, phi rounds
+it over about one spacing: error O(h), 0.1 h at an edge of 90 degrees.
 
-Spacing: the finer of LONGEST cells along the longest edge of the bounding box and SHORTEST along the shortest, but never more than MAX_NODES
-nodes (16 MB of doubles). Distance: to the exact triangles, in double. Sign: generalised winding number (Jacobson et al. 2013; Barill et al. 2018).
+Spacing: the finer of LONGEST cells along the longest edge of the bounding box and SHORTEST along the shortest, but
+never more than MAX_NODES nodes (16 MB of doubles). Distance: to the exact triangles, in double. Sign: generalised
+winding number (Jacobson et al. 2013; Barill et al. 2018).
 A surface that does not bound one simple solid is first closed by fTetWild.
 """
 
@@ -30,8 +32,11 @@ from vsfsim.core.shape import MeshFile
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
 MAX_NODES = 2_000_000
 PAD = 4  # cells of distance kept around the bounding box
-_RIM = 4  # cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
-_CLOSED_EDGE = 1 / 8  # edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the size, and 1 / 40 takes minutes
+# cells beyond, for the spline's end conditions alone: what they do wrong fades by 0.27 a cell, to 1e-5 at the body
+_RIM = 4
+# edge of the tetrahedra that close a broken surface, over its longest edge: fTetWild keeps to the surface whatever the
+# size, and 1 / 40 takes minutes
+_CLOSED_EDGE = 1 / 8
 _ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
 _SLOW = 1.0  # a bake that took longer is kept on disk [s]
 _RECIPE = 1  # part of the cache key: raise it when the bake changes
@@ -43,7 +48,8 @@ class DistanceGrid:
 
     coefficients: of the spline (nx, ny, nz) [m]. origin: node (0, 0, 0) (3,) [m]. spacing: [m].
     lower, upper: bounding box of the mesh (3,) [m]. vertices: its corners (n, 3) [m]; faces: its triangles (f, 3).
-    error: |phi| at the mesh's own corners and triangle centres, where it should be 0: root mean square and largest (2,) [m].
+    error: |phi| at the mesh's own corners and triangle centres, where it should be 0: root mean square and largest (2,)
+    [m].
     notes: what was repaired or decided.
     """
 
@@ -62,7 +68,8 @@ class DistanceGrid:
         x = np.asarray(points, float)
         low, high = self.domain()
         inside = np.clip(x, low, high)
-        phi = ndimage.map_coordinates(self.coefficients, np.moveaxis((inside - self.origin) / self.spacing, -1, 0), order=3, prefilter=False)
+        phi = ndimage.map_coordinates(self.coefficients, np.moveaxis((inside - self.origin) / self.spacing, -1, 0),
+                                      order=3, prefilter=False)
         away = np.linalg.norm(x - inside, axis=-1)
         box = np.linalg.norm(x - np.clip(x, self.lower, self.upper), axis=-1)
         return np.where(away > 0.0, np.maximum(phi - away, box), phi)
@@ -70,8 +77,9 @@ class DistanceGrid:
     def domain(self) -> tuple[np.ndarray, np.ndarray]:
         """Corners (3,), (3,) [m] of the box in which phi is the spline.
 
-        Beyond it the larger of two lower bounds stands for the distance: phi at the nearest point of the box less the way there, and the
-        distance to the bounding box. Both are right in sign, so a step of that length never jumps over the body.
+        Beyond it the larger of two lower bounds stands for the distance: phi at the nearest point of the box less the
+        way there, and the distance to the bounding box. Both are right in sign, so a step of that length never jumps
+        over the body.
         """
         return self.origin + self.spacing, self.origin + self.spacing * (np.array(self.coefficients.shape) - 2.0)
 
@@ -88,7 +96,8 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
     """The grid of a mesh file, from memory, from disk, or made now.
 
     Args:
-        shape: file and scale. spacing: of the grid [m], or None for the rule. cache: folder; None is that of filled meshes.
+        shape: file and scale. spacing: of the grid [m], or None for the rule. cache: folder; None is that of filled
+        meshes.
 
     Raises:
         MeshError: as `vsfsim.physics.mesh.scan.read_surface`, or a surface that cannot be closed.
@@ -102,11 +111,12 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: int | None) -> DistanceGrid:
     # scan pulls in trimesh; a sphere does not need it. ``stamp`` is the file's time: an edited file is read again
     from vsfsim.physics import disk_cache
-    from vsfsim.physics.mesh.quadratic import scan
+    from vsfsim.physics.mesh import scan
 
     path = Path(shape.path)
     content = scan._content(path)
-    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, spacing, LONGEST, SHORTEST, MAX_NODES, _RECIPE)).encode()).hexdigest()
+    key = hashlib.sha256(content + repr((path.suffix.lower(), shape.scale, spacing, LONGEST, SHORTEST, MAX_NODES,
+                                         _RECIPE)).encode()).hexdigest()
     stored = (disk_cache.folder() if cache is None else Path(cache)) / f"distance-{key[:32]}.npz"
     grid = _read(stored)
     if grid is None:
@@ -116,11 +126,15 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
         notes = [note for note in notes if not note.startswith("Not watertight")]
         broken = _fault(surface, vertices, faces)
         if broken:
-            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()), _ENVELOPE, path))
+            vertices, faces = _boundary(*scan._run_filler(surface, _CLOSED_EDGE * float(surface.extents.max()),
+                                                          _ENVELOPE, path))
             if not len(faces) or _volume(vertices, faces) < 1e-4 * float(np.prod(surface.extents)):
-                raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. Close it or give it thickness.")
-            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
-        grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]), notes=tuple(notes))
+                raise MeshError(f"mesh file '{path}' encloses no volume: it is an open sheet; a probe is a solid. "
+                                f"Close it or give it thickness.")
+            notes.append(f"{broken}: closed by fTetWild, which moves the surface by up to {100 * _ENVELOPE:g} % of its "
+                         f"diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
+        grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]),
+                    notes=tuple(notes))
         if broken or time.perf_counter() - began > _SLOW:
             _write(stored, grid)
             # another worker may have been first; fTetWild never gives the same surface twice, so that one counts
@@ -133,7 +147,8 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     """The grid of a closed surface.
 
     Args:
-        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. centre: becomes the origin (3,) [m], by default
+        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. centre: becomes the
+        origin (3,) [m], by default
             that of the bounding box. notes: put before our own.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -143,7 +158,8 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     cells = np.ceil((high - low) / h).astype(int) + 2 * (PAD + 1)
     nodes = cells + 1 + 2 * _RIM
     if np.prod(cells + 1) > 8 * MAX_NODES:
-        raise MeshError(f"a distance grid of spacing {h:g} m would have {np.prod(cells + 1):.1e} nodes; {8 * MAX_NODES:.1e} are allowed. Use a coarser one.")
+        raise MeshError(f"a distance grid of spacing {h:g} m would have {np.prod(cells + 1):.1e} nodes; "
+                        f"{8 * MAX_NODES:.1e} are allowed. Use a coarser one.")
     first = 0.5 * (low + high) - 0.5 * h * (nodes - 1)
     axes = [first[c] + h * np.arange(nodes[c]) for c in range(3)]
     at = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -151,9 +167,11 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     grid = DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, np.zeros(2), notes)
     off = grid.distance(np.concatenate([vertices, vertices[faces].mean(axis=1)]))
     error = np.array([np.sqrt((off**2).mean()), np.abs(off).max()])
-    moved = "" if np.abs(centre).max() < 1e-6 * (high - low).max() else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
+    moved = "" if np.abs(centre).max() < 1e-6 * (high
+                                                 - low).max() else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
     said = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
-            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
+            f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface "
+            f"by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
     return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, said))
 
 
@@ -166,15 +184,18 @@ def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
     """Signed distance (k,) [m] of ``points`` (k, 3) to a closed triangle mesh; negative inside."""
     kernel = _query()
     corners = wp.array(vertices.astype(np.float32), dtype=wp.vec3, device="cpu")
-    mesh = wp.Mesh(points=corners, indices=wp.array(faces.astype(np.int32).reshape(-1), dtype=wp.int32, device="cpu"), support_winding_number=True)
+    mesh = wp.Mesh(points=corners, indices=wp.array(faces.astype(np.int32).reshape(-1), dtype=wp.int32, device="cpu"),
+                   support_winding_number=True)
     out = wp.array(np.full(len(points), np.nan), dtype=wp.float64, device="cpu")
-    wp.launch(kernel, dim=len(points), device="cpu", inputs=[mesh.id, wp.array(vertices, dtype=wp.vec3d, device="cpu"), wp.array(faces, dtype=wp.vec3i, device="cpu"),
+    wp.launch(kernel, dim=len(points), device="cpu", inputs=[mesh.id, wp.array(vertices, dtype=wp.vec3d, device="cpu"),
+                                                             wp.array(faces, dtype=wp.vec3i, device="cpu"),
                                                              wp.array(points, dtype=wp.vec3d, device="cpu"), out])
     return out.numpy()
 
 
 def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Generalised winding number (k,) of ``points`` (k, 3): 1 inside a simple solid, 0 outside, between for a surface with holes.
+    """Generalised winding number (k,) of ``points`` (k, 3): 1 inside a simple solid, 0 outside, between for a surface
+    with holes.
 
     Sum of the solid angles of all triangles over 4 pi (Van Oosterom and Strackee 1983), exact and slow.
     """
@@ -184,7 +205,9 @@ def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
         a, b, c = (vertices[faces[:, k]][None] - part[:, None] for k in range(3))
         la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
         top = np.einsum("pfc,pfc->pf", a, np.cross(b, c))
-        bottom = la * lb * lc + np.einsum("pfc,pfc->pf", a, b) * lc + np.einsum("pfc,pfc->pf", b, c) * la + np.einsum("pfc,pfc->pf", c, a) * lb
+        bottom = la * lb * lc + np.einsum("pfc,pfc->pf", a, b) * lc + np.einsum("pfc,pfc->pf", b,
+                                                                                c) * la + np.einsum("pfc,pfc->pf", c,
+                                                                                                    a) * lb
         out[start:start + len(part)] = 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
     return out
 
@@ -285,7 +308,8 @@ def _query():
 def _read(path: Path) -> DistanceGrid | None:
     try:
         with np.load(path, allow_pickle=False) as data:
-            return DistanceGrid(data["coefficients"], data["origin"], float(data["spacing"]), data["lower"], data["upper"], data["vertices"],
+            return DistanceGrid(data["coefficients"], data["origin"], float(data["spacing"]), data["lower"],
+                                data["upper"], data["vertices"],
                                 data["faces"], data["error"], tuple(str(note) for note in data["notes"]))
     except FileNotFoundError:
         return None

@@ -1,6 +1,8 @@
-"""Sums over the Gauss points of linear faces, handed to the nodes of a patch in a fixed order: the same bits on every run, on a GPU too.
+"""Sums over the Gauss points of linear faces, handed to the nodes of a patch in a fixed order: the same bits on every
+run, on a GPU too.
 
-A table of shape values of every point by every node is mostly zeros where a sheet's faces are small; here a face sums over its own points first.
+A table of shape values of every point by every node is mostly zeros where a sheet's faces are small; here a face sums
+over its own points first.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ class FaceSums:
     """Which corners of which faces meet at each node, and at each pair of nodes, of B patches.
 
     Args:
-        table: shape values of the points of a face's parts (parts, 6, 6), see `contact.shape_table`. patches: B of them. faces: most faces of a patch F.
+        table: shape values of the points of a face's parts (parts, 6, 6), see `contact.shape_table`. patches: B of
+        them. faces: most faces of a patch F.
         nodes: most nodes of a patch s. device: torch device.
     """
 
@@ -43,7 +46,8 @@ class FaceSums:
         return _sum(own.reshape(k, -1, 3), self._at_node[columns]).flatten(1)
 
     def pushed(self, columns: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
-        """Nodes (k, u) of the faces with any stiffness at a point (k, 6 f parts, 3, 3), padded with others to the most of any touch, one at the least."""
+        """Nodes (k, u) of the faces with any stiffness at a point (k, 6 f parts, 3, 3), padded with others to the most
+        of any touch, one at the least."""
         k = len(columns)
         on = (stiff.reshape(k, self._faces, -1) != 0.0).any(dim=2).to(torch.float64)
         used = _sum(on.repeat_interleave(3, dim=1)[:, :, None], self._at_node[columns])[:, :, 0] > 0.0
@@ -51,7 +55,8 @@ class FaceSums:
         return torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
 
     def matrix(self, columns: torch.Tensor, stiff: torch.Tensor, nodes: torch.Tensor | None = None) -> torch.Tensor:
-        """Stiffness at the points (k, 6 f parts, 3, 3) [N/m] as that of the nodes (k, 3 s, 3 s) [N/m], or of some of them, ``nodes`` (k, u), alone."""
+        """Stiffness at the points (k, 6 f parts, 3, 3) [N/m] as that of the nodes (k, 3 s, 3 s) [N/m], or of some of
+        them, ``nodes`` (k, u), alone."""
         k, s = len(columns), self._nodes
         if nodes is None:
             nodes = torch.arange(s, device=stiff.device).expand(k, -1)
@@ -68,7 +73,8 @@ class FaceSums:
 
 
 def _slots(targets: Sequence[np.ndarray], count: int, nothing: int, device: str) -> torch.Tensor:
-    """For every target 0..count-1 the sources that go to it (B, count, m), padded with ``nothing``; ``targets``: of every source, one array a touch."""
+    """For every target 0..count-1 the sources that go to it (B, count, m), padded with ``nothing``; ``targets``: of
+    every source, one array a touch."""
     most = max(1, max(int(np.bincount(t, minlength=1).max()) if len(t) else 0 for t in targets))
     out = np.full((len(targets), count, most), nothing)
     for b, t in enumerate(targets):

@@ -1,12 +1,15 @@
-"""The condensed contact problem of two deformable surfaces: both bodies answer the contact as at rest, and only the patches are unknown.
+"""The condensed contact problem of two deformable surfaces: both bodies answer the contact as at rest, and only the
+patches are unknown.
 
-As in `condensed`, u = u0 + A q and q = f(u) - f0 on the patch. A membrane is slack across its surface: between the nodes that hold it, it dives through
-the object, and Newton's method with a line search crawls. So every iteration takes the gaps as they are linearised at u and
-solves for the forces with their signs, a linear complementarity problem (`complementarity`),
+As in `condensed`, u = u0 + A q and q = f(u) - f0 on the patch. A membrane is slack across its surface: between the
+nodes that hold it, it dives through the object, and Newton's method with a line search crawls. So every iteration takes
+the gaps as they are linearised at u and solves for the forces with their signs, a linear complementarity problem
+(`complementarity`),
 
     0 <= lambda  _|_  g + J (u' - u) + lambda / w >= 0,     u' = u0 + A (J^T lambda + t - S (u' - u) - f0)
 
-with t and S the tangential forces and stiffness of the points that friction holds; a few such iterations find the forces of the curved surfaces.
+with t and S the tangential forces and stiffness of the points that friction holds; a few such iterations find the
+forces of the curved surfaces.
 """
 
 from __future__ import annotations
@@ -15,14 +18,16 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from vsfsim.physics.contact import complementarity
 from vsfsim.physics.contact.pair_links import times
-from vsfsim.physics.contact.rigid_points import complementarity
 
 if TYPE_CHECKING:
     from vsfsim.physics.contact.pair import PairTouching
 
 _MOST = 8  # iterations: what has not converged then goes round in a circle of facets
-_TIGHT = 1e-5  # of the displacement, at the most: what is left of a gap must be small beside the penetration, which is a thousandth of it
+# of the displacement, at the most: what is left of a gap must be small beside the penetration, which is a thousandth of
+# it
+_TIGHT = 1e-5
 _STALLED = 0.5  # an error that shrinks by less is as small as the facets let it be
 _CLOSE = 0.2  # of the margin of a step: nearer nodes are asked whether they touch
 
@@ -46,7 +51,8 @@ def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pus
             break
         asked = touching.near(columns, _CLOSE, asked)
         normal, gap, give, held = touching.meeting(columns, asked)
-        # rubber mostly sticks: begin with all of it stuck, since from far past its anchor a point would seem to slip for ever
+        # rubber mostly sticks: begin with all of it stuck, since from far past its anchor a point would seem to slip
+        # for ever
         drag, across = touching.tangential(columns, stuck=step == 0)
         change = base - u + compliance.respond(columns, drag - pushed)
         force = drag - pushed

@@ -1,6 +1,7 @@
 """What ties the points in contact of two surfaces to the patches' displacements.
 
-A link is a point of one surface and its place on the other, with one or more directions: row J of the relative displacement along each.
+A link is a point of one surface and its place on the other, with one or more directions: row J of the relative
+displacement along each.
 It holds on to a handful of the patches' nodes. The compliance of both bodies at rest is A.
 """
 
@@ -11,14 +12,15 @@ from dataclasses import dataclass
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.rigid_points import pair_rows
+from vsfsim.physics.contact import pair_rows
 
 
 @dataclass(frozen=True)
 class Compliance:
     """How both bodies answer forces on the patches of B touches at rest; 0 where held or padded.
 
-    on_object: (B, 3 o, 3 o) [m/N], o object nodes in the patch, world. on_sensor: (B, 3 c, 3 c) [m/N], c sensor nodes, in its frame.
+    on_object: (B, 3 o, 3 o) [m/N], o object nodes in the patch, world. on_sensor: (B, 3 c, 3 c) [m/N], c sensor nodes,
+    in its frame.
     """
 
     on_object: torch.Tensor
@@ -27,15 +29,18 @@ class Compliance:
     def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them."""
         split = self.on_object.shape[1]
-        return torch.cat([times(some(self.on_object, columns), force[:, :split]), times(some(self.on_sensor, columns), force[:, split:])], dim=1)
+        return torch.cat([times(some(self.on_object, columns), force[:, :split]),
+                          times(some(self.on_sensor, columns), force[:, split:])], dim=1)
 
 
 @dataclass(frozen=True)
 class Links:
     """Links of k touches, a each, m directions; padded ones have weight 0.
 
-    node: the patch nodes (k, a, n) int32 that each holds on to, the object's before ``split``, the sensor's from there on. weight: of these (k, a, n) [-].
-    world, own: directions in the world and in the sensor's frame (k, a, m, 3), with any factor of the rows in them. table: the weights (k, a, s) by node.
+    node: the patch nodes (k, a, n) int32 that each holds on to, the object's before ``split``, the sensor's from there
+    on. weight: of these (k, a, n) [-].
+    world, own: directions in the world and in the sensor's frame (k, a, m, 3), with any factor of the rows in them.
+    table: the weights (k, a, s) by node.
     """
 
     split: int
@@ -46,7 +51,8 @@ class Links:
     table: torch.Tensor
 
     @classmethod
-    def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, world: torch.Tensor, own: torch.Tensor) -> Links:
+    def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, world: torch.Tensor,
+           own: torch.Tensor) -> Links:
         """Of a patch with ``count`` nodes; the nodes of a link that have a weight must differ."""
         table = torch.zeros((*node.shape[:2], count), dtype=torch.float64, device=node.device)
         table.scatter_add_(2, node, weight)  # what is added to a node beside its own weight is 0
@@ -54,19 +60,22 @@ class Links:
 
     def pick(self, which: torch.Tensor) -> Links:
         """Those of some of the touches (j,)."""
-        return Links(self.split, *(some(getattr(self, name), which) for name in ("node", "weight", "world", "own", "table")))
+        return Links(self.split, *(some(getattr(self, name), which)
+                                   for name in ("node", "weight", "world", "own", "table")))
 
     def beside(self, other: Links) -> Links:
         """These links and others of the same patches, each direction as a link of its own."""
         one, two = self._single(), other._single()
-        return Links(self.split, *(torch.cat([getattr(one, name), getattr(two, name)], dim=1) for name in ("node", "weight", "world", "own", "table")))
+        return Links(self.split, *(torch.cat([getattr(one, name), getattr(two, name)], dim=1)
+                                   for name in ("node", "weight", "world", "own", "table")))
 
     def _single(self) -> Links:
         m = self.world.shape[2]
         if m == 1:
             return self
         node, weight, table = (getattr(self, name).repeat_interleave(m, dim=1) for name in ("node", "weight", "table"))
-        return Links(self.split, node, weight, self.world.flatten(1, 2)[:, :, None], self.own.flatten(1, 2)[:, :, None], table)
+        return Links(self.split, node, weight, self.world.flatten(1, 2)[:, :, None], self.own.flatten(1, 2)[:, :, None],
+                     table)
 
     def jump(self, v: torch.Tensor) -> torch.Tensor:
         """J v (k, a m) for displacements v (k, 3 s)."""
@@ -81,19 +90,23 @@ class Links:
 
     def share(self, world: torch.Tensor, own: torch.Tensor) -> torch.Tensor:
         """Nodal forces (k, 3 s) of a force at every link, given in both frames (k, a, 3)."""
-        return torch.cat([self.table[:, :, :self.split].mT @ world, self.table[:, :, self.split:].mT @ own], dim=1).flatten(1)
+        return torch.cat([self.table[:, :, :self.split].mT @ world, self.table[:, :, self.split:].mT @ own],
+                         dim=1).flatten(1)
 
     def _arrays(self) -> list[wp.array]:
         vec3 = pair_rows.kernels().vec3
-        return [wp.from_torch(self.node.contiguous()), wp.from_torch(self.weight.contiguous()), wp.from_torch(self.world.contiguous(), dtype=vec3),
+        return [wp.from_torch(self.node.contiguous()), wp.from_torch(self.weight.contiguous()),
+                wp.from_torch(self.world.contiguous(), dtype=vec3),
                 wp.from_torch(self.own.contiguous(), dtype=vec3)]
 
     def answers(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
-        """J A (k, a m, s, 3): the displacements of the patches of ``columns`` (k,) under a unit force along each row."""
+        """J A (k, a m, s, 3): the displacements of the patches of ``columns`` (k,) under a unit force along each
+        row."""
         kernels, (k, a, m, _), s = pair_rows.kernels(), self.world.shape, self.table.shape[2]
         out = torch.empty((k, a * m, s, 3), dtype=torch.float64, device=self.node.device)
         wp.launch(kernels.answers, dim=(k, a * m, s), device=str(out.device), inputs=[
-            wp.from_torch(columns.to(torch.int32)), self.split, wp.from_torch(compliance.on_object), wp.from_torch(compliance.on_sensor), *self._arrays(),
+            wp.from_torch(columns.to(torch.int32)),
+                                                                                      self.split, wp.from_torch(compliance.on_object), wp.from_torch(compliance.on_sensor), *self._arrays(),
             wp.from_torch(out, dtype=kernels.vec3)])
         return out
 
@@ -137,7 +150,8 @@ class LinkStiffness:
 
 @dataclass(frozen=True)
 class LinkBlock:
-    """As `touching.ContactBlock`: ``apply`` gives T v with T = J^T (1 + J A J^T)^-1 J. inner: Cholesky factor of the bracket."""
+    """As `touching.ContactBlock`: ``apply`` gives T v with T = J^T (1 + J A J^T)^-1 J. inner: Cholesky factor of the
+    bracket."""
 
     links: Links
     inner: torch.Tensor
@@ -145,7 +159,8 @@ class LinkBlock:
 
     @classmethod
     def of(cls, links: Links, compliance: Compliance, columns: torch.Tensor, free: torch.Tensor) -> LinkBlock:
-        """From links whose directions carry the roots of the stiffness [sqrt(N/m)]; free: 1 where the patches of ``columns`` (k,) may move (k, 3 s)."""
+        """From links whose directions carry the roots of the stiffness [sqrt(N/m)]; free: 1 where the patches of
+        ``columns`` (k,) may move (k, 3 s)."""
         inner = links.gram(links.answers(compliance, columns))
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         return cls(links, torch.linalg.cholesky(0.5 * (inner + inner.mT)), free)

@@ -1,15 +1,19 @@
-"""Contact of two deformable surfaces, one of which (the sensor's) is carried along: a stiff penalty along the normal, Coulomb friction across it.
+"""Contact of two deformable surfaces, one of which (the sensor's) is carried along: a stiff penalty along the normal,
+Coulomb friction across it.
 
     Pi_n = sum_q w_q/2 <-g>^2,     g = +-|x_q - c(x_q)|,    c the nearest point of the other surface
-    Pi_t as in `contact`,          d = tangential part of x_q - X(anchor),  the anchor a material point of the other surface
+    Pi_t as in `contact`,          d = tangential part of x_q - X(anchor),  the anchor a material point of the other
+    surface
 
-Both surfaces push: every node of the sensor against the object's quadratic triangles, and every surface node of the object against the sensor's
-triangles, so that neither a bump of the one nor an edge of the other gets through between nodes; w_q is the node's share of its faces' area times
-a pressure for each metre. At the nearest point
-the way along the surface costs nothing, so the force on x_q is -w_q g n and the one on the other surface is its opposite, shared out by the
-shape functions at c: forces balance exactly. n is not the normal of the one face at c, which jumps where a node rolls from face to face and would
-never let the forces settle, but blended from those of the faces around (where they meet smoothly), as they were when the step began. The change of n with the deformation is left out of the stiffness (where points
-stick, as they do on rubber, its part vanishes).
+Both surfaces push: every node of the sensor against the object's quadratic triangles, and every surface node of the
+object against the sensor's triangles, so that neither a bump of the one nor an edge of the other gets through between
+nodes; w_q is the node's share of its faces' area times a pressure for each metre. At the nearest point
+the way along the surface costs nothing, so the force on x_q is -w_q g n and the one on the other surface is its
+opposite, shared out by the
+shape functions at c: forces balance exactly. n is not the normal of the one face at c, which jumps where a node rolls
+from face to face and would never let the forces settle, but blended from those of the faces around (where they meet
+smoothly), as they were when the step began. The change of n with the deformation is left out of the stiffness (where
+points stick, as they do on rubber, its part vanishes).
 Positions and forces are in the world; `pair` turns the sensor's into its own frame.
 """
 
@@ -19,7 +23,8 @@ from typing import Any
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact.rigid_points import FACING, closest_point, relaxation
+from vsfsim.physics.contact import closest_point, relaxation
+from vsfsim.physics.contact.rigid_points import FACING
 
 CANDIDATES = 12  # faces of the other surface that one point may meet in one step
 FIXED, NEW = 1, 2  # an anchor: from a step before, or made in this one, which may still move it
@@ -42,9 +47,11 @@ def kernels() -> Any:
     fixed, new = wp.constant(FIXED), wp.constant(NEW)
 
     @wp.func(module=module)
-    def meet(p: vec3, b: int, q: int, nodes: int, candidates: wp.array3d(dtype=wp.int32), faces: wp.array3d(dtype=wp.int32),
+    def meet(p: vec3, b: int, q: int, nodes: int, candidates: wp.array3d(dtype=wp.int32),
+             faces: wp.array3d(dtype=wp.int32),
              x: wp.array2d(dtype=vec3)):
-        # the nearest point among the candidates: face (-1: none), shape values, signed distance, unit normal out of the other body
+        # the nearest point among the candidates: face (-1: none), shape values, signed distance, unit normal out of the
+        # other body
         found = int(-1)  # noqa: UP018, RUF046
         shape = vec6()
         gap = real(1e30)
@@ -292,7 +299,8 @@ def kernels() -> Any:
         change_out: wp.array2d(dtype=real),
         miss_out: wp.array2d(dtype=real),
     ):
-        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this step
+        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this
+        # step
         q, k = wp.tid()
         b = columns[k]
         limit = real(0.0)
@@ -302,7 +310,8 @@ def kernels() -> Any:
             across_out[b, q] = normal_in[b, q]
             if anchored_out[b, q] == 0 or (anchored_out[b, q] == new and anchorings_out[b, q] < most_anchorings):
                 anchorings_out[b, q] = anchorings_out[b, q] + 1
-                # where the other surface came upon the point in this step, had both kept their shapes; where it is now, if it bulged up
+                # where the other surface came upon the point in this step, had both kept their shapes; where it is now,
+                # if it bulged up
                 face = face_in[b, q]
                 shape = shape_in[b, q]
                 face0, _shape0, g0, _n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
@@ -363,10 +372,12 @@ def kernels() -> Any:
             way = wp.length(d)
             v = stick * stiffness[b, q]
             if v * way > limit_in[b, q]:
-                # the place on the surface that the point pulls at with just its limit; surfaces are curved, so it is come to in a few steps
+                # the place on the surface that the point pulls at with just its limit; surfaces are curved, so it is
+                # come to in a few steps
                 left = limit_in[b, q] / v
                 for _i in range(4):
-                    face, shape, _g, _n = meet(at + (real(1.0) - left / way) * d, b, q, nodes, candidates_in, faces, x_in)
+                    face, shape, _g, _n = meet(at + (real(1.0) - left / way) * d, b, q, nodes, candidates_in, faces,
+                                               x_in)
                     if face >= 0:
                         anchor_face_out[b, q] = face
                         anchor_shape_out[b, q] = shape

@@ -1,8 +1,9 @@
 """Products of sparse rows with compliances: X = J A and G = J X^T, for the links of two bodies that touch.
 
-Row r of J is one direction d of a link: over the nodes i that the link holds on to, J_r = sum_i w_i d^T on the columns of node i. A is block diagonal, A_o of
-the object (in the world) and A_s of the sensor (in its frame), and d is given in both frames. A row holds on to a handful of nodes, so a product costs
-(rows x patch x handful) where a dense J would cost (rows x patch x patch).
+Row r of J is one direction d of a link: over the nodes i that the link holds on to, J_r = sum_i w_i d^T on the columns
+of node i. A is block diagonal, A_o of the object (in the world) and A_s of the sensor (in its frame), and d is given in
+both frames. A row holds on to a handful of nodes, so a product costs (rows x patch x handful) where a dense J would
+cost (rows x patch x patch).
 """
 
 import functools
@@ -48,7 +49,8 @@ def kernels() -> Any:
                 w = weight_in[k, a, i]
                 if n < split and w != real(0.0):
                     for e in range(3):
-                        out += (w * d[e]) * vec3(on_object[b, 3 * n + e, 3 * c], on_object[b, 3 * n + e, 3 * c + 1], on_object[b, 3 * n + e, 3 * c + 2])
+                        out += (w * d[e]) * vec3(on_object[b, 3 * n + e, 3 * c], on_object[b, 3 * n + e, 3 * c + 1],
+                                                 on_object[b, 3 * n + e, 3 * c + 2])
         else:
             d = own_in[k, a, r - a * m]
             q = c - split
@@ -57,7 +59,8 @@ def kernels() -> Any:
                 w = weight_in[k, a, i]
                 if n >= 0 and w != real(0.0):
                     for e in range(3):
-                        out += (w * d[e]) * vec3(on_sensor[b, 3 * n + e, 3 * q], on_sensor[b, 3 * n + e, 3 * q + 1], on_sensor[b, 3 * n + e, 3 * q + 2])
+                        out += (w * d[e]) * vec3(on_sensor[b, 3 * n + e, 3 * q], on_sensor[b, 3 * n + e, 3 * q + 1],
+                                                 on_sensor[b, 3 * n + e, 3 * q + 2])
         rows_out[k, r, c] = out
 
     @wp.kernel(module=module, enable_backward=False)

@@ -1,4 +1,5 @@
-"""The two surfaces of a pair: positions, blended normals, candidates, the patch of a step, and the rest-state answer on it."""
+"""The two surfaces of a pair: positions, blended normals, candidates, the patch of a step, and the rest-state answer on
+it."""
 
 from __future__ import annotations
 
@@ -10,39 +11,48 @@ import torch
 import warp as wp
 from scipy.spatial import cKDTree
 
+from vsfsim.physics.contact import pair_points as pair_contact
+from vsfsim.physics.contact import rigid_points as contact
 from vsfsim.physics.contact.pair_links import Compliance
 from vsfsim.physics.contact.relaxation import Relaxation
-from vsfsim.physics.contact.rigid_points import pair_points as pair_contact
-from vsfsim.physics.contact.rigid_points import rigid_points as contact
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
 _MARGIN = 0.3  # of a stride: by their own motion the surfaces may come nearer by so much in a step
-_BULGE = 0.25  # of the sensor's height: by so much the surfaces may come past where the free sensor goes, it by swelling sideways, they by bulging
+# of the sensor's height: by so much the surfaces may come past where the free sensor goes, it by swelling sideways,
+# they by bulging
+_BULGE = 0.25
 _AWAY = 0.5  # cosine between a face's normal and the way the sensor looks, over which the face has its back to it
 _MOST_PARTS = 16  # along the edge of a face
 _SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly: less is an edge, and stays one
 _BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _SLOPES = np.stack([  # derivatives of a quadratic face's shape functions along two of its edges, at its six nodes
-    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1 else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
-              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1], 4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
+    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1
+                                     else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
+              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1],
+              4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
               -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
 _SOFTEST = 1e-3  # of the sensor's modulus: least that its nodes' penalty is made for
-_SECOND = 0.1  # of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in between them
+# of the stiffness, for the object's nodes: the sensor's nodes bear the load, these only keep edges from poking in
+# between them
+_SECOND = 0.1
 _TABLE = 1500  # unknowns of a sensor up to which its whole inverse answers faster on a CPU than its factor
 SENSOR_NODES = 3000  # of a sensor that touches an object: its compliance is kept whole, (3 m)^2 doubles
 
 
 @dataclass
 class Side:
-    """The nodes of one surface (Q of them) and the faces of the other one, numbers local to the touch; tensors on the device.
+    """The nodes of one surface (Q of them) and the faces of the other one, numbers local to the touch; tensors on the
+    device.
 
-    first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on. stiffness: (B, Q) [N/m].
-    faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces that each node may meet in
-    this step, -1 pads. state: what the kernels write, by name. memory: friction's.
+    first: number of the first node; they follow one another. facet: (B, Q, 3) corners of a face that each node is on.
+    stiffness: (B, Q) [N/m].
+    faces: of the other surface (B, F, 3 or 6). count: (B,) int32 faces in use. candidates: (B, Q, most) int32 faces
+    that each node may meet in this step, -1 pads. state: what the kernels write, by name. memory: friction's.
     relaxation: friction's iteration in this step.
     views: the same tensors by name as Warp's arrays, made once: the tensors are only ever written in place.
-    around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals blended there (B, F, n, 3).
+    around: the corners (as face x nodes + node, -1 pads) that share each corner's node (B, F n, most). smooth: normals
+    blended there (B, F, n, 3).
     """
 
     first: int
@@ -69,7 +79,8 @@ def farthest(sensor: Model) -> float:
 
 
 def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
-    """Corners that share each corner's node, itself among them (B, F n, most), -1 pads; faces (B, F, n) of which the first ``count`` (B,) are in use."""
+    """Corners that share each corner's node, itself among them (B, F n, most), -1 pads; faces (B, F, n) of which the
+    first ``count`` (B,) are in use."""
     batch, width, nodes = faces.shape
     tables = []
     for b in range(batch):
@@ -86,11 +97,13 @@ def _around(faces: np.ndarray, count: np.ndarray, device: str) -> torch.Tensor:
             table[:len(flat)][has, slot] = order[start[flat[has]] + slot]
         tables.append(table)
     most = max(t.shape[1] for t in tables)
-    return torch.as_tensor(np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables]), device=device)
+    return torch.as_tensor(np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables]),
+                           device=device)
 
 
 class PairSurfaces:
-    """Both surfaces of B touches on the device: who may meet whom in a step, and how both bodies at rest answer forces on the patch that this makes.
+    """Both surfaces of B touches on the device: who may meet whom in a step, and how both bodies at rest answer forces
+    on the patch that this makes.
 
     Arguments and attributes as `pair.PairTouching`.
     """
@@ -116,8 +129,9 @@ class PairSurfaces:
     # ------------------------------------------------------------------------------------------ set-up
 
     def _reachable(self, poses: np.ndarray) -> list[np.ndarray]:
-        """Boundary triangles of the object that each touch's sensor may meet: those that its free surface, made thicker, sweeps over, and that do not look
-        the way that the sensor looks. Every node counts: its columns of the inverse are solved for."""
+        """Boundary triangles of the object that each touch's sensor may meet: those that its free surface, made
+        thicker, sweeps over, and that do not look the way that the sensor looks. Every node counts: its columns of the
+        inverse are solved for."""
         mesh, own = self.model.mesh, self.sensor.mesh.points
         margin = _BULGE * float(np.ptp(own[:, 2]))
         over = cKDTree(own[:, :2])
@@ -135,15 +149,18 @@ class PairSurfaces:
                 face, spot = ((local > low) & (local < high)).all(axis=2).nonzero()
                 local = local[face, spot]
                 far, nearest = over.query(local[:, :2])
-                met[faces[face[(far < margin + self.sensor.element_size) & (local[:, 2] < own[nearest, 2] + margin)]]] = True
+                met[faces[face[(far < margin + self.sensor.element_size) & (local[:, 2] < own[nearest, 2]
+                                                                            + margin)]]] = True
             out.append(np.flatnonzero(met))
         return out
 
     def _spots(self) -> np.ndarray:
-        """Places on every face of the object at rest (f, k, 3) [m], no further apart than half the sensor's size: faces may be larger than it."""
+        """Places on every face of the object at rest (f, k, 3) [m], no further apart than half the sensor's size: faces
+        may be larger than it."""
         corners = self.model.mesh.points[self.model.mesh.faces[:, :3]]
         longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
-        parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(self.sensor.mesh.points[:, :2], axis=0).min())), 2, _MOST_PARTS))
+        parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(self.sensor.mesh.points[:, :2], axis=0).min())), 2,
+                            _MOST_PARTS))
         grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
         return np.einsum("kc,fcx->fkx", grid, corners)
 
@@ -173,7 +190,9 @@ class PairSurfaces:
         # the same for the sensor's nodes; against what is far softer than it a softer penalty will do
         corners = own.faces.shape[1]
         object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
-        pressed = contact.PENALTY * np.minimum(own_modulus[None, :], np.maximum(object_modulus[:, None], _SOFTEST * own_modulus[None, :])) * np.sqrt(own_area)
+        pressed = contact.PENALTY * np.minimum(own_modulus[None, :],
+                                               np.maximum(object_modulus[:, None],
+                                                          _SOFTEST * own_modulus[None, :])) * np.sqrt(own_area)
         carried_stiffness = np.zeros((batch, m))
         for b in range(batch):
             np.add.at(carried_stiffness[b], own.faces, pressed[b][:, None] / corners)
@@ -191,7 +210,8 @@ class PairSurfaces:
             return np.broadcast_to(values, (batch, *values.shape))
 
         self._sides = [
-            self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces), whole(np.array([len(f) for f in reach]))),
+            self._side(width, whole(many(width + carried_normal)), real(carried_stiffness), whole(faces),
+                       whole(np.array([len(f) for f in reach]))),
             self._side(0, whole(normal_of), real(tied), whole(many(at)), whole(np.full(batch, len(at)))),
         ]
         self._width = width
@@ -206,37 +226,48 @@ class PairSurfaces:
         free = real(np.concatenate([self.model.free, self.sensor.free]))
         self._free = free[self._dof.clamp(min=0)] * (self._dof >= 0)
         factor = self.model.factor.quick(mesh.points) if self.device == "cpu" else self.model.factor
-        self._object: Response = response(factor, self._dof[:, :width].reshape(batch, -1), device=self.device, exact=False, lazy=True)
+        self._object: Response = response(factor, self._dof[:, :width].reshape(batch, -1), device=self.device,
+                                          exact=False, lazy=True)
         self._object_compliance = self._object.compliance()
         self._x = self._rest.clone()
         self._x_before, self._x_swept = self._rest.clone(), self._rest.clone()
         self._near = torch.zeros((batch, width + m), dtype=torch.int32, device=self.device)
         self._moved_to: tuple[np.ndarray, torch.Tensor] | None = None
-        self._blended = torch.zeros(batch, dtype=torch.bool, device=self.device)  # whose normals were blended once more in this step
+        # whose normals were blended once more in this step
+        self._blended = torch.zeros(batch, dtype=torch.bool, device=self.device)
 
-    def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor, count: torch.Tensor) -> Side:
+    def _side(self, first: int, facet: torch.Tensor, stiffness: torch.Tensor, faces: torch.Tensor,
+              count: torch.Tensor) -> Side:
         size = tuple(stiffness.shape)
 
         def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
             return torch.zeros((*size, *more), dtype=dtype, device=self.device)
 
-        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3), "push": zeros(3), "drag": zeros(3), "way": zeros(3),
-                 "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32), "energy": zeros()}
-        memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32), "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+        state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3),
+                 "push": zeros(3), "drag": zeros(3), "way": zeros(3),
+                 "rows": zeros(3, 3), "slips": zeros(dtype=torch.int32), "astray": zeros(dtype=torch.int32),
+                 "energy": zeros()}
+        memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32),
+                  "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
         relaxation = Relaxation(size, self.device)
         candidates = zeros(pair_contact.CANDIDATES, dtype=torch.int32) - 1
         smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=self.device)
         k = self.kernels
-        types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33, **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
+        types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33,
+                 **dict.fromkeys(("normal", "push", "drag", "way", "across", "smooth"), k.vec3)}
         facet, faces = facet.contiguous(), faces.contiguous()
-        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates, "smooth": smooth, **state, **memory}
-        return Side(first, facet, stiffness, faces, count, candidates, state, memory, relaxation, _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
-                    {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()}, **dict(zip(("anchorings", "damping", "change", "miss"), relaxation.arrays(), strict=True))})
+        named = {"facet": facet, "stiffness": stiffness, "faces": faces, "count": count, "candidates": candidates,
+                 "smooth": smooth, **state, **memory}
+        return Side(first, facet, stiffness, faces, count, candidates, state, memory, relaxation,
+                    _around(faces.cpu().numpy(), count.cpu().numpy(), self.device), smooth,
+                    {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()},
+                     **dict(zip(("anchorings", "damping", "change", "miss"), relaxation.arrays(), strict=True))})
 
     # ------------------------------------------------------------------------------------------ poses and history
 
     def _positions(self, u: torch.Tensor, pose: np.ndarray) -> torch.Tensor:
-        """World positions (B, S, 3) [m] of all surface nodes for displacements u (3 N, B) and the sensor at ``pose`` (B, 4, 4)."""
+        """World positions (B, S, 3) [m] of all surface nodes for displacements u (3 N, B) and the sensor at ``pose``
+        (B, 4, 4)."""
         index = self._dof.clamp(min=0).reshape(self.batch, -1)
         moved = u.gather(0, index.T).T.reshape(self._rest.shape).to(torch.float64) * (self._dof >= 0)
         out = self._rest + moved
@@ -253,17 +284,19 @@ class PairSurfaces:
         return out + torch.as_tensor(self._pose[:, :3, 3].T, device=self.device) if place else out
 
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
-        """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from here."""
+        """A step begins: the sensor at ``before`` (B, 1, 4, 4), displacements u (3 N, B) [m]. Friction counts way from
+        here."""
         self._u_before, self._pose_before = u.clone(), before[:, 0]
         for side in self._sides:
             side.relaxation.begin()
         self._x_before.copy_(self._positions(u, before[:, 0]))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
-        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up for the touches ``columns`` (k,); of the others
-        nothing moves."""
+        """The sensor is at ``pose`` (B, 1, 4, 4) from now on: what may meet what in this step is looked up for the
+        touches ``columns`` (k,); of the others nothing moves."""
         pose = pose[:, 0]
-        if self._moved_to is not None and np.array_equal(self._moved_to[0], pose) and torch.equal(self._moved_to[1], self._u_before):
+        if self._moved_to is not None and np.array_equal(self._moved_to[0],
+                                                         pose) and torch.equal(self._moved_to[1], self._u_before):
             return
         self._moved_to = (pose.copy(), self._u_before)
         self._pose = pose
@@ -271,11 +304,13 @@ class PairSurfaces:
         self._x_swept.copy_(self._positions(self._u_before, pose))
         self._x[columns] = self._x_swept[columns]
         self._blended[columns] = False
-        way = np.linalg.norm((pose - self._pose_before)[:, :3, 3], axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
+        way = np.linalg.norm((pose - self._pose_before)[:, :3, 3],
+                             axis=1) + self._reach * np.linalg.norm((pose - self._pose_before)[:, :3, :3], axis=(1, 2))
         self._look_up(float(way.max()) + self._margin, columns, blend=columns)
 
     def _look_up(self, within: float, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
-        """Candidates no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions, and the patch that they make;
+        """Candidates no further than ``within`` [m] from each node of ``columns`` (k,) at the present positions, and
+        the patch that they make;
         ``blend``: which of them get new normals, too (j,)."""
         k = self.kernels
         x = wp.from_torch(self._x, dtype=k.vec3)
@@ -284,15 +319,18 @@ class PairSurfaces:
         for side in self._sides:
             size = side.stiffness.shape
             wp.launch(k.search, dim=(size[1], len(columns)), device=self.device,
-                      inputs=[some, within, side.first, *side.arrays("stiffness faces count"), x, *side.arrays("candidates")])
+                      inputs=[some, within, side.first, *side.arrays("stiffness faces count"), x,
+                              *side.arrays("candidates")])
             if len(blend):
                 side.smooth[blend] = self._blend(side)[blend]
             wp.launch(k.mark, dim=(size[1], size[0]), device=self.device, inputs=[
-                side.faces.shape[2], every, side.first, *side.arrays("faces candidates anchored anchor_face"), wp.from_torch(self._near)])
+                side.faces.shape[2], every, side.first, *side.arrays("faces candidates anchored anchor_face"),
+                                                                                  wp.from_torch(self._near)])
         self._make_patch()
 
     def _blend(self, side: Side) -> torch.Tensor:
-        """Normals at the nodes of the other surface's faces (B, F, n, 3), blended over the faces around a node that meet smoothly there."""
+        """Normals at the nodes of the other surface's faces (B, F, n, 3), blended over the faces around a node that
+        meet smoothly there."""
         batch, faces, nodes = side.faces.shape
         at = torch.arange(batch, device=self.device)[:, None, None]
         x = self._x[at, side.faces.long()]  # (B, F, n, 3)
@@ -305,7 +343,8 @@ class PairSurfaces:
         own = torch.nn.functional.normalize(own, dim=3).reshape(batch, faces * nodes, 3)
         others = own[at, side.around.clamp(min=0)]  # (B, F n, most, 3)
         counts = (side.around >= 0) & ((others * own[:, :, None]).sum(dim=3) > _SMOOTH)
-        return torch.nn.functional.normalize((others * counts[..., None]).sum(dim=2), dim=2).view(batch, faces, nodes, 3)
+        return torch.nn.functional.normalize((others * counts[..., None]).sum(dim=2),
+                                             dim=2).view(batch, faces, nodes, 3)
 
     def _make_patch(self) -> None:
         width = self._width
@@ -319,7 +358,8 @@ class PairSurfaces:
         nodes, on = torch.cat([c[0] for c in chosen], dim=1), torch.cat([c[1] for c in chosen], dim=1)
         self._nodes, self._on = nodes, on
         place = torch.full(self._near.shape, 0, dtype=torch.int64, device=self.device)
-        self._place = place.scatter_(1, nodes, torch.arange(nodes.shape[1], device=self.device).expand_as(nodes).contiguous())
+        self._place = place.scatter_(1, nodes, torch.arange(nodes.shape[1],
+                                                            device=self.device).expand_as(nodes).contiguous())
         index = nodes[:, :, None].expand(-1, -1, 3)
         dof = torch.where(on[:, :, None], self._dof.gather(1, index), -1)
         self.dof = dof.flatten(1)
@@ -328,7 +368,8 @@ class PairSurfaces:
         self.free = self._free.gather(1, index).flatten(1) * self.real
         self.rest = self._rest.gather(1, index).flatten(1) * self.real
         three = torch.arange(3, device=self.device)
-        self._on_object = (3 * nodes[:, :self._split, None] + three).flatten(1)  # degrees of freedom among the object's surface nodes in reach
+        # degrees of freedom among the object's surface nodes in reach
+        self._on_object = (3 * nodes[:, :self._split, None] + three).flatten(1)
         self._on_sensor = (3 * (nodes[:, self._split:, None] - width) + three).flatten(1)  # among all of the sensor's
         if self._object.prepare(self._near[:, :width] > 0):
             self._object_compliance = self._object.compliance()
@@ -341,8 +382,10 @@ class PairSurfaces:
         rows = torch.arange(self.batch, device=self.device)[:, None, None]
         a, c = self._on_object, self._on_sensor
         free = self.free
-        return Compliance(self._object_compliance[rows, a[:, :, None], a[:, None, :]] * free[:, :split, None] * free[:, None, :split],
-                          self._sensor_compliance[c[:, :, None], c[:, None, :]] * free[:, split:, None] * free[:, None, split:])
+        return Compliance(self._object_compliance[rows, a[:, :, None],
+                                                  a[:, None, :]] * free[:, :split, None] * free[:, None, :split],
+                          self._sensor_compliance[c[:, :, None],
+                                                  c[:, None, :]] * free[:, split:, None] * free[:, None, split:])
 
     # ------------------------------------------------------------------------------------------ the rest-state answer
 
@@ -363,7 +406,8 @@ class PairSurfaces:
         """Displacements (3 N, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
         split = 3 * self._split
         force = force * self.real[touches]
-        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype, device=self.device).scatter_add_(1, self._on_object[touches], force[:, :split])
+        on_object = torch.zeros((len(touches), 3 * self._width), dtype=force.dtype,
+                                device=self.device).scatter_add_(1, self._on_object[touches], force[:, :split])
         return torch.cat([self._object.patch(touches, on_object), self._sensor_patch(touches, force[:, split:])])
 
     def _sensor_patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
@@ -372,5 +416,7 @@ class PairSurfaces:
         if self.device == "cpu" and len(self._sensor_single) <= _TABLE:
             # as `_sensor_solve`, and only what the patch pushes is read
             single = force.to(torch.float32)
-            return torch.stack([f @ self._sensor_single[rows] for f, rows in zip(single, at, strict=True)], dim=1).to(force.dtype)
-        return self._sensor_solve(torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype, device=self.device).scatter_add_(1, at, force).T)
+            return torch.stack([f @ self._sensor_single[rows] for f, rows in zip(single, at, strict=True)],
+                               dim=1).to(force.dtype)
+        return self._sensor_solve(torch.zeros((len(touches), len(self._sensor_compliance)), dtype=force.dtype,
+                                              device=self.device).scatter_add_(1, at, force).T)

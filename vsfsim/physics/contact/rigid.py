@@ -1,6 +1,7 @@
 """Contact of a batch of touches with one body: who can meet whom, gaps, forces, and the stiffness that they add.
 
-Each touch (column) has a patch: the boundary triangles that its rigid bodies can reach. All are tensors over all touches, padded to the largest patch.
+Each touch (column) has a patch: the boundary triangles that its rigid bodies can reach. All are tensors over all
+touches, padded to the largest patch.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import Capsule, Plane, Sphere
+from vsfsim.physics.contact import condensed
+from vsfsim.physics.contact import rigid_points as contact
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.face_sums import FaceSums
 from vsfsim.physics.contact.relaxation import Relaxation
-from vsfsim.physics.contact.rigid_points import condensed
-from vsfsim.physics.contact.rigid_points import rigid_points as contact
 from vsfsim.physics.contact.stiffness_block import ContactBlock
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
@@ -28,19 +29,23 @@ _FACTOR = (0.1, 20.0)  # on the contact stiffness of a sheet
 class Touching:
     """Contact state of B touches on the device.
 
-    patches: one a touch. dof: degrees of freedom of the patches (B, 3 s), -1 pads. softening: factor on the contact stiffness of each
-    touch (B,), 1 but on the way to a hard frame. stick: tangential stiffness of stuck points over the normal one. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N],
-    energy (B,) [J] and slips (B, 6 f), with f the faces of the patch, or the parts they are cut into.
+    patches: one a touch. dof: degrees of freedom of the patches (B, 3 s), -1 pads. softening: factor on the contact
+    stiffness of each touch (B,), 1 but on the way to a hard frame. stick: tangential stiffness of stuck points over the
+    normal one. The results of `evaluate` are gap (B, 6 f) [m], body (B, 6 f), force (B, 6 f, 3) [N], energy (B,) [J]
+    and slips (B, 6 f), with f the faces of the patch, or the parts they are cut into.
 
     Args:
-        model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,) [-].
+        model: the body. bodies: rigid bodies. friction: Coulomb's coefficient of each body's pair with the object (K,)
+        [-].
         poses: bodies to world (T, B, K, 4, 4), to find what is in reach. device: Warp device.
         exact: the object's answer to contact forces in double, see `factor.response`.
     """
 
-    near_balance, shrinks = 0.05, 0.5  # measure under which a step that brings it to this part is good whatever the potential says, which rounding hides
+    # measure under which a step that brings it to this part is good whatever the potential says, which rounding hides
+    near_balance, shrinks = 0.05, 0.5
     within = 0.03  # measure at which friction's limit is renewed for the first time
-    patience = 10**9  # iterations in which the measure may fail to fall by a tenth before a touch is given up: their limit ends them
+    # iterations in which the measure may fail to fall by a tenth before a touch is given up: their limit ends them
+    patience = 10**9
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  exact: bool = True):
@@ -55,7 +60,8 @@ class Touching:
         self._table = contact.shape_table(corners, cuts)
         self._parts = len(self._table)
         self._shape = wp.array(self._table, dtype=wp.float64, device=device)
-        # where penetration is looked for besides: corners, edges and inside of every linear face; a quadratic one has its Gauss points
+        # where penetration is looked for besides: corners, edges and inside of every linear face; a quadratic one has
+        # its Gauss points
         self._fine = torch.as_tensor(contact.shape_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
         self._surface = model.mesh.surface_nodes()
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
@@ -78,8 +84,10 @@ class Touching:
         return out
 
     def _reachable(self, gap: torch.Tensor) -> torch.Tensor:
-        """Boundary triangles (B, f) bool that may be met on the way, by rest position (gap (s, B) of the surface nodes) and a margin for what bulges up."""
-        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype, device=self.device)
+        """Boundary triangles (B, f) bool that may be met on the way, by rest position (gap (s, B) of the surface nodes)
+        and a margin for what bulges up."""
+        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype,
+                             device=self.device)
         nearest[torch.as_tensor(self._surface, device=self.device)] = gap
         margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
         return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
@@ -90,7 +98,8 @@ class Touching:
         return len(self.patches)
 
     def _patch(self, faces: np.ndarray) -> contact.Patch:
-        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces], parts=self._parts, factor=self._factor)
+        return contact.make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
+                                  parts=self._parts, factor=self._factor)
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
@@ -102,7 +111,8 @@ class Touching:
         member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
             f = len(p.local)
-            listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b, p.faces] = p.nodes, p.local, p.stiffness, True
+            listed[b, :len(p.nodes)], local[b, :f], stiffness[b, :f], member[b,
+                                                                             p.faces] = p.nodes, p.local, p.stiffness, True
 
         def tensor(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(values, device=self.device)
@@ -121,12 +131,14 @@ class Touching:
         values = tensor(self._table.reshape(-1, 6)).repeat(faces // self._parts, 1).expand(batch, -1, -1)
         # added: the columns that a linear face does not use are 0, and may name any node
         self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
-        self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device) if self.model.mesh.faces.shape[1] == 3 else None
+        self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
+                              device=self.device) if self.model.mesh.faces.shape[1] == 3 else None
         self._member = tensor(member)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
-        self.gap, self.energy_of_face = torch.full(size, 1e30, dtype=torch.float64, device=self.device), zeros(batch, faces)
+        self.gap, self.energy_of_face = torch.full(size, 1e30, dtype=torch.float64,
+                                                   device=self.device), zeros(batch, faces)
         self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
         self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
         self._astray = torch.zeros((batch, faces), dtype=torch.int32, device=self.device)
@@ -140,11 +152,16 @@ class Touching:
         self._relaxation = Relaxation(cut, self.device)
         view = {"dtype": k.vec3}
         self._w = {
-            "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)), "slips": wp.from_torch(self.slips.view(cut)),
-            "normal": wp.from_torch(self.normal.view(*cut, 3), **view), "force": wp.from_torch(self.force.view(*cut, 3), **view),
-            "rows": wp.from_torch(self._rows.view(*cut, 3, 3), dtype=k.mat33), "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
-            "energy": wp.from_torch(self.energy_of_face), "astray": wp.from_torch(self._astray), "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
-            "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view), "across": wp.from_torch(self._across.view(*cut, 3), **view),
+            "gap": wp.from_torch(self.gap.view(cut)), "body": wp.from_torch(self.body.view(cut)),
+                   "slips": wp.from_torch(self.slips.view(cut)),
+            "normal": wp.from_torch(self.normal.view(*cut, 3), **view),
+                   "force": wp.from_torch(self.force.view(*cut, 3), **view),
+            "rows": wp.from_torch(self._rows.view(*cut, 3, 3), dtype=k.mat33),
+                   "bend": wp.from_torch(self._bend.view(*cut, 3, 3), dtype=k.mat33),
+            "energy": wp.from_torch(self.energy_of_face), "astray": wp.from_torch(self._astray),
+                   "x": wp.from_torch(self._x, **view), "before": wp.from_torch(self._x_before, **view),
+            "anchor": wp.from_torch(self._anchor.view(*cut, 3), **view),
+                   "across": wp.from_torch(self._across.view(*cut, 3), **view),
             "limit": wp.from_torch(self._limit.view(cut)), "owner": wp.from_torch(self._owner.view(cut)),
             "softening": wp.from_torch(self.softening)}
         self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
@@ -154,16 +171,19 @@ class Touching:
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
         k = self.kernels
-        return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device), wp.array(pose[..., :3, :3], dtype=k.mat33, device=self.device))
+        return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device),
+                wp.array(pose[..., :3, :3], dtype=k.mat33, device=self.device))
 
     def begin(self, before: np.ndarray, u: torch.Tensor) -> None:
-        """A step begins: bodies at ``before`` (B, K, 4, 4), displacements u (3 n, B) [m]. Friction counts way from here."""
+        """A step begins: bodies at ``before`` (B, K, 4, 4), displacements u (3 n, B) [m]. Friction counts way from
+        here."""
         self._before, self._u_before = self._placed(before), u.clone()
         self._relaxation.begin()
         self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
-        """The bodies are at ``pose`` (B, K, 4, 4) from now on (who is about to be solved, ``columns``, makes no difference here)."""
+        """The bodies are at ``pose`` (B, K, 4, 4) from now on (who is about to be solved, ``columns``, makes no
+        difference here)."""
         self._pose = self._placed(pose)
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
@@ -177,7 +197,8 @@ class Touching:
     # ------------------------------------------------------------------------------------------ evaluation
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
-        """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their patches."""
+        """Gaps, forces and stiffness of the touches ``columns`` (k,) for displacements (k, 3 s) [m] of their
+        patches."""
         w = self._w
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         wp.launch(self.kernels.evaluate, dim=(self._local.shape[1], len(columns)), device=self.device, inputs=[
@@ -204,7 +225,8 @@ class Touching:
 
     def memory(self) -> tuple[torch.Tensor, ...]:
         """Friction's memory, to return to if a step fails; see `restore`."""
-        return (self._anchor.clone(), self._owner.clone(), self._limit.clone(), self._across.clone()) if self.rubs else ()
+        return (self._anchor.clone(), self._owner.clone(), self._limit.clone(),
+                self._across.clone()) if self.rubs else ()
 
     def unlawful(self, columns: torch.Tensor) -> torch.Tensor:
         """By how much friction's limits miss Coulomb's after `lag` (k,) [N]."""
@@ -258,9 +280,12 @@ class Touching:
             origin, turn = (wp.to_torch(a)[columns][None].contiguous() for a in self._pose)
             gap = torch.empty(spots.shape[:2], dtype=torch.float64, device=self.device)
             wp.launch(self.kernels.nearest, dim=gap.shape, device=self.device, inputs=[
-                self._set, len(self.bodies), wp.from_torch(origin, dtype=self.kernels.vec3), wp.from_torch(turn, dtype=self.kernels.mat33),
+                self._set, len(self.bodies), wp.from_torch(origin,
+                                                           dtype=self.kernels.vec3),
+                                                                                       wp.from_torch(turn, dtype=self.kernels.mat33),
                 wp.from_torch(spots.contiguous(), dtype=self.kernels.vec3), wp.from_torch(gap)])
-            real = torch.as_tensor(wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0)  # a padded face is none
+            # a padded face is none
+            real = torch.as_tensor(wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0)
             gap = torch.where(real.T.repeat_interleave(len(self._fine), dim=0), gap, torch.inf)
             deepest = torch.maximum(deepest, -gap.amin(dim=0))
         return deepest
@@ -276,7 +301,8 @@ class Touching:
         """Contact stiffness (k, 3 s, 3 s) [N/m] on the patches.
 
         Args:
-            columns: touches (k,). bend: whose counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
+            columns: touches (k,). bend: whose counts with its geometric term (k,) bool; deep inside a body that term is
+            large, and wrong.
         """
         curved = bend is not None and bool(bend.any())
         if self._sums is not None:
@@ -288,16 +314,21 @@ class Touching:
         out = rows.mT @ rows
         if curved:
             points, which = self._active(columns[bend])
-            out[bend] += _assemble(points, which(self._bend)) * self.free[columns[bend]][:, :, None] * self.free[columns[bend]][:, None, :]
+            out[bend] += _assemble(points,
+                                   which(self._bend)) * self.free[columns[bend]][:, :,
+                                                                                 None] * self.free[columns[bend]][:,
+                                                                                                                  None, :]
         return out
 
     def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
-        """Of the points in contact, padded to the most: shape values (k, a, s), 0 where padded, and what picks them from a table (B, 6 f, ...)."""
+        """Of the points in contact, padded to the most: shape values (k, a, s), 0 where padded, and what picks them
+        from a table (B, 6 f, ...)."""
         active = (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
         most = max(1, int(active.sum(dim=1).amax()))
         on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
         order = order[:, :most]
-        return (self._points[columns[:, None], order] * on[:, :most, None], lambda table: table[columns[:, None], order])
+        return (self._points[columns[:, None], order] * on[:, :most, None],
+                lambda table: table[columns[:, None], order])
 
     def rows(self, columns: torch.Tensor) -> torch.Tensor:
         """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness."""
@@ -314,8 +345,11 @@ class Touching:
         if self._sums is not None:
             own = self._rows[columns].mT @ self._rows[columns]
             nodes = self._sums.pushed(columns, own)
-            free = self.free[columns].view(len(columns), -1, 3)[torch.arange(len(columns), device=self.device)[:, None], nodes].flatten(1)
-            return ContactBlock.joined_of(nodes, self._sums.matrix(columns, own, nodes) * free[:, :, None] * free[:, None, :], self.compliance[columns])
+            free = self.free[columns].view(len(columns), -1, 3)[torch.arange(len(columns), device=self.device)[:, None],
+                                                                nodes].flatten(1)
+            return ContactBlock.joined_of(nodes, self._sums.matrix(columns, own,
+                                                                   nodes) * free[:, :, None] * free[:, None, :],
+                                          self.compliance[columns])
         return ContactBlock.of(self.rows(columns), self.compliance[columns])
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
@@ -347,7 +381,9 @@ class Touching:
         """
         mesh = self.model.mesh
         surface = torch.as_tensor(self._surface, device=self.device)
-        points = torch.as_tensor(mesh.points[self._surface], device=self.device)[:, None] + u.view(-1, 3, u.shape[1])[surface].transpose(1, 2)
+        points = torch.as_tensor(mesh.points[self._surface], device=self.device)[:,
+                                                                                 None] + u.view(-1,
+                                                                                                3, u.shape[1])[surface].transpose(1, 2)
         inside = torch.zeros((len(mesh.points), u.shape[1]), dtype=torch.bool, device=self.device)
         inside[surface] = self._nearest(pose[None], points) < 0.0
         met = inside[self._faces].any(dim=1).T & ~self._member  # (B, faces)
@@ -366,7 +402,8 @@ class Touching:
         if self.rubs:
             for b, faces in enumerate(old):
                 each = 6 * self._parts
-                at = torch.as_tensor(each * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(each), device=self.device).flatten()
+                at = torch.as_tensor(each * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(each),
+                                     device=self.device).flatten()
                 for mine, theirs in zip((self._anchor, self._owner, self._limit, self._across), kept, strict=True):
                     mine[b, at] = theirs[b, :len(at)]
             self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
@@ -374,16 +411,20 @@ class Touching:
 
 
 def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
-    """How a sheet of linear faces with this mean ``edge`` [m] meets these bodies: parts along the edge of a face, and the factor on its contact stiffness.
+    """How a sheet of linear faces with this mean ``edge`` [m] meets these bodies: parts along the edge of a face, and
+    the factor on its contact stiffness.
 
-    The six points of a part leave holes of radius 0.25 edge, and a dent stretches them by half; over one a ball of radius R is (0.4 edge)^2/(2 R) deep, under one
-    per cent of an edge with these parts. The pressure under a body is the gas's and the sheet's tension over R, of the order E h/R, carried by few points where a
-    faceted sheet rests on its edges. So the penetration stays well under one per cent of an edge if the stiffness goes with edge / R: 10 times that suffices for a
-    ball of 3 mm, and a plate needs a hundredth of it. Stiffer than needed costs iterations: a sheet itself gives way easily. Bodies with edges get the most.
+    The six points of a part leave holes of radius 0.25 edge, and a dent stretches them by half; over one a ball of
+    radius R is (0.4 edge)^2/(2 R) deep, under one per cent of an edge with these parts. The pressure under a body is
+    the gas's and the sheet's tension over R, of the order E h/R, carried by few points where a faceted sheet rests on
+    its edges. So the penetration stays well under one per cent of an edge if the stiffness goes with edge / R: 10 times
+    that suffices for a ball of 3 mm, and a plate needs a hundredth of it. Stiffer than needed costs iterations: a sheet
+    itself gives way easily. Bodies with edges get the most.
     """
     def least_radius(k: int) -> float:
         shape = bodies.shapes[k]
-        return float("inf") if isinstance(shape, Plane) else shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
+        return float("inf") if isinstance(shape,
+                                          Plane) else shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
 
     ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
     return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))

@@ -4,15 +4,18 @@
     Pi_t = sum_q { v_q/2 |d|^2                       |d| <= tau/v_q   (sticks)
                  { tau |d| - tau^2/(2 v_q)           else             (slips),     tau = mu f_n, found before
 
-integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), or of every part of a linear one, never at vertices alone. g is the distance
-to the nearest rigid body, d the tangential way of the point from its anchor, the spot of the body where it last stuck. The limit tau and
-the normal of the tangent plane are held while Newton's method brings the forces into balance, which then has a potential, and renewed
-(`relaxation`) until they are the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
-the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives way by a thousandth of an element at most.
+integrated over six Gauss points of every quadratic surface triangle (exact to degree 4), or of every part of a linear
+one, never at vertices alone. g is the distance to the nearest rigid body, d the tangential way of the point from its
+anchor, the spot of the body where it last stuck. The limit tau and the normal of the tangent plane are held while
+Newton's method brings the forces into balance, which then has a potential, and renewed (`relaxation`) until they are
+the present ones (a sequence of Tresca problems): the law is Coulomb's. Slipping points drag their anchor along when
+the frame is done: stick-slip with history. v_q = STICK w_q: a stuck point gives way by a thousandth of an element at
+most.
 w_q = area x PENALTY x modulus / element size: so stiff that the penetration stays far under 1 % of the element size
 (it is measured and stored in every frame), and soft enough that float64 keeps its digits; the solver inverts
 this block exactly, so stiffness costs no iterations.
-A point that the body would push out on its far side, through the object, is *astray*: it is not pushed, and a state with one is no solution.
+A point that the body would push out on its far side, through the object, is *astray*: it is not pushed, and a state
+with one is no solution.
 Everything here is double precision: a contact force is a stiff spring on a small difference of positions.
 """
 
@@ -24,12 +27,14 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact.rigid_points import relaxation, sdf
+from vsfsim.physics.contact import relaxation, sdf
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 PENALTY = 1000.0  # contact pressure of a penetration of one element size, in units of the modulus under the surface
-STICK = 0.1  # tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
-FACING = 0.5  # cosine between the object's and the body's outward normal above which a point inside the body counts as astray
+# tangential stiffness of a stuck point over the normal one: softer, since stick and slip meet in a kink of that width
+STICK = 0.1
+# cosine between the object's and the body's outward normal above which a point inside the body counts as astray
+FACING = 0.5
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973), weights sum to 1.
 _A, _WA = 0.445948490915965, 0.223381589678011
@@ -48,12 +53,14 @@ def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
     """Shape values of the six Gauss points of every part of a surface triangle (parts, 6 points, 6 nodes).
 
     Args:
-        corners: nodes of the triangle: 6 quadratic, or 3 linear, whose last three columns are 0. cuts: parts along each edge; ``cuts`` ** 2 in all.
+        corners: nodes of the triangle: 6 quadratic, or 3 linear, whose last three columns are 0. cuts: parts along each
+        edge; ``cuts`` ** 2 in all.
     """
     parts = []
     for i in range(cuts):
         for j in range(cuts - i):
-            ways = [((i, j), (i + 1, j), (i, j + 1))] + ([((i + 1, j), (i + 1, j + 1), (i, j + 1))] if i + j < cuts - 1 else [])
+            ways = [((i, j), (i + 1, j), (i, j + 1))] + ([((i + 1, j), (i + 1, j + 1), (i, j + 1))] if i + j < cuts - 1
+                                                         else [])
             parts += [[[1.0 - (a + b) / cuts, a / cuts, b / cuts] for a, b in way] for way in ways]
     bary = np.einsum("qk,pkc->pqc", _BARY, np.array(parts))
     if corners == 3:
@@ -71,7 +78,8 @@ def shape_grid(steps: int) -> np.ndarray:
 def kernels() -> Any:
     """The contact kernels and their types.
 
-    Owners of anchors are coded: -1 none, j >= 0 body j, -2 - j body j with an anchor that this frame made and may still move.
+    Owners of anchors are coded: -1 none, j >= 0 body j, -2 - j body j with an anchor that this frame made and may still
+    move.
     """
     real = wp.float64
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -83,7 +91,8 @@ def kernels() -> Any:
     facing = wp.constant(real(FACING))
 
     @wp.func(module=module)
-    def place(shape: wp.array3d(dtype=real), q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+    def place(shape: wp.array3d(dtype=real), q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32),
+              x: wp.array2d(dtype=vec3)):
         # Gauss point q of part f of touch b; the parts of one face follow one another
         part = f % shape.shape[0]
         out = vec3()
@@ -168,7 +177,8 @@ def kernels() -> Any:
                         rows[0, c] = root * n[c]
                     bend = w * gap * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
                     energy += real(0.5) * w * gap * gap
-                # friction acts under the limit that was found last, on points that have left since, too: only so there is one potential
+                # friction acts under the limit that was found last, on points that have left since, too: only so there
+                # is one potential
                 limit = limit_in[b, f, q]
                 if limit > real(0.0):
                     owner = owner_in[b, f, q]
@@ -235,7 +245,8 @@ def kernels() -> Any:
         change_out: wp.array3d(dtype=real),
         miss_out: wp.array3d(dtype=real),
     ):
-        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this frame
+        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this
+        # frame
         f, k = wp.tid()
         b = columns[k]
         for q in range(6):
@@ -248,7 +259,8 @@ def kernels() -> Any:
                 owner = owner_out[b, f, q]
                 if owner != j and (owner != -2 - j or anchorings_out[b, f, q] < most_anchorings):
                     anchorings_out[b, f, q] = anchorings_out[b, f, q] + 1
-                    # where the body's surface came upon it in this step, had it stood still; or where it is, if the object bulged up
+                    # where the body's surface came upon it in this step, had it stood still; or where it is, if the
+                    # object bulged up
                     p0 = place(shape, q, b, f, local, x_before)
                     start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
                     stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
@@ -324,7 +336,8 @@ def kernels() -> Any:
         # state out
         gap_out: wp.array2d(dtype=real),
     ):
-        # least gap of every point over all poses (T, B, K) and bodies; x_in (s, 1) serves all touches, (s, B) each its own
+        # least gap of every point over all poses (T, B, K) and bodies; x_in (s, 1) serves all touches, (s, B) each its
+        # own
         i, b = wp.tid()
         p = x_in[i, wp.min(b, x_in.shape[1] - 1)]
         least = real(1e30)
@@ -346,8 +359,9 @@ def kernels() -> Any:
 class Patch:
     """The part of the surface that one touch can reach.
 
-    faces: boundary triangles (f,), increasing. nodes: their nodes (s,). local: position of the nodes of each part of a face in ``nodes``,
-    parts of one face together (f parts, 6); a linear face has three, and any number in the other columns.
+    faces: boundary triangles (f,), increasing. nodes: their nodes (s,). local: position of the nodes of each part of a
+    face in ``nodes``, parts of one face together (f parts, 6); a linear face has three, and any number in the other
+    columns.
     stiffness: w_q of each Gauss point (f parts, 6) [N/m].
     """
 

@@ -3,8 +3,9 @@
     g(x) = distance to the surface, negative inside;   n = grad g;   C = Hessian of g (curvature of the offset surface)
 
 Sphere, capsule and plane are exact. A cylinder and a box have their edges rounded by `fillet`, so that the normal is
-continuous: a press on a mesh cannot resolve a sharper edge anyway. A triangle mesh is baked into a grid (`distance_grid`),
-a C2 spline whose derivatives are the normal and the curvature. A set of shapes travels to the kernels as one struct (`rigid`).
+continuous: a press on a mesh cannot resolve a sharper edge anyway. A triangle mesh is baked into a grid
+(`distance_grid`), a C2 spline whose derivatives are the normal and the curvature. A set of shapes travels to the
+kernels as one struct (`rigid`).
 """
 
 import functools
@@ -87,10 +88,13 @@ def functions(real: type, module: str) -> Any:
     """The Warp functions of a set of rigid shapes for one scalar type, in the caller's ``module``.
 
     Returns:
-        ``Bodies``: a wp.struct of arrays, filled by `vsfsim.physics.contact.bodies.RigidBodies.upload`. Of (bodies, k, x), x in the frame of body k [m]:
-        ``gap``: signed distance [m]. ``normal``: its gradient (3,) [-], outward; unit for the analytic shapes, and for a mesh unit to the
-        error of its grid: near an edge that the spline rounds it is shorter, so that a force -k gap normal has a potential. Who needs a
-        direction (friction) normalises it with ``unit``. ``curvature``: the Hessian of the gap (3, 3) [1/m].
+        ``Bodies``: a wp.struct of arrays, filled by `vsfsim.physics.contact.bodies.RigidBodies.upload`. Of (bodies, k,
+        x), x in the frame of body k [m]:
+        ``gap``: signed distance [m]. ``normal``: its gradient (3,) [-], outward; unit for the analytic shapes, and for
+        a mesh unit to the
+        error of its grid: near an edge that the spline rounds it is shorter, so that a force -k gap normal has a
+        potential. Who needs a direction (friction) normalises it with ``unit``. ``curvature``: the Hessian of the gap
+        (3, 3) [1/m].
     """
     vec2 = wp.types.vector(length=2, dtype=real)
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -101,7 +105,8 @@ def functions(real: type, module: str) -> Any:
     class Bodies:
         kind: wp.array(dtype=wp.int32)  # (K,)
         size: wp.array(dtype=vec4)  # (K,), as `encode`
-        # of a mesh's grid, see `vsfsim.physics.contact.distance_grid`: where its coefficients start, its nodes, node (0, 0, 0), spacing, bounding box
+        # of a mesh's grid, see `vsfsim.physics.contact.distance_grid`: where its coefficients start, its nodes, node
+        # (0, 0, 0), spacing, bounding box
         start: wp.array(dtype=wp.int32)
         nodes: wp.array(dtype=wp.vec3i)
         origin: wp.array(dtype=vec3)
@@ -209,9 +214,11 @@ def functions(real: type, module: str) -> Any:
         half = real(0.5)
         r = one - t
         if order == 0:
-            return vec4(r * r * r, real(4.0) - real(3.0) * t * t * (one + r), real(4.0) - real(3.0) * r * r * (one + t), t * t * t) / real(6.0)
+            return vec4(r * r * r, real(4.0) - real(3.0) * t * t * (one + r), real(4.0) - real(3.0) * r * r * (one + t),
+                        t * t * t) / real(6.0)
         if order == 1:
-            return vec4(-half * r * r, half * t * (real(3.0) * t - real(4.0)), half * (one + real(2.0) * t - real(3.0) * t * t), half * t * t)
+            return vec4(-half * r * r, half * t * (real(3.0) * t - real(4.0)),
+                        half * (one + real(2.0) * t - real(3.0) * t * t), half * t * t)
         return vec4(r, real(3.0) * t - real(2.0), one - real(3.0) * t, t)
 
     @wp.func(module=module)
@@ -219,7 +226,8 @@ def functions(real: type, module: str) -> Any:
         # the four nodes along each axis begin one before the cell; the last full cell serves the rim of the domain
         c = (x - bodies.origin[k]) / bodies.spacing[k]
         n = bodies.nodes[k]
-        return wp.vec3i(wp.clamp(int(wp.floor(c[0])), 1, n[0] - 3), wp.clamp(int(wp.floor(c[1])), 1, n[1] - 3), wp.clamp(int(wp.floor(c[2])), 1, n[2] - 3))
+        return wp.vec3i(wp.clamp(int(wp.floor(c[0])), 1, n[0] - 3), wp.clamp(int(wp.floor(c[1])), 1, n[1] - 3),
+                        wp.clamp(int(wp.floor(c[2])), 1, n[2] - 3))
 
     @wp.func(module=module)
     def derivative(bodies: Bodies, k: int, x: vec3, a: int, b: int, c: int):
@@ -250,7 +258,8 @@ def functions(real: type, module: str) -> Any:
         h = bodies.spacing[k]
         o = bodies.origin[k]
         n = bodies.nodes[k]
-        return vec3(wp.clamp(x[0], o[0] + h, o[0] + h * real(n[0] - 2)), wp.clamp(x[1], o[1] + h, o[1] + h * real(n[1] - 2)),
+        return vec3(wp.clamp(x[0], o[0] + h, o[0] + h * real(n[0] - 2)),
+                    wp.clamp(x[1], o[1] + h, o[1] + h * real(n[1] - 2)),
                     wp.clamp(x[2], o[2] + h, o[2] + h * real(n[2] - 2)))
 
     @wp.func(module=module)
@@ -258,7 +267,8 @@ def functions(real: type, module: str) -> Any:
         # vector from the bounding box to a point outside it
         low = bodies.lower[k]
         high = bodies.upper[k]
-        return x - vec3(wp.clamp(x[0], low[0], high[0]), wp.clamp(x[1], low[1], high[1]), wp.clamp(x[2], low[2], high[2]))
+        return x - vec3(wp.clamp(x[0], low[0], high[0]), wp.clamp(x[1], low[1], high[1]),
+                        wp.clamp(x[2], low[2], high[2]))
 
     @wp.func(module=module)
     def gap(bodies: Bodies, k: int, x: vec3):
@@ -277,7 +287,8 @@ def functions(real: type, module: str) -> Any:
             return analytic_normal(bodies.kind[k], bodies.size[k], x)
         if wp.length(x - within(bodies, k, x)) > real(0.0):
             return unit(from_box(bodies, k, x))
-        return vec3(derivative(bodies, k, x, 1, 0, 0), derivative(bodies, k, x, 0, 1, 0), derivative(bodies, k, x, 0, 0, 1))
+        return vec3(derivative(bodies, k, x, 1, 0, 0), derivative(bodies, k, x, 0, 1, 0),
+                    derivative(bodies, k, x, 0, 0, 1))
 
     @wp.func(module=module)
     def curvature(bodies: Bodies, k: int, x: vec3):

@@ -11,8 +11,9 @@ import torch
 class ContactBlock:
     """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
 
-    ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches: the contact
-    forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A C)^-1, T = C (1 + A C)^-1; with
+    ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches:
+    the contact forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A
+    C)^-1, T = C (1 + A C)^-1; with
     ``pivots`` inner is the LU factor of the bracket instead, a third of the work where many nodes touch.
     """
 
@@ -39,14 +40,16 @@ class ContactBlock:
 
     @classmethod
     def joined_of(cls, nodes: torch.Tensor, stiffness: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
-        """From the stiffness C (k, 3 u, 3 u) [N/m] of some ``nodes`` (k, u) of the patches and the compliance of the patches (k, 3 s, 3 s) [m/N]."""
+        """From the stiffness C (k, 3 u, 3 u) [N/m] of some ``nodes`` (k, u) of the patches and the compliance of the
+        patches (k, 3 s, 3 s) [m/N]."""
         dof = _dof(nodes)
         factors, pivots = torch.linalg.lu_factor(_bracket(_between(compliance, dof), stiffness))
         return cls(dof, stiffness, factors, compliance.shape[2], joined=True, pivots=pivots)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
-        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width, self.joined, None if self.pivots is None else self.pivots[which])
+        return ContactBlock(self.dof[which], self.rows[which], self.inner[which], self.width, self.joined,
+                            None if self.pivots is None else self.pivots[which])
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
@@ -68,7 +71,8 @@ def _bracket(own: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
 
 
 def _used(touched: torch.Tensor) -> torch.Tensor:
-    """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the nodes that touch count."""
+    """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the
+    nodes that touch count."""
     used = touched.view(len(touched), -1, 3).any(dim=2)
     most = max(1, int(used.sum(dim=1).amax()))
     return _dof(torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most])

@@ -2,11 +2,14 @@
 
     E(u) = kappa V |u|^2 / 2
 
-kappa [N/m^4]: stiffness density, V [m^3]: the particle's volume. Neither is a modulus: an anchor knows its distance from home and
-nothing of its neighbours, so it resists a rigid motion too (a shift by d costs kappa V |d|^2 / 2; only u = 0 is free), and
-the ground holds it: its force is a support reaction. Linear, so the tangent is the rest stiffness everywhere, and positive.
+kappa [N/m^4]: stiffness density, V [m^3]: the particle's volume. Neither is a modulus: an anchor knows its distance
+from home and nothing of its neighbours, so it resists a rigid motion too (a shift by d costs kappa V |d|^2 / 2; only u
+= 0 is free), and
+the ground holds it: its force is a support reaction. Linear, so the tangent is the rest stiffness everywhere, and
+positive.
 
-(Z. Pan et al., visuo-tactile volumetric stiffness fields; as an elastic foundation: Winkler 1867, Johnson 1985 section 4.3.)
+(Z. Pan et al., visuo-tactile volumetric stiffness fields; as an elastic foundation: Winkler 1867, Johnson 1985 section
+4.3.)
 """
 
 import functools

@@ -1,13 +1,17 @@
 """Gas: the air in a closed surface, at one pressure everywhere.
 
     sealed: p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
-              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)     (gamma 1: p0 V0 ln(V0/V) + ambient (V - V0))
+              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)     (gamma 1: p0 V0 ln(V0/V) + ambient (V -
+              V0))
     open:   p - ambient is what the supply keeps, g:   E(V) = -g (V - V0)
 
-p, ambient absolute [Pa], V: the volume inside the surface plus a dead volume that does not change [m^3]; gamma 1 isothermal, 1.4 adiabatic air.
-The surface volume is a sum of tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the gradient x1 x x2 / 6 at x0 and so on. A
-sheet is closed by a cap over its rim, so that a rigid motion leaves V as it is. Tangent: -g V'' + (-dp/dV) (grad V)(grad V)^T.
-The last term couples all nodes, and is a product of vectors (never a matrix); with g > 0 the first is not a bowl, and the projected tangent leaves it out.
+p, ambient absolute [Pa], V: the volume inside the surface plus a dead volume that does not change [m^3]; gamma 1
+isothermal, 1.4 adiabatic air.
+The surface volume is a sum of tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the
+gradient x1 x x2 / 6 at x0 and so on. A sheet is closed by a cap over its rim, so that a rigid motion leaves V as it is.
+Tangent: -g V'' + (-dp/dV) (grad V)(grad V)^T.
+The last term couples all nodes, and is a product of vectors (never a matrix); with g > 0 the first is not a bowl, and
+the projected tangent leaves it out.
 """
 
 import functools
@@ -22,28 +26,34 @@ from vsfsim.physics.elements.block import Block
 NODES = 3
 COLLECTIVE = True
 ANSWERS = 3  # gauge pressure [Pa], -dp/dV [Pa/m^3], energy [J]
-_LEAST = 1e-3  # of V0: air squeezed further is no state of a sensor; its energy counts as infinite, so no step leads there
+# of V0: air squeezed further is no state of a sensor; its energy counts as infinite, so no step leads there
+_LEAST = 1e-3
 _INFINITE = 1e30
 
 
-def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: float, gamma: float = 1.4, ambient: float = 101325.0,
+def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: float, gamma: float = 1.4,
+          ambient: float = 101325.0,
           dead_volume: float = 0.0, sealed: bool = True) -> Block:
     """The gas of one chamber.
 
     Args:
         faces: of the closed surface, wound outwards (m, 3). points: positions at u = 0 (n, 3) [m].
-        pressure: gauge pressure [Pa] at which the surface holds ``volume`` [m^3]; of an open chamber, always. gamma: of p V^gamma.
+        pressure: gauge pressure [Pa] at which the surface holds ``volume`` [m^3]; of an open chamber, always. gamma: of
+        p V^gamma.
         ambient: absolute pressure outside [Pa]. dead_volume: of the chamber besides [m^3]. sealed: or open.
     """
     faces = np.asarray(faces, np.int32)
     whole = volume + dead_volume
-    assert whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0 and (not sealed or ambient + pressure > 0.0)
+    assert (whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0
+            and (not sealed or ambient + pressure > 0.0))
     local = points[faces] - points[np.unique(faces)].mean(axis=0)
-    return Block("gas", faces, {"points": local, "law": np.array([ambient + pressure, whole, gamma, ambient, float(sealed), dead_volume])})
+    return Block("gas", faces, {"points": local, "law": np.array([ambient + pressure, whole, gamma, ambient,
+                                                                  float(sealed), dead_volume])})
 
 
 def cap(rim: np.ndarray) -> np.ndarray:
-    """Triangles (r - 2, 3) that close the loop ``rim`` (r,), which runs counter-clockwise as seen from the side the sheet bulges to."""
+    """Triangles (r - 2, 3) that close the loop ``rim`` (r,), which runs counter-clockwise as seen from the side the
+    sheet bulges to."""
     return np.array([(rim[0], rim[i + 1], rim[i]) for i in range(1, len(rim) - 1)], np.int32)
 
 
@@ -235,7 +245,8 @@ def kernels(real: type) -> Any:
         x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
         x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
         x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
-        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k), wp.cross(x1, x2)) + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
+        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k),
+                                          wp.cross(x1, x2)) + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
                                    + wp.dot(vector(nodes, x_in, t, 2, k), wp.cross(x0, x1)))
 
     @wp.kernel(module=module, enable_backward=False)

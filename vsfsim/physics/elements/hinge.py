@@ -1,18 +1,24 @@
 """Hinge: the bending of a thin sheet, flat at rest, from the three hinges between a triangle and its neighbours.
 
-    E(x) = A D/2 [ (1 - nu) (|h11|^2 + |h22|^2 + 2 |h12|^2) + nu |h11 + h22|^2 ],    h_ab = d^2 x / dX_a dX_b,   D = E h^3 / (12 (1 - nu^2))
+    E(x) = A D/2 [ (1 - nu) (|h11|^2 + |h22|^2 + 2 |h12|^2) + nu |h11 + h22|^2 ],    h_ab = d^2 x / dX_a dX_b,   D = E
+    h^3 / (12 (1 - nu^2))
 
-h (three vectors) is the second derivative of the one quadratic map that takes the six nodes of the triangle and its three neighbours from their
-rest places X in the plane to where they are: exact for every quadratic deflection on any sound mesh (its six places not on a conic), so D is what it is called. A sum of
-k theta^2 over dihedral angles is not: its D depends on the mesh (on equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like a plate of
-Poisson's ratio -1/3, three times too stiff in a clamped disc; Seung and Nelson 1988, Phys. Rev. A 38; Grinspun et al. 2003). The patch of
-four triangles is that of Onate and Flores 2005 (the rotation-free triangle EBST, Comput. Methods Appl. Mech. Eng. 194).
+h (three vectors) is the second derivative of the one quadratic map that takes the six nodes of the triangle and its
+three neighbours from their
+rest places X in the plane to where they are: exact for every quadratic deflection on any sound mesh (its six places not
+on a conic), so D is what it is called. A sum of k theta^2 over dihedral angles is not: its D depends on the mesh (on
+equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like a plate of Poisson's ratio -1/3, three times too stiff in a
+clamped disc; Seung and Nelson 1988, Phys. Rev. A 38; Grinspun et al. 2003). The patch of four triangles is that of
+Onate and Flores 2005 (the rotation-free triangle EBST, Comput. Methods Appl. Mech. Eng. 194).
 
-Vectors stand where a plate theory has curvatures n . h (as in Bergou et al. 2006, "A quadratic bending model for inextensible surfaces"): the
-energy is quadratic, so its tangent is constant and never negative, and a rotation costs nothing. The price is that the gradient of an in-plane
-strain is resisted as a curvature is: beside E h eps^2 that is (h/L)^2/12 eps^2 for a strain that varies over L, 1e-5 for rubber of 0.5 mm.
+Vectors stand where a plate theory has curvatures n . h (as in Bergou et al. 2006, "A quadratic bending model for
+inextensible surfaces"): the energy is quadratic, so its tangent is constant and never negative, and a rotation costs
+nothing. The price is that the gradient of an in-plane
+strain is resisted as a curvature is: beside E h eps^2 that is (h/L)^2/12 eps^2 for a strain that varies over L, 1e-5
+for rubber of 0.5 mm.
 
-At a rim edge there is no neighbour. Clamped (no slope out of the plane `normal`): a mirror image of the triangle stands there. Free: it goes on straight.
+At a rim edge there is no neighbour. Clamped (no slope out of the plane `normal`): a mirror image of the triangle stands
+there. Free: it goes on straight.
 """
 
 import functools
@@ -25,15 +31,18 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 6
-_BLIND = 0.02  # of the largest singular value: a curvature that six places on a conic cannot tell is taken as none, not as anything
+# of the largest singular value: a curvature that six places on a conic cannot tell is taken as none, not as anything
+_BLIND = 0.02
 
 
-def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *, poisson_ratio: float = 0.5, clamped: bool = True,
+def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *, poisson_ratio: float = 0.5,
+          clamped: bool = True,
           normal: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Block:
     """The bending of a sheet.
 
     Args:
-        triangles: of the whole sheet (m, 3), counter-clockwise in the rest plane. points: positions at u = 0 (n, 3) [m].
+        triangles: of the whole sheet (m, 3), counter-clockwise in the rest plane. points: positions at u = 0 (n, 3)
+        [m].
         rest: where its nodes are flat and free of stress (n, 2) [m]. bending: D [J]. poisson_ratio: nu.
         clamped: the rim cannot turn out of the plane with this unit ``normal`` (3,).
     """
@@ -68,7 +77,8 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     energy = (1.0 - poisson_ratio) * (square(b11) + square(b22) + 2.0 * square(b12)) + poisson_ratio * square(b11 + b22)
     energy *= (bending * area)[:, None, None]
     stiffness = [np.swapaxes(m, 1, 2) @ energy @ m for m in (plane, out)]
-    return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]], "plane": stiffness[0], "out": stiffness[1],
+    return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]],
+                                                     "plane": stiffness[0], "out": stiffness[1],
                                                      "normal": np.tile(np.asarray(normal, float), (len(triangles), 1))})
 
 
@@ -131,9 +141,12 @@ def kernels(real: type) -> Any:
             total = vec3()
             for c in range(1, 6):
                 i = 3 * nodes[t, c]
-                total += pull(plane, out, n, t, a, c, edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first))
+                total += pull(plane, out, n, t, a, c, edges[t,
+                                                            c] + (vec3(u_in[i, b], u_in[i + 1, b],
+                                                                       u_in[i + 2, b]) - first))
             j = 3 * nodes[t, a]
-            energy += real(0.5) * wp.dot(total, edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first))
+            energy += real(0.5) * wp.dot(total, edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b],
+                                                                    u_in[j + 2, b]) - first))
             for c in range(3):
                 force_out[t, 3 * a + c, b] = total[c]
         energy_out[t, b] = energy
@@ -169,7 +182,8 @@ def kernels(real: type) -> Any:
 
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
-        return [wp.array(p["edges"], dtype=vec3, device=device), *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
+        return [wp.array(p["edges"], dtype=vec3, device=device),
+                *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
                 wp.array(p["normal"], dtype=vec3, device=device)]
 
     class Kernels:

@@ -2,10 +2,12 @@
 
     E(x) = k/2 (l - L)^2,     l = |x_1 - x_0|,  n = (x_1 - x_0) / l
 
-Force on node 1's balance k (l - L) n. Tangent k n (x) n + k (1 - L/l) (I - n (x) n): along the spring, and the tension that turns it.
+Force on node 1's balance k (l - L) n. Tangent k n (x) n + k (1 - L/l) (I - n (x) n): along the spring, and the tension
+that turns it.
 A compressed spring (l < L) is unstable sideways, so the projected tangent takes max(0, 1 - L/l).
 At l = 0 the direction is lost and the force is taken as zero; the energy stays finite.
-A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio of an isotropic one is 1/4 (Love 1927, note B; `coefficients.spring_stiffness`).
+A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio of an isotropic one is 1/4 (Love 1927, note
+B; `coefficients.spring_stiffness`).
 """
 
 import functools
@@ -22,7 +24,8 @@ POISSON_RATIO = 0.25  # of an isotropic network; no choice of constants gives an
 
 
 def block(nodes: np.ndarray, points: np.ndarray, stiffness: np.ndarray) -> Block:
-    """A block of springs at their rest lengths. nodes: (m, 2). points: rest positions (n, 3) [m]. stiffness: k (m,) [N/m], not negative."""
+    """A block of springs at their rest lengths. nodes: (m, 2). points: rest positions (n, 3) [m]. stiffness: k (m,)
+    [N/m], not negative."""
     stiffness = np.asarray(stiffness, float)
     edge = points[nodes[:, 1]] - points[nodes[:, 0]]
     length = np.linalg.norm(edge, axis=1)

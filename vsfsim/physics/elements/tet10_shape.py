@@ -1,4 +1,5 @@
-"""Shape functions of the ten-node tetrahedron with straight sides: gradients at its four Gauss points, on the host and in kernels.
+"""Shape functions of the ten-node tetrahedron with straight sides: gradients at its four Gauss points, on the host and
+in kernels.
 
 The gradient of a quadratic field is linear in the element. With the barycentric derivatives T_k at the corners it is
 far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q: the sum is made once, and the rest has few terms.
@@ -17,7 +18,8 @@ GAUSS_FAR = (5.0 - np.sqrt(5.0)) / 20.0
 
 
 def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
-    """Gradients of the shape functions at Gauss point ``q`` (m, 10, 3) [1/m], from those of the barycentric coordinates (m, 4, 3)."""
+    """Gradients of the shape functions at Gauss point ``q`` (m, 10, 3) [1/m], from those of the barycentric coordinates
+    (m, 4, 3)."""
     bary = np.full(4, GAUSS_FAR)
     bary[q] = GAUSS_NEAR
     shape = np.zeros((10, 4))
@@ -31,7 +33,8 @@ def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
 def functions(real: type, module: str) -> Any:
     """Device functions for one scalar type, compiled into ``module``.
 
-    load: nodal values of an element (10, 3). edge_sums, gradient: its displacement gradient at a Gauss point, in two steps. stresses, spread,
+    load: nodal values of an element (10, 3). edge_sums, gradient: its displacement gradient at a Gauss point, in two
+    steps. stresses, spread,
     finish: the transpose, from a stress at each Gauss point to nodal forces.
     """
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -55,7 +58,8 @@ def functions(real: type, module: str) -> Any:
     @wp.func(module=module)
     def edge_sums(x: mat103):
         # 4 far times, for every corner, the sum of the three edge nodes beside it
-        return far4 * wp.matrix_from_rows(x[4] + x[6] + x[7], x[4] + x[5] + x[8], x[5] + x[6] + x[9], x[7] + x[8] + x[9])
+        return far4 * wp.matrix_from_rows(x[4] + x[6] + x[7], x[4] + x[5] + x[8], x[5] + x[6] + x[9],
+                                          x[7] + x[8] + x[9])
 
     @wp.func(module=module)
     def gradient(x: mat103, s: mat43, g: mat33, q: int):
@@ -148,5 +152,6 @@ def functions(real: type, module: str) -> Any:
         pass
 
     out = Functions()
-    out.load, out.edge_sums, out.gradient, out.stresses, out.spread, out.finish = load, edge_sums, gradient, stresses, spread, finish
+    out.load, out.edge_sums, out.gradient, out.stresses, out.spread, out.finish = (load, edge_sums, gradient, stresses,
+                                                                                   spread, finish)
     return out

@@ -1,25 +1,33 @@
-"""Triangle: a membrane in plane stress with three nodes, at any stretch, flat and stress-free in a rest shape of its own.
+"""Triangle: a membrane in plane stress with three nodes, at any stretch, flat and stress-free in a rest shape of its
+own.
 
-    E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values, A and R (2 x 2) of the rest shape
+    E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values, A and R (2 x 2) of the
+    rest shape
 
 W [J/m^2] is one of two laws, M = E h its modulus times thickness [N/m]:
 
-    "neo-hookean":             mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),   mu h = M/3: incompressible, the thickness follows the area
-    "saint-venant-kirchhoff":  M/(2 (1 - nu^2)) (e1^2 + e2^2 + 2 nu e1 e2),   e = (l^2 - 1)/2: linear elasticity of small strains
-                               in plane stress, at any rotation; for closed forms and plates, not for stretches of tens of per cent
+    "neo-hookean":             mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),   mu h = M/3: incompressible, the thickness
+    follows the area "saint-venant-kirchhoff":  M/(2 (1 - nu^2)) (e1^2 + e2^2 + 2 nu e1 e2),   e = (l^2 - 1)/2: linear
+    elasticity of small strains
+                               in plane stress, at any rotation; for closed forms and plates, not for stretches of tens
+                               of per cent
 
-A membrane too thin to carry compression wrinkles. Its *relaxed* energy (Pipkin 1986, "The relaxed energy density for isotropic elastic
-membranes", IMA J. Appl. Math. 36) is W where both stresses are tensions, the energy of simple tension where the narrow side would be squeezed,
+A membrane too thin to carry compression wrinkles. Its *relaxed* energy (Pipkin 1986, "The relaxed energy density for
+isotropic elastic membranes", IMA J. Appl. Math. 36) is W where both stresses are tensions, the energy of simple tension
+where the narrow side would be squeezed,
 
     neo-Hookean  mu h/2 (l1^2 + 2/l1 - 3)  for  l2 < l1^-1/2;      St Venant-Kirchhoff  M/2 e1^2  for  e2 < -nu e1,
 
-and 0 where both are slack. It is convex and never falls with l1 or l2, hence convex in the positions: its true tangent is never negative.
+and 0 where both are slack. It is convex and never falls with l1 or l2, hence convex in the positions: its true tangent
+is never negative.
 `tension_field=False` keeps W, for sheets whose bending stiffness carries the compression; its tangent is projected.
 
-With the singular frame F = l1 u1 v1 + l2 u2 v2, n = u1 x u2, and g_i = dW/dl_i, the second derivative is diagonal but for one 2 x 2 block
-(the 3 x 2 case of Smith, de Goes and Kim 2019, "Analytic eigensystems for isotropic distortion energies", ACM Trans. Graph. 38):
+With the singular frame F = l1 u1 v1 + l2 u2 v2, n = u1 x u2, and g_i = dW/dl_i, the second derivative is diagonal but
+for one 2 x 2 block (the 3 x 2 case of Smith, de Goes and Kim 2019, "Analytic eigensystems for isotropic distortion
+energies", ACM Trans. Graph. 38):
 
-    {u1 v1, u2 v2}: (g11 g12; g12 g22)      (u1 v2 + u2 v1)/sqrt2: (g1 - g2)/(l1 - l2)      (u1 v2 - u2 v1)/sqrt2: (g1 + g2)/(l1 + l2)
+    {u1 v1, u2 v2}: (g11 g12; g12 g22)      (u1 v2 + u2 v1)/sqrt2: (g1 - g2)/(l1 - l2)      (u1 v2 - u2 v1)/sqrt2: (g1 +
+    g2)/(l1 + l2)
     n v1: g1/l1      n v2: g2/l2
 
 An incompressible sheet has det F = 1 and a small-strain one has no thickness to speak of: `det_out` is 1.
@@ -39,14 +47,16 @@ LAWS = ("neo-hookean", "saint-venant-kirchhoff")
 _STATE = 18  # u1 u2 n (9), v1 (2), g11 g12 g22, flip, twist, g1/l1, g2/l2
 
 
-def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.ndarray | float, *, law: str = "neo-hookean",
+def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.ndarray | float, *,
+          law: str = "neo-hookean",
           poisson_ratio: float = 0.5, tension_field: bool = True) -> Block:
     """A block of membrane triangles.
 
     Args:
         nodes: (m, 3). points: positions at u = 0 (n, 3) [m], which need not be free of stress.
         rest: corners of every triangle where it is, each in a plane of its own (m, 3, 2) [m], counter-clockwise.
-        modulus: E h (m,) or one for all [N/m]. law: one of `LAWS`. poisson_ratio: of the linear law; neo-Hookean is incompressible.
+        modulus: E h (m,) or one for all [N/m]. law: one of `LAWS`. poisson_ratio: of the linear law; neo-Hookean is
+        incompressible.
         tension_field: no compression in a slack direction.
     """
     assert law in LAWS and 0.0 <= poisson_ratio <= 0.5 and (law != LAWS[0] or poisson_ratio == 0.5)
@@ -57,12 +67,14 @@ def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.n
     assert (area > 0.0).all() and (modulus > 0.0).all()
     return Block("triangle", nodes, {
         "points": points[nodes], "inverse": np.linalg.inv(edges), "area": area, "modulus": modulus.copy(),
-        "law": np.full(len(nodes), LAWS.index(law), np.int32), "poisson_ratio": np.full(len(nodes), float(poisson_ratio)),
+        "law": np.full(len(nodes), LAWS.index(law), np.int32),
+                                     "poisson_ratio": np.full(len(nodes), float(poisson_ratio)),
         "tension_field": np.full(len(nodes), int(tension_field), np.int32)})
 
 
 def flat(corners: np.ndarray) -> np.ndarray:
-    """Corners (m, 3, 3) [m] of triangles in space, each laid into a plane of its own (m, 3, 2): the rest shape of what is stress-free there."""
+    """Corners (m, 3, 3) [m] of triangles in space, each laid into a plane of its own (m, 3, 2): the rest shape of what
+    is stress-free there."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(a, axis=1)
     out = np.zeros((len(corners), 3, 2))
@@ -94,7 +106,8 @@ def matrices(block: Block, state: np.ndarray) -> np.ndarray:
     h[:, 0, 1, 1, 0] = h[:, 1, 0, 0, 1] = 0.5 * (flip - twist)
     h[:, 2, 0, 2, 0], h[:, 2, 1, 2, 1] = along, across
     inverse = block.parameters["inverse"]
-    gradient = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)  # of each node's shape function (m, 3, 2)
+    # of each node's shape function (m, 3, 2)
+    gradient = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
     q = np.einsum("maj,mkj->mak", gradient, v)
     w = np.einsum("mic,maj->macij", u, q)
     out = np.einsum("macij,mijkl,mbdkl->macbd", w, h, w, optimize=True).reshape(-1, 9, 9)
@@ -120,7 +133,8 @@ def kernels(real: type) -> Any:
         return vec3(x[i, b], x[i + 1, b], x[i + 2, b])
 
     @wp.func(module=module)
-    def deformation(nodes: wp.array2d(dtype=wp.int32), points: wp.array2d(dtype=vec3), inverse: wp.array(dtype=mat22), u: wp.array2d(dtype=real), t: int, b: int):
+    def deformation(nodes: wp.array2d(dtype=wp.int32), points: wp.array2d(dtype=vec3), inverse: wp.array(dtype=mat22),
+                    u: wp.array2d(dtype=real), t: int, b: int):
         # the two columns of F
         x0 = points[t, 0] + at(nodes, u, t, 0, b)
         e1 = points[t, 1] + at(nodes, u, t, 1, b) - x0
@@ -384,8 +398,10 @@ def kernels(real: type) -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         p = block.parameters
         return [wp.array(p["points"], dtype=vec3, device=device), wp.array(p["inverse"], dtype=mat22, device=device),
-                *(wp.array(p[name], dtype=real, device=device) for name in ("area", "modulus")), wp.array(p["law"], dtype=wp.int32, device=device),
-                wp.array(p["poisson_ratio"], dtype=real, device=device), wp.array(p["tension_field"], dtype=wp.int32, device=device)]
+                *(wp.array(p[name], dtype=real, device=device) for name in ("area", "modulus")),
+                wp.array(p["law"], dtype=wp.int32, device=device),
+                wp.array(p["poisson_ratio"], dtype=real, device=device),
+                wp.array(p["tension_field"], dtype=wp.int32, device=device)]
 
     class Kernels:
         pass

@@ -1,7 +1,9 @@
-"""Nested dissection: an order of a mesh's nodes in which a Cholesky factor stays small, and the tree of dense fronts that it makes.
+"""Nested dissection: an order of a mesh's nodes in which a Cholesky factor stays small, and the tree of dense fronts
+that it makes.
 
-A set of nodes is cut in two where a plane across it crosses the fewest edges; the fewest nodes that touch all these edges (the least vertex cover of
-a bipartite graph, by König's theorem from a largest matching) part the halves, and are eliminated after both (George 1973).
+A set of nodes is cut in two where a plane across it crosses the fewest edges; the fewest nodes that touch all these
+edges (the least vertex cover of a bipartite graph, by König's theorem from a largest matching) part the halves, and are
+eliminated after both (George 1973).
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ _LARGE = 60  # nodes over which all of these are tried: where cuts cost most
 class Front:
     """Nodes that are eliminated together.
 
-    own: these (p,). boundary: those eliminated later that they are tied to by then (q,), in the order of elimination. children: fronts that come before (numbers).
+    own: these (p,). boundary: those eliminated later that they are tied to by then (q,), in the order of elimination.
+    children: fronts that come before (numbers).
     """
 
     own: np.ndarray
@@ -33,7 +36,8 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
     """Fronts of a graph in an order in which children come before their parents.
 
     Args:
-        graph: symmetric (n, n), nonzero where two nodes are tied. points: places of the nodes (n, 3), which only guide the cuts.
+        graph: symmetric (n, n), nonzero where two nodes are tied. points: places of the nodes (n, 3), which only guide
+        the cuts.
     """
     graph = graph.tocsr()
     count = graph.shape[0]
@@ -66,7 +70,8 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
     return out
 
 
-def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray,
+                                                                                  tuple[np.ndarray, np.ndarray]]:
     """The separator of ``nodes`` and the two parts that are left."""
     part = graph[nodes][:, nodes].tocoo()
     at = points[nodes]

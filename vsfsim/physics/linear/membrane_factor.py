@@ -1,8 +1,10 @@
-"""The rest stiffness of a membrane over a gas: a sparse factor, and the gas's coupling of all nodes by the formula of Sherman and Morrison.
+"""The rest stiffness of a membrane over a gas: a sparse factor, and the gas's coupling of all nodes by the formula of
+Sherman and Morrison.
 
     K = S + c g g^T,    K^-1 r = S^-1 r - S^-1 g (c g . S^-1 r) / (1 + c g . S^-1 g),    g = grad V,  c = -dp/dV
 
-S is sparse: elements, and the gas at constant pressure. It is positive as long as the free state bears its pressure, i.e. before the limit point.
+S is sparse: elements, and the gas at constant pressure. It is positive as long as the free state bears its pressure,
+i.e. before the limit point.
 """
 
 from __future__ import annotations
@@ -28,10 +30,12 @@ class MembraneFactor(RestFactor):
     coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3].
 
     Args:
-        stiffness, free, surface_nodes: as `RestFactor`. gradient: g (3 n,) [m^2]. rate: c [Pa/m^3], 0 for an open chamber.
+        stiffness, free, surface_nodes: as `RestFactor`. gradient: g (3 n,) [m^2]. rate: c [Pa/m^3], 0 for an open
+        chamber.
     """
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray, rate: float):
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray,
+                 rate: float):
         super().__init__(stiffness, free, surface_nodes)
         self.coupling = (gradient, rate)
         own = gradient * free
@@ -40,12 +44,15 @@ class MembraneFactor(RestFactor):
         self._share = rate / (1.0 + rate * float(own @ answer))
 
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray | None = None,
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
+           gradient: np.ndarray | None = None,
            rate: float = 0.0) -> MembraneFactor:
-        """The factor of this very matrix if this process has made it already, else a new one; arguments as the class."""
+        """The factor of this very matrix if this process has made it already, else a new one; arguments as the
+        class."""
         assert gradient is not None
         digest = hashlib.sha256()
-        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes), gradient, np.array([rate])):
+        for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes), gradient,
+                     np.array([rate])):
             digest.update(np.ascontiguousarray(part).tobytes())
         key = digest.hexdigest()
         if key not in _factors:
@@ -61,7 +68,8 @@ class MembraneFactor(RestFactor):
         return out - self._answer[:, None] * (self._share * (self._own @ out))
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
-        """As `RestFactor.compliance`. All nodes of a membrane are its surface: of a fine one, only the rows asked for are kept, and not for other touches."""
+        """As `RestFactor.compliance`. All nodes of a membrane are its surface: of a fine one, only the rows asked for
+        are kept, and not for other touches."""
         if self.size <= 3 * _WHOLE:
             return super().compliance(nodes, pushed)
         rows, columns = ((3 * np.asarray(n)[:, None] + np.arange(3)).ravel() for n in (nodes, pushed))

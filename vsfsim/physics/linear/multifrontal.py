@@ -1,13 +1,15 @@
-"""A Cholesky factor in sixteen bits, as a preconditioner on a CPU: what a solve costs is the reading of the factor, and this one is a quarter of the usual.
+"""A Cholesky factor in sixteen bits, as a preconditioner on a CPU: what a solve costs is the reading of the factor, and
+this one is a quarter of the usual.
 
-The matrix is eliminated front by front (Duff and Reid 1983) along a nested dissection, in double. Of a front with the pivots A and the rows B below
-them only A^-1 and G = B A^-1 are kept, so that a solve is products with dense blocks,
+The matrix is eliminated front by front (Duff and Reid 1983) along a nested dissection, in double. Of a front with the
+pivots A and the rows B below them only A^-1 and G = B A^-1 are kept, so that a solve is products with dense blocks,
 
     x_B -= G x_A  (children first),     x_A = A^-1 x_A - G^T x_B  (parents first).
 
-With d the roots of A^-1's diagonal, A^-1 = d Q d and G = r P d, where the entries of Q and P are 1 at the most: these are kept as whole numbers of 2^-15.
-That rounds every entry by 1.5e-5 of what its unknowns' own compliances allow, so that soft parts beside stiff ones stay what they are; the long way
-from a support through a slender body is what it may lose. `trusted` finds out.
+With d the roots of A^-1's diagonal, A^-1 = d Q d and G = r P d, where the entries of Q and P are 1 at the most: these
+are kept as whole numbers of 2^-15.
+That rounds every entry by 1.5e-5 of what its unknowns' own compliances allow, so that soft parts beside stiff ones stay
+what they are; the long way from a support through a slender body is what it may lose. `trusted` finds out.
 """
 
 import functools
@@ -51,7 +53,8 @@ class Multifrontal:
         graph = sp.csr_matrix((np.ones(coo.nnz), (coo.row // 3, coo.col // 3)), shape=(count, count))
         tree = fronts(graph, points)
         place = np.empty(self.size, np.int64)  # of every unknown in the padded vector of all fronts
-        tables = np.zeros((len(tree), 7), np.int64)  # pivots and rows below, each with its padded number; where pivots, the blocks and the rows below begin
+        # pivots and rows below, each with its padded number; where pivots, the blocks and the rows below begin
+        tables = np.zeros((len(tree), 7), np.int64)
         slots, entries, below = 0, 0, 0
         for f, front in enumerate(tree):
             p, q = 3 * len(front.own), 3 * len(front.boundary)
@@ -64,7 +67,9 @@ class Multifrontal:
         _eliminate(matrix, tree, tables, factor)
         self.bytes = sum(a.nbytes for a in (factor.blocks, factor.pivots, factor.rows))
         below_at = np.concatenate([*(place[_unknowns(front.boundary)] for front in tree), [0]])
-        self._arrays = [wp.array(a.ravel(), device="cpu") for a in (tables, below_at.astype(np.int32), place.astype(np.int32), factor.blocks, factor.pivots, factor.rows)]
+        self._arrays = [wp.array(a.ravel(), device="cpu") for a in (tables, below_at.astype(np.int32),
+                                                                    place.astype(np.int32), factor.blocks,
+                                                                    factor.pivots, factor.rows)]
         self._vectors: dict[int, list[wp.array]] = {}  # of a solve, by its width
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -74,16 +79,20 @@ class Multifrontal:
         columns = right.shape[1]
         width = _WIDE if columns >= _FEW else 1
         if width not in self._vectors:  # the padding stays 0
-            self._vectors[width] = [wp.zeros(size, dtype=wp.float32, device="cpu") for size in (self._slots * width, (2 * width + _ROWS) * self._wide)]
+            self._vectors[width] = [wp.zeros(size, dtype=wp.float32, device="cpu")
+                                    for size in (self._slots * width, (2 * width + _ROWS) * self._wide)]
         ends = [wp.array(a.reshape(-1), device="cpu", copy=False) for a in (right, out)]
         for start in range(0, columns, width):
-            wp.launch(_kernels()[width], dim=1, device="cpu", inputs=[self._fronts, self.size, self._wide, columns, start, *self._arrays, *ends, *self._vectors[width]])
+            wp.launch(_kernels()[width], dim=1, device="cpu",
+                      inputs=[self._fronts, self.size, self._wide, columns, start, *self._arrays, *ends,
+                              *self._vectors[width]])
         return out
 
 
 @dataclass(frozen=True)
 class _Factor:
-    """blocks: Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-]. pivots: d of the padded pivots of all fronts (v,) [sqrt(m/N)].
+    """blocks: Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-].
+    pivots: d of the padded pivots of all fronts (v,) [sqrt(m/N)].
     rows: r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
 
     blocks: np.ndarray
@@ -111,7 +120,8 @@ def _unknowns(nodes: np.ndarray) -> np.ndarray:
 def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out: _Factor) -> None:
     """Fill ``out``, front by front."""
     local, diagonal = np.full(matrix.shape[0], -1), matrix.diagonal()
-    left: dict[int, tuple[np.ndarray, np.ndarray]] = {}  # of fronts whose parent is still to come: what they leave on their boundary
+    # of fronts whose parent is still to come: what they leave on their boundary
+    left: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for f, (front, (p, pw, q, qw, slot, first, below)) in enumerate(zip(tree, tables, strict=True)):
         own, boundary = _unknowns(front.own), _unknowns(front.boundary)
         local[own] = np.arange(p)
@@ -133,7 +143,8 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out
         lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
         inverse, _ = lapack.dpotri(lower, lower=True)
         if fault or (np.diag(inverse) * diagonal[own] > _LOOSE).any():
-            raise MeshError("The stiffness of the body at rest is not positive definite: a part of it can move freely, or elements have no volume. "
+            raise MeshError("The stiffness of the body at rest is not positive definite: a part of it can move freely, "
+                            "or elements have no volume. "
                             "Hold the body by more of its nodes, or mend the mesh.")
         inverse = np.tril(inverse) + np.tril(inverse, -1).T
         ties = dense[p:, :p]
@@ -148,9 +159,10 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out
             left[f] = dense[p:, p:] - gain @ ties.T, boundary
 
 
-# Two ways through the fronts: for one right-hand side, and for sixteen of them in one vector. Four rows of a block are read at a time: as four sums, or added up
-# in what the rows below get. Both take their forces from ``right`` and leave what they found in ``out``, each column by its own measure, since single precision
-# has no room for forces that are far below one.
+# Two ways through the fronts: for one right-hand side, and for sixteen of them in one vector. Four rows of a block are
+# read at a time: as four sums, or added up in what the rows below get. Both take their forces from ``right`` and leave
+# what they found in ``out``, each column by its own measure, since single precision has no room for forces that are far
+# below one.
 _BEGIN = f"""
     const long long* t = table.data; const int* below = rows.data; const int* place = places.data; const short* block = blocks.data;
     const float* pivot = pivots.data; const float* ratio = ratios.data; const double* b = right.data + start;
@@ -274,15 +286,18 @@ def _kernels() -> dict[int, Any]:
 
 
 def _kernel(name: str, text: str) -> Any:
-    long, whole, short, single, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.int16, wp.float32, wp.float64))
+    long, whole, short, single, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.int16, wp.float32,
+                                                                      wp.float64))
 
-    def sweep(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole, blocks: short, pivots: single, ratios: single,
+    def sweep(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole,
+              blocks: short, pivots: single, ratios: single,
               right: double, out: double, x: single, work: single): ...
 
     sweep.__name__ = sweep.__qualname__ = f"sweep_{name}"
     native = wp.func_native(text)(sweep)
 
-    def solve(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole, blocks: short, pivots: single, ratios: single,
+    def solve(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole,
+              blocks: short, pivots: single, ratios: single,
               right: double, out: double, x: single, work: single):
         native(fronts, size, wide, columns, start, table, rows, places, blocks, pivots, ratios, right, out, x, work)
 

@@ -1,7 +1,8 @@
 """The rest-state stiffness, inverted once for an object: it serves every touch of it.
 
-On the CPU a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse under the patch; on a GPU the
-dense inverse, so that one product (n x n x B) answers all touches at once where triangular solves would crawl.
+On the CPU a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse under
+the patch; on a GPU the dense inverse, so that one product (n x n x B) answers all touches at once where triangular
+solves would crawl.
 """
 
 from __future__ import annotations
@@ -21,7 +22,8 @@ _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and c
 _KEPT = 4  # factors kept in this process, by content
 _COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
-_ROWS, _SPARSE = 32, 0.4  # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
+# columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
+_ROWS, _SPARSE = 32, 0.4
 _DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
@@ -49,7 +51,8 @@ class RestFactor:
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
         self._solver = cholespy.CholeskySolverD(
-            self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64), cholespy.MatrixType.COO)
+            self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64),
+                                                cholespy.MatrixType.COO)
         self.seconds = time.perf_counter() - began
 
     def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
@@ -68,7 +71,8 @@ class RestFactor:
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
-        """The factor of this very matrix if this process has made it already, else a new one; arguments as the class."""
+        """The factor of this very matrix if this process has made it already, else a new one; arguments as the
+        class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
             digest.update(np.ascontiguousarray(part).tobytes())
@@ -92,7 +96,8 @@ class RestFactor:
         return out
 
     def quick(self, points: np.ndarray) -> RestFactor:
-        """The same body answered to fewer digits, in a third of the time, to predict and to precondition with; this very factor if that would not do.
+        """The same body answered to fewer digits, in a third of the time, to predict and to precondition with; this
+        very factor if that would not do.
 
         Made once and kept. points: of the nodes (n, 3) [m].
         """
@@ -101,7 +106,8 @@ class RestFactor:
         return self._quick
 
     def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
-        """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all rows if ``whole``."""
+        """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all
+        rows if ``whole``."""
         known = self._whole if whole else self._columns
         missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
@@ -124,10 +130,12 @@ class RestFactor:
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
         self._make(nodes, whole=True)
-        return np.concatenate([self._whole[int(i)] for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
+        return np.concatenate([self._whole[int(i)]
+                               for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
-        """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N]; 0 where held."""
+        """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N];
+        0 where held."""
         self._make(pushed, whole=False)
         rows = self._row_of[nodes]
         out = np.empty((len(nodes), 3, len(pushed), 3))
@@ -155,7 +163,8 @@ class RestFactor:
 
 
 class QuickFactor(RestFactor):
-    """A rest-state factor whose answers come from `multifrontal`: to a percent or so, which is enough to predict and to precondition with."""
+    """A rest-state factor whose answers come from `multifrontal`: to a percent or so, which is enough to predict and to
+    precondition with."""
 
     _kept = np.float32
 
@@ -167,9 +176,11 @@ class QuickFactor(RestFactor):
 
     @classmethod
     def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
-        """The quick factor, or None if its few digits lose something of this body: tried with pushes along each axis on all of it and with forces at random."""
+        """The quick factor, or None if its few digits lose something of this body: tried with pushes along each axis on
+        all of it and with forces at random."""
         solver = Multifrontal(exact._held, points)
-        loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)), np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
+        loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)),
+                                np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
         return cls(exact, solver) if trusted(exact._held, solver, loads * exact.free[:, None]) else None
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -184,10 +195,12 @@ class Response(Protocol):
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
     def prepare(self, nodes: torch.Tensor) -> bool:
-        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only a lazy `response` must be told. True if `compliance` has more now."""
+        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only a lazy `response` must
+        be told. True if `compliance` has more now."""
 
     def compliance(self) -> torch.Tensor:
-        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that are not prepared."""
+        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that
+        are not prepared."""
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
@@ -198,8 +211,10 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool 
 
     Args:
         factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
-        exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the time
-            (good for predictions and as a preconditioner). lazy: what only some nodes need is made when `Response.prepare` names them.
+        exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the
+        time
+            (good for predictions and as a preconditioner). lazy: what only some nodes need is made when
+            `Response.prepare` names them.
     """
     if device != "cpu" and factor.size <= _DENSE:
         return _Dense(factor, dof, device)
@@ -223,7 +238,8 @@ class _Sparse:
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
         few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES
-        self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32, device=device) if few else None
+        self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32,
+                                  device=device) if few else None
         self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
         self._ready = np.zeros((len(dof), width // 3), bool)
         if not lazy:
@@ -241,7 +257,8 @@ class _Sparse:
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
             if self._whole is not None:
                 self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
-            self._compliance[b, :3 * len(own), at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
+            self._compliance[b, :3 * len(own),
+                             at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
         return more
 
     def compliance(self) -> torch.Tensor:
@@ -252,13 +269,15 @@ class _Sparse:
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         if self._whole is not None:
-            return torch.stack([self._combine(self._whole[b], f) for b, f in zip(touches.tolist(), force, strict=True)], dim=1).to(force.dtype)
+            return torch.stack([self._combine(self._whole[b], f) for b, f in zip(touches.tolist(), force, strict=True)],
+                               dim=1).to(force.dtype)
         free = torch.as_tensor(self._factor.free, device=force.device)[:, None]
         return self.solve(spread(self._dof[touches], force, self._factor.size) * free)
 
     @staticmethod
     def _combine(columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is all the work: of a small contact only its own are read."""
+        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is all the work: of a small
+        contact only its own are read."""
         force = force.to(columns.dtype)
         used = force.nonzero()[:, 0]
         if len(used) > _SPARSE * len(force):

@@ -13,7 +13,7 @@ from vsfsim.core.scene import ObjectSpec
 from vsfsim.core.shape import Box, Cylinder, Family, MeshFile, Rod, Sphere, extent
 from vsfsim.core.shelf import families
 from vsfsim.core.solid import Solid
-from vsfsim.physics.mesh.quadratic import structured as blocks
+from vsfsim.physics.mesh import structured as blocks
 
 # Beyond this the mesh would not fit in memory; a slip of units is the usual cause.
 MAX_CELLS = 2_000_000
@@ -66,7 +66,8 @@ def _family(shape: Family, resolution: float, rng: np.random.Generator) -> Solid
         raise SceneError(f"[object] shape: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
     module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
     if not hasattr(module, "build"):
-        raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an [arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")
+        raise SceneError(f"[object] shape: the family '{shape.name}' is a plant, made of beams and touched by an "
+                         f"[arm]; it is no solid body that can be pressed. Use `vsfsim generate`.")
     return module.build(shape.parameters, rng, resolution=resolution, where=f"[object] shape family '{shape.name}'")
 
 
@@ -74,6 +75,8 @@ def _check_cells(shape: Box | Sphere | Cylinder | Rod, resolution: float) -> Non
     edges = extent(shape)
     cells = math.prod(math.ceil(edge / resolution) for edge in edges)
     if cells > MAX_CELLS:
-        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of {' x '.join(f'{e:g}' for e in edges)} m "
-                         f"into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser resolution, and check "
+        raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of "
+                         f"{' x '.join(f'{e:g}' for e in edges)} m "
+                         f"into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser "
+                         f"resolution, and check "
                          "that both are in metres.")

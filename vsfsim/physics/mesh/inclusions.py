@@ -20,11 +20,12 @@ REACH = (0.2, 0.35, 0.5, 0.7, 0.9)
 _ON = 1e-3
 
 
-def snap_to_inclusions(solid: Solid, field: MaterialField, *, worst_sine: float = WORST_SINE) -> tuple[Solid, np.ndarray]:
+def snap_to_inclusions(solid: Solid, field: MaterialField, *,
+                       worst_sine: float = WORST_SINE) -> tuple[Solid, np.ndarray]:
     """Move vertices near a spherical or capsular inclusion onto its surface.
 
-    No tetrahedron inverts or becomes worse than ``worst_sine`` (or than it was). A vertex of the outer boundary slides in
-    its plane, or along the edge of two planes; where the boundary is curved or has a corner it stays.
+    No tetrahedron inverts or becomes worse than ``worst_sine`` (or than it was). A vertex of the outer boundary slides
+    in its plane, or along the edge of two planes; where the boundary is curved or has a corner it stays.
 
     Args:
         solid: the mesh. field: its inclusions, in the object's frame; boxes are left as they are.
@@ -85,7 +86,8 @@ def _pass(part: Inclusion, reach: float, vertices: np.ndarray, tets: np.ndarray,
         taken[v], side[v] = True, 0
 
 
-def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide: np.ndarray, size: float) -> np.ndarray | None:
+def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide: np.ndarray,
+          size: float) -> np.ndarray | None:
     """The nearest zero of ``distance`` from ``start`` along the directions that ``slide`` (3, 3) leaves, or None."""
     point = start.copy()
     step = 1e-5 * size

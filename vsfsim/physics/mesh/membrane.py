@@ -1,8 +1,10 @@
-"""Triangle meshes of membranes: a flat ellipse of any number of nodes, the same every time and mirrored about both axes, and a closed sphere.
+"""Triangle meshes of membranes: a flat ellipse of any number of nodes, the same every time and mirrored about both
+axes, and a closed sphere.
 
-The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line of nodes on the long axis.
-Every ring has a node on the long axis at both ends and a number of nodes that is even, so that the strip between two rings can be triangulated in
-one half and mirrored. Near the middle of a circle the line is one node.
+The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line
+of nodes on the long axis.
+Every ring has a node on the long axis at both ends and a number of nodes that is even, so that the strip between two
+rings can be triangulated in one half and mirrored. Near the middle of a circle the line is one node.
 """
 
 from __future__ import annotations
@@ -15,7 +17,8 @@ import numpy as np
 
 from vsfsim.physics.elements import gas
 
-READ_OUT = (390, 64)  # nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
+# nodes in all and on the rim of the Punyo's published mesh; Euler's formula then gives its 714 triangles
+READ_OUT = (390, 64)
 _SMOOTHINGS = 30
 
 
@@ -23,7 +26,8 @@ _SMOOTHINGS = 30
 class TriangleMesh:
     """Linear triangles in space, with the attributes that the solver asks of a mesh.
 
-    points: nodes (n, 3) [m]. faces: (f, 3), wound outwards. rim: nodes of the edge in order, counter-clockwise from outside (r,); none if closed.
+    points: nodes (n, 3) [m]. faces: (f, 3), wound outwards. rim: nodes of the edge in order, counter-clockwise from
+    outside (r,); none if closed.
     volume: inside the surface, closed by a cap over the rim (1,) [m^3].
     """
 
@@ -70,13 +74,15 @@ def ellipse(a: float, b: float, nodes: int, *, rim: int | None = None) -> tuple[
     """A flat ellipse of exactly ``nodes`` nodes.
 
     Args:
-        a, b: semi-axes along x and y [m], a >= b. nodes: in all, 30 or more. rim: on the rim, a multiple of 4, or None for equal edges.
+        a, b: semi-axes along x and y [m], a >= b. nodes: in all, 30 or more. rim: on the rim, a multiple of 4, or None
+        for equal edges.
 
     Returns:
         Points (n, 2) [m], the rim first; triangles (f, 3), counter-clockwise; the rim in order (r,).
     """
     assert a >= b > 0.0 and nodes >= 30
-    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / (nodes + 0.5 * _perimeter(a, b) / math.sqrt(math.pi * a * b / nodes)))
+    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / (nodes + 0.5 * _perimeter(a, b)
+                                                               / math.sqrt(math.pi * a * b / nodes)))
     rim = max(8, 4 * round(_perimeter(a, b) / edge / 4)) if rim is None else rim
     rows = max(1, round(b / (edge * math.sqrt(0.75))))
     counts, middle = _counts(a, b, rim, nodes, rows)
@@ -101,7 +107,8 @@ def _perimeter(a: float, b: float) -> float:
 
 
 def _counts(a: float, b: float, rim: int, nodes: int, rows: int) -> tuple[list[int], int]:
-    """Nodes of the rings from the rim inwards, multiples of 4 that add up to ``nodes`` with those of the line in the middle."""
+    """Nodes of the rings from the rim inwards, multiples of 4 that add up to ``nodes`` with those of the line in the
+    middle."""
     while True:
         length = np.array([_perimeter(a - b * k / rows, b - b * k / rows) for k in range(1, rows)])
         rest = nodes - rim
@@ -139,18 +146,21 @@ def _ring(a: float, b: float, count: int) -> np.ndarray:
 
 
 def _strip(points: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
-    """Triangles between two loops that both begin on the +x axis: one quarter by the shorter diagonal each time, the others its mirror images."""
+    """Triangles between two loops that both begin on the +x axis: one quarter by the shorter diagonal each time, the
+    others its mirror images."""
     if len(inner) == 1:
         return np.stack([outer, np.roll(outer, -1), np.full(len(outer), inner[0])], axis=1)
     out: list[tuple[int, int, int]] = []
     n, m = len(outer), len(inner)
-    # the middle of a line with an even number of nodes is an edge: it belongs to a triangle that is its own mirror image
+    # the middle of a line with an even number of nodes is an edge: it belongs to a triangle that is its own mirror
+    # image
     straddles = m % 4 == 2
     stop = m // 4 + (1 if straddles else 0)
     i = j = 0
     pairs: list[tuple[str, int, int]] = []
     while i < n // 4 or j < m // 4:
-        if j >= m // 4 or i == 0:  # on the long axis a triangle of the line and the ring's first node would have no area
+        # on the long axis a triangle of the line and the ring's first node would have no area
+        if j >= m // 4 or i == 0:
             outward = True
         elif i >= n // 4:
             outward = False
@@ -181,7 +191,8 @@ def _strip(points: np.ndarray, outer: np.ndarray, inner: np.ndarray) -> np.ndarr
 
 
 def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
-    """Inner nodes moved to the middle of the triangles around them, by area, again and again: evens out areas and keeps the mirror symmetry."""
+    """Inner nodes moved to the middle of the triangles around them, by area, again and again: evens out areas and keeps
+    the mirror symmetry."""
     out = points.copy()
     for _ in range(_SMOOTHINGS):
         a, b, c = (out[triangles[:, k]] for k in range(3))
@@ -195,15 +206,18 @@ def _smooth(points: np.ndarray, triangles: np.ndarray, rim: int) -> np.ndarray:
     return out
 
 
-def refine(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, a: float, b: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Every triangle of a flat ellipse cut in four: the old nodes keep their numbers, new ones on the rim lie on the ellipse; see `ellipse`."""
+def refine(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, a: float,
+           b: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Every triangle of a flat ellipse cut in four: the old nodes keep their numbers, new ones on the rim lie on the
+    ellipse; see `ellipse`."""
     mesh, triangles, middle = _cut_in_four(points, triangles)
     between = np.array([middle[tuple(sorted((int(i), int(j))))] for i, j in zip(rim, np.roll(rim, -1), strict=True)])
     mesh[between] /= np.sqrt((mesh[between, 0] / a) ** 2 + (mesh[between, 1] / b) ** 2)[:, None]
     return mesh, triangles, np.stack([rim, between], axis=1).ravel()
 
 
-def _cut_in_four(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[tuple[int, int], int]]:
+def _cut_in_four(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray,
+                                                                     dict[tuple[int, int], int]]:
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
     m = len(points) + inverse.reshape(-1, 3)

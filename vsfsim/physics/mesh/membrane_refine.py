@@ -1,8 +1,8 @@
 """A membrane's flat mesh made finer where something sharp will touch it.
 
-Triangles are cut in four ("red") while they are longer than wanted; a neighbour that got one node more is cut in two ("green"), one that got two or
-three in four, so that no node hangs (Bank, Sherman and Weiser 1983). Old nodes keep their numbers, and the mirror symmetry of the mesh stays where
-what touches has it.
+Triangles are cut in four ("red") while they are longer than wanted; a neighbour that got one node more is cut in two
+("green"), one that got two or three in four, so that no node hangs (Bank, Sherman and Weiser 1983). Old nodes keep
+their numbers, and the mirror symmetry of the mesh stays where what touches has it.
 """
 
 from __future__ import annotations
@@ -13,21 +13,25 @@ from vsfsim.core.shape import Capsule, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.solve import path
 
-SHARE = 1.0 / 3.0  # of a ball's radius: the longest edge where it touches; see docs/physics.md for what half of it changes
+# of a ball's radius: the longest edge where it touches; see docs/physics.md for what half of it changes
+SHARE = 1.0 / 3.0
 _GROWTH = 0.2  # of the edge with the distance from what touches: bands of one size are then five triangles wide
 _LEVELS = 5  # a triangle is cut so often at most
 _MOST = 20_000  # nodes; as many as [sensor] may ask for
 
 Wishes = tuple[tuple[float, tuple[int, ...]], ...]
-"""Where a mesh is to be finer: for every body that touches, the edge on the free dome [m] and the nodes of the even mesh that it meets."""
+"""Where a mesh is to be finer: for every body that touches, the edge on the free dome [m] and the nodes of the even
+mesh that it meets."""
 
 
 def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray, contact_edge: float | None) -> Wishes:
     """Where rigid bodies ask for a finer mesh.
 
     Args:
-        dome: nodes of the free dome (n, 3) [m]. edge: of its mesh [m]. bodies: K of them. poses: their way, in the mount frame (T, K, 4, 4).
-        contact_edge: the edge where they touch [m], or None for `SHARE` of the radius of balls and capsules, and nothing for other bodies.
+        dome: nodes of the free dome (n, 3) [m]. edge: of its mesh [m]. bodies: K of them. poses: their way, in the
+        mount frame (T, K, 4, 4).
+        contact_edge: the edge where they touch [m], or None for `SHARE` of the radius of balls and capsules, and
+        nothing for other bodies.
     """
     gap = np.full((len(bodies), len(dome)), np.inf)
     before = poses[:1]
@@ -39,9 +43,11 @@ def wishes(dome: np.ndarray, edge: float, bodies: RigidBodies, poses: np.ndarray
         before = pose[None]
     out = []
     for shape, own in zip(bodies.shapes, gap, strict=True):
-        wanted = contact_edge if contact_edge is not None else SHARE * shape.radius if isinstance(shape, (Sphere, Capsule)) else np.inf
+        wanted = (contact_edge if contact_edge is not None else SHARE * shape.radius
+                  if isinstance(shape, (Sphere, Capsule)) else np.inf)
         if wanted < edge and own.min() < edge:
-            met = own < max(0.0, float(own.min()) + 1e-9)  # at least the nearest node: a small tip may dent a triangle between its corners
+            # at least the nearest node: a small tip may dent a triangle between its corners
+            met = own < max(0.0, float(own.min()) + 1e-9)
             out.append((float(wanted), tuple(int(i) for i in np.flatnonzero(met))))
     return tuple(out)
 
@@ -51,7 +57,8 @@ def finer(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple
     """The mesh with edges near some nodes as long as wished, growing with the distance from them.
 
     Args:
-        flat: places before inflation (n, 2) [m]. faces: (f, 3). rim: its nodes in order (r,). semi_axes: of the rim (2,) [m]. dome: nodes of the free dome (n, 3) [m].
+        flat: places before inflation (n, 2) [m]. faces: (f, 3). rim: its nodes in order (r,). semi_axes: of the rim
+        (2,) [m]. dome: nodes of the free dome (n, 3) [m].
         wishes: see `Wishes`.
 
     Returns:
@@ -95,7 +102,8 @@ def _cut(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple[
     m = number[edge_of]
     t, four = faces, count == 3
     parts = [faces[count == 0], *(np.stack(way, axis=1)[four] for way in (
-        (t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]), (m[:, 0], m[:, 1], m[:, 2])))]
+        (t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]),
+                                                                          (m[:, 0], m[:, 1], m[:, 2])))]
     for k in range(3):
         own = (count == 1) & (m[:, k] >= 0)
         a, b, c = (t[own, (k + j) % 3] for j in range(3))

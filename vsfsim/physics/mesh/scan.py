@@ -2,7 +2,8 @@
 
 The filler is fTetWild through pytetwild (Hu et al. 2020): it takes holes and self-intersections, and keeps what the
 generalised winding number calls inside. Its output differs from run to run, even with one thread, so the first
-result is kept under a hash of the input and every later build reads that one. A lock lets one worker fill a mesh while the others wait.
+result is kept under a hash of the input and every later build reads that one. A lock lets one worker fill a mesh while
+the others wait.
 """
 
 from __future__ import annotations
@@ -34,10 +35,12 @@ DEBRIS = 0.05
 MAX_TETS = 2_000_000
 # Part of the cache key: raise it when the repairs or the filling change.
 _RECIPE = 2
-# How far the surface may move, in parts of the element size. fTetWild's own 0.1 % of the diagonal, a 67th of an element of 12 mm in a hand-sized
-# scan, makes it cut a bumpy surface into three times the tetrahedra asked for; a 20th costs half a per cent of the volume.
+# How far the surface may move, in parts of the element size. fTetWild's own 0.1 % of the diagonal, a 67th of an element
+# of 12 mm in a hand-sized scan, makes it cut a bumpy surface into three times the tetrahedra asked for; a 20th costs
+# half a per cent of the volume.
 _ENVELOPES = (1 / 20, 1 / 100)
-# A fill whose volume differs more from the surface's is tried again in the tighter envelope: a wall was thinner than the first.
+# A fill whose volume differs more from the surface's is tried again in the tighter envelope: a wall was thinner than
+# the first.
 _VOLUME = 0.02
 
 
@@ -95,30 +98,36 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
     if duplicate:
         notes.append(f"Removed {duplicate} duplicate faces.")
     if not len(mesh.faces):
-        raise MeshError(f"mesh file '{path}' has no faces with an area (of {before} given); a closed triangle surface is needed.")
+        raise MeshError(f"mesh file '{path}' has no faces with an area (of {before} given); a closed triangle "
+                        f"surface is needed.")
 
     extent = float(mesh.extents.max())
     scale = _metres_per_unit(shape, extent)
     if shape.scale is None:
         if scale != 1.0:
-            notes.append(f"The bounding box is {extent:.4g} units long, more than {LARGEST:g}, so the file was read as millimetres; "
+            notes.append(f"The bounding box is {extent:.4g} units long, more than {LARGEST:g}, so the file was read as "
+                         f"millimetres; "
                          "give scale (metres per unit) to say otherwise.")
     else:
         notes.append(f"Scaled by {scale:g} metres per unit, as given.")
     mesh.apply_scale(scale)
     extent *= scale
     if not SMALLEST <= extent <= LARGEST:
-        raise MeshError(f"mesh file '{path}': its bounding box is {extent:.4g} m long after a scale of {scale:g}; allowed is "
-                        f"{SMALLEST:g} to {LARGEST:g} m. Give the right scale (metres per unit), e.g. {{ mesh = \"{path.name}\", scale = 0.01 }} for centimetres.")
+        raise MeshError(f"mesh file '{path}': its bounding box is {extent:.4g} m long after a scale of {scale:g}; "
+                        f"allowed is "
+                        f"{SMALLEST:g} to {LARGEST:g} m. Give the right scale (metres per unit), e.g. "
+                        f"{{ mesh = \"{path.name}\", scale = 0.01 }} for centimetres.")
     if mesh.extents.min() < 1e-4 * extent or _is_planar(mesh.vertices):
-        raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in mesh.extents)} m) and encloses no volume; "
+        raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in mesh.extents)} m) and "
+                        f"encloses no volume; "
                         "give it thickness, e.g. with a solidify modifier.")
 
     if not mesh.is_winding_consistent:
         given = mesh.faces.copy()
         trimesh.repair.fix_winding(mesh)
         turned = int((mesh.faces != given).any(axis=1).sum())
-        notes.append(f"Faces were wound inconsistently; turned {turned} of {len(given)} to agree with their neighbours.")
+        notes.append(f"Faces were wound inconsistently; turned {turned} of {len(given)} to agree with their "
+                     f"neighbours.")
     inside_out = 0
     for faces in trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(mesh.faces)), min_len=1):
         if _signed_volume(mesh.vertices, mesh.faces[faces]) < 0.0 and not _is_cavity(mesh, faces):
@@ -128,7 +137,8 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
         notes.append(f"{inside_out} of {len(mesh.faces)} faces were inside out; turned them round.")
     if not mesh.is_watertight:
         _, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
-        notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with more than two "
+        notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with "
+                     f"more than two "
                      "faces; closed by the filler.")
     return mesh, notes
 
@@ -166,42 +176,51 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
     # About 8.5 regular tetrahedra of edge h in h^3; a body fills some third of its bounding box.
     cells = 3.0 * float(np.prod(surface.extents)) / resolution**3
     if cells > MAX_TETS:
-        raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of {' x '.join(f'{e:.3g}' for e in surface.extents)} m "
+        raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of "
+                        f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m "
                         f"into about {cells:.1e} tetrahedra; use a coarser resolution, and check the scale.")
     for envelope in _ENVELOPES:
-        vertices, tets = _run_filler(surface, resolution, envelope * resolution / float(np.linalg.norm(surface.extents)), path)
-        if not surface.is_watertight or abs(np.abs(tet_volumes(vertices, tets)).sum() / surface.volume - 1.0) <= _VOLUME:
+        vertices, tets = _run_filler(surface, resolution,
+                                     envelope * resolution / float(np.linalg.norm(surface.extents)), path)
+        if not surface.is_watertight or abs(np.abs(tet_volumes(vertices,
+                                                               tets)).sum() / surface.volume - 1.0) <= _VOLUME:
             break
     volumes = tet_volumes(vertices, tets) if len(tets) else np.zeros(0)
     tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
     volumes = np.abs(volumes)
     if volumes.sum() < 1e-4 * float(np.prod(surface.extents)):
         raise MeshError(f"mesh file '{path}' encloses no volume: {volumes.sum():.3g} m^3 of a bounding box of "
-                        f"{float(np.prod(surface.extents)):.3g} m^3. It is an open sheet; close it or give it thickness.")
+                        f"{float(np.prod(surface.extents)):.3g} m^3. It is an open sheet; close it or give "
+                        f"it thickness.")
     flat = volumes <= 1e-9 * resolution**3
     tets = tets[~flat]
     body = body_of_each_tet(tets)
     sizes = np.bincount(body, weights=volumes[~flat])
     if (sizes > DEBRIS * sizes.max()).sum() > 1:
         listing = ", ".join(f"{1e6 * v:.3g}" for v in np.sort(sizes)[::-1][:5])
-        raise MeshError(f"mesh file '{path}' holds {int((sizes > DEBRIS * sizes.max()).sum())} separate bodies (volumes {listing} cm^3); "
+        raise MeshError(f"mesh file '{path}' holds {int((sizes > DEBRIS * sizes.max()).sum())} separate bodies "
+                        f"(volumes {listing} cm^3); "
                         "an object is one body. Keep one, or join them.")
     if len(sizes) > 1:
-        notes.append(f"Dropped {len(sizes) - 1} loose pieces, {100 * (1 - sizes.max() / sizes.sum()):.2g} % of the volume.")
+        notes.append(f"Dropped {len(sizes) - 1} loose pieces, {100 * (1 - sizes.max() / sizes.sum()):.2g} % of "
+                     f"the volume.")
         tets = tets[body == sizes.argmax()]
     kept = drop_pinches(vertices, tets)
     if kept is None:
-        raise MeshError(f"mesh file '{path}': its surface touches itself in so many places at resolution {resolution:g} m that "
+        raise MeshError(f"mesh file '{path}': its surface touches itself in so many places at resolution "
+                        f"{resolution:g} m that "
                         "no clean boundary is left; use a finer resolution.")
     if len(kept) < len(tets):
-        notes.append(f"Removed {len(tets) - len(kept)} tetrahedra where the surface touched itself at a point or an edge.")
+        notes.append(f"Removed {len(tets) - len(kept)} tetrahedra where the surface touched itself at a point "
+                     f"or an edge.")
     used, tets = np.unique(kept, return_inverse=True)
     vertices, tets = vertices[used], tets.reshape(-1, 4)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     shift = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]])
     notes.append(f"Moved by ({', '.join(f'{-s:.4g}' for s in shift)}) m so that the base centre is the origin.")
     if surface.is_watertight and abs(tet_volumes(vertices, tets).sum() / surface.volume - 1.0) > _VOLUME:
-        notes.append(f"The filled volume is {100 * tet_volumes(vertices, tets).sum() / surface.volume:.3g} % of the surface's; "
+        notes.append(f"The filled volume is {100 * tet_volumes(vertices, tets).sum() / surface.volume:.3g} % of the "
+                     f"surface's; "
                      "overlapping parts count once, and detail finer than the resolution is lost.")
     return vertices - shift, tets, notes
 
@@ -221,7 +240,8 @@ np.savez(sys.argv[2], vertices=vertices, tets=tets)
 _PATIENCE = 1800.0
 
 
-def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float, path: Path) -> tuple[np.ndarray, np.ndarray]:
+def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float,
+                path: Path) -> tuple[np.ndarray, np.ndarray]:
     with tempfile.TemporaryDirectory(prefix="vsfsim-fill-") as folder:
         given, made = Path(folder, "given.npz"), Path(folder, "made.npz")
         np.savez(given, vertices=np.asarray(surface.vertices, np.float64), faces=np.asarray(surface.faces, np.int32),
@@ -233,7 +253,8 @@ def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float, pa
         except subprocess.TimeoutExpired:
             reason = f"it took more than {_PATIENCE / 60:g} minutes"
         if not made.exists():
-            raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {reason}. Use a coarser "
+            raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {reason}. "
+                            f"Use a coarser "
                             "resolution, or repair the mesh by hand (e.g. in MeshLab).")
         with np.load(made, allow_pickle=False) as data:
             return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
@@ -241,11 +262,13 @@ def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float, pa
 
 def _content(path: Path) -> bytes:
     if path.suffix.lower() not in FORMATS:
-        raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, e.g. with MeshLab.")
+        raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, "
+                        f"e.g. with MeshLab.")
     try:
         return path.read_bytes()
     except OSError as error:
-        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY or STL file, "
+        raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY "
+                        f"or STL file, "
                         "relative to the scene file.") from error
 
 
@@ -265,10 +288,12 @@ def _load(path: Path) -> trimesh.Trimesh:
     try:
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:  # a parser may fail in any way on a damaged file
-        raise MeshError(f"mesh file '{path}' cannot be understood as {path.suffix[1:].upper()}: {type(error).__name__}: {error}. "
+        raise MeshError(f"mesh file '{path}' cannot be understood as {path.suffix[1:].upper()}: "
+                        f"{type(error).__name__}: {error}. "
                         "Export it again.") from error
     if not isinstance(mesh, trimesh.Trimesh) or mesh.vertices is None or not len(mesh.faces):
-        raise MeshError(f"mesh file '{path}' has no faces; a closed triangle surface is needed (a point cloud is not enough).")
+        raise MeshError(f"mesh file '{path}' has no faces; a closed triangle surface is needed (a point cloud is "
+                        f"not enough).")
     return trimesh.Trimesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), process=False)
 
 
@@ -295,7 +320,8 @@ def _is_cavity(mesh: trimesh.Trimesh, faces: np.ndarray) -> bool:
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
     top = np.einsum("ij,ij->i", a, np.cross(b, c))
-    bottom = la * lb * lc + np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b, c) * la + np.einsum("ij,ij->i", c, a) * lb
+    bottom = la * lb * lc + np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b,
+                                                                         c) * la + np.einsum("ij,ij->i", c, a) * lb
     return bool(abs(np.arctan2(top, bottom).sum() * 2.0) > 2.0 * math.pi)
 
 

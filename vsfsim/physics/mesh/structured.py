@@ -32,14 +32,16 @@ def box(size: tuple[float, float, float], resolution: float, *,
     Args:
         size: edges (3,) [m].
         resolution: largest cell edge [m]; with ``focus``, the edge near it.
-        focus: points (k, 3) [m] around which the grid stays fine; elsewhere it coarsens to 3x, or to the block's least edge.
+        focus: points (k, 3) [m] around which the grid stays fine; elsewhere it coarsens to 3x, or to the block's least
+        edge.
 
     Returns:
         Vertices (n, 3) [m] and positively oriented corners (m, 4).
     """
     focus = None if focus is None else np.asarray(focus, float).reshape(-1, 3)
     low = (-0.5 * size[0], -0.5 * size[1], 0.0)
-    # a plate bends everywhere: away from the focus its cells grow to its thickness, not to what a thick block can do with
+    # a plate bends everywhere: away from the focus its cells grow to its thickness, not to what a thick block can do
+    # with
     coarsest = min(COARSEST, max(1.0, min(size) / resolution))
     # two cells at least from the base to the top: a pad bonded to its base is 4 % too stiff with one
     finest = (resolution, resolution, min(resolution, 0.5 * size[2]))
@@ -62,7 +64,8 @@ def grid_hexes(index: np.ndarray) -> np.ndarray:
 
 def grid_line(low: float, high: float, resolution: float, *, even: bool = False,
               focus: np.ndarray | None = None, coarsest: float = COARSEST) -> np.ndarray:
-    """Ticks of one axis [m], at most ``resolution`` apart; with ``focus`` (k,) [m] that holds near it only, and ``coarsest`` times it elsewhere.
+    """Ticks of one axis [m], at most ``resolution`` apart; with ``focus`` (k,) [m] that holds near it only, and
+    ``coarsest`` times it elsewhere.
 
     The spacing wished for grows linearly with the distance to the focus, which makes cells grow by a
     constant factor; the ticks are the equal parts of the integral of its inverse.
@@ -169,7 +172,8 @@ def ball(radius: float, resolution: float, *, equal_volume: bool = False) -> tup
                 tets.append([vertex(face, w) for w in ((a, b, c), (a + 1, b, c), (a, b + 1, c), (a, b, c + 1))])
             if room >= 2:
                 octahedra.append([vertex(face, w) for w in (
-                    (a + 1, b, c), (a, b + 1, c + 1), (a, b + 1, c), (a + 1, b, c + 1), (a, b, c + 1), (a + 1, b + 1, c))])
+                    (a + 1, b, c), (a, b + 1, c + 1), (a, b + 1, c), (a + 1, b, c + 1), (a, b, c + 1),
+                                                            (a + 1, b + 1, c))])
             if room >= 3:
                 tets.append([vertex(face, w) for w in (
                     (a + 1, b + 1, c), (a + 1, b, c + 1), (a, b + 1, c + 1), (a + 1, b + 1, c + 1))])

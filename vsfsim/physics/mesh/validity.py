@@ -13,13 +13,14 @@ from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.solid import TET_FACES, Solid, tet_volumes
 from vsfsim.physics.mesh.manifold import body_of_each_tet
 
-# Six volumes over the cube of the longest edge: a regular tetrahedron has 0.7, one whose dihedral angles come down to 1 degree about 0.01.
-# Below this the gradients of the shape functions have lost half their digits.
+# Six volumes over the cube of the longest edge: a regular tetrahedron has 0.7, one whose dihedral angles come down to 1
+# degree about 0.01. Below this the gradients of the shape functions have lost half their digits.
 FLAT = 1e-7
 
 
 def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
-    """Turn tetrahedra that are listed the wrong way round, leave out vertices that nothing uses, refuse what cannot be mended.
+    """Turn tetrahedra that are listed the wrong way round, leave out vertices that nothing uses, refuse what cannot be
+    mended.
 
     Args:
         solid: any tetrahedra. where: file and section, for messages.
@@ -28,19 +29,22 @@ def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
         The solid, with a note for what was done, and which tetrahedra had their first two corners swapped (m,).
 
     Raises:
-        MeshError: no tetrahedra, coordinates that are not finite, flat tetrahedra, or tetrahedra that overlap their neighbours.
+        MeshError: no tetrahedra, coordinates that are not finite, flat tetrahedra, or tetrahedra that overlap their
+        neighbours.
     """
     vertices, tets = np.asarray(solid.vertices, float), np.asarray(solid.tets, np.int64)
     if not len(tets):
         raise MeshError(f"{where}: the body has no tetrahedra.")
     if tets.min() < 0 or tets.max() >= len(vertices) or not np.isfinite(vertices[tets]).all():
-        raise MeshError(f"{where}: the body's tetrahedra name vertices that do not exist or are not finite numbers; mesh it again.")
+        raise MeshError(f"{where}: the body's tetrahedra name vertices that do not exist or are not finite numbers; "
+                        f"mesh it again.")
     corner = vertices[tets]
     longest = np.linalg.norm(corner[:, (0, 0, 0, 1, 1, 2)] - corner[:, (1, 2, 3, 2, 3, 3)], axis=-1).max(axis=1)
     volume = tet_volumes(vertices, tets)
     flat = np.flatnonzero(6.0 * np.abs(volume) <= FLAT * longest**3)
     if len(flat):
-        raise MeshError(f"{where}: {len(flat)} of {len(tets)} tetrahedra are flat, the first at {_place(corner[flat[0]])}; "
+        raise MeshError(f"{where}: {len(flat)} of {len(tets)} tetrahedra are flat, the first at "
+                        f"{_place(corner[flat[0]])}; "
                         "mesh the body again, or merge their corners.")
     turned = volume < 0.0
     notes = solid.notes
@@ -49,8 +53,10 @@ def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
         notes = (*notes, f"{int(turned.sum())} of {len(tets)} tetrahedra were inside out; turned them round.")
     doubled = _overlapping(tets)
     if len(doubled):
-        raise MeshError(f"{where}: {len(doubled)} of {len(tets)} tetrahedra are folded over a neighbour or listed twice, the first at "
-                        f"{_place(corner[doubled[0]])}: a vertex has passed through the face opposite. Mesh the body again.")
+        raise MeshError(f"{where}: {len(doubled)} of {len(tets)} tetrahedra are folded over a neighbour or listed "
+                        f"twice, the first at "
+                        f"{_place(corner[doubled[0]])}: a vertex has passed through the face opposite. Mesh the "
+                        f"body again.")
     used, renumbered = np.unique(tets, return_inverse=True)
     if len(used) == len(vertices) and not turned.any():
         return solid, turned
@@ -65,7 +71,8 @@ def refuse_loose(points: np.ndarray, nodes: np.ndarray, held: np.ndarray, where:
     Parts are joined through faces; at a common vertex or edge one can turn against the other.
 
     Args:
-        points: (n, 3) [m]. nodes: of each tetrahedron, corners first (m, 4 or more). held: mask of the nodes supported (n,).
+        points: (n, 3) [m]. nodes: of each tetrahedron, corners first (m, 4 or more). held: mask of the nodes supported
+        (n,).
         where: file and section, for messages.
 
     Raises:
@@ -77,9 +84,12 @@ def refuse_loose(points: np.ndarray, nodes: np.ndarray, held: np.ndarray, where:
     for part in range(body.max() + 1):
         mine = np.unique(nodes[body == part])
         grip = points[mine[held[mine]]]
-        if len(grip) < 3 or np.linalg.matrix_rank(grip - grip.mean(axis=0), tol=1e-6 * float(np.ptp(points, axis=0).max())) < 2:
-            raise SceneError(f"{where}: the body is in {body.max() + 1} parts that no face joins, and the part at {_place(points[mine])} "
-                             f"({int((body == part).sum())} of {len(body)} tetrahedra) is held at {len(grip)} nodes, too few to keep it in place. "
+        if len(grip) < 3 or np.linalg.matrix_rank(grip - grip.mean(axis=0),
+                                                  tol=1e-6 * float(np.ptp(points, axis=0).max())) < 2:
+            raise SceneError(f"{where}: the body is in {body.max() + 1} parts that no face joins, and the part at "
+                             f"{_place(points[mine])} "
+                             f"({int((body == part).sum())} of {len(body)} tetrahedra) is held at {len(grip)} nodes, "
+                             f"too few to keep it in place. "
                              "Join the parts, leave that one out, or let fixed hold each of them.")
 
 

@@ -22,5 +22,6 @@ def grow(shape: Family, rng: np.random.Generator, *, where: str, number: int = 0
         raise SceneError(f"{where}: unknown family '{shape.name}'. {did_you_mean(shape.name, families())}")
     module = importlib.import_module(f"vsfsim.scenes.{shape.name}")
     if not hasattr(module, "grow"):
-        raise SceneError(f"{where}: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use family = \"plant\", or take [arm] out and give a [probe].")
+        raise SceneError(f"{where}: the family '{shape.name}' makes solid bodies; an arm touches plants so far. Use "
+                         f"family = \"plant\", or take [arm] out and give a [probe].")
     return module.grow(shape.parameters, rng, where=where, number=number)

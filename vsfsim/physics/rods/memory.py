@@ -1,4 +1,5 @@
-"""Memory of the rod solver on its device: trees, touches, workspace, results; and the kernel that puts a new touch into its place."""
+"""Memory of the rod solver on its device: trees, touches, workspace, results; and the kernel that puts a new touch into
+its place."""
 
 from collections.abc import Sequence
 
@@ -31,7 +32,8 @@ def make_trees(m: Sequence[RodModel], device: str) -> Trees:
         tree.load, tree.reach = one([x.weight for x in m], wp.vec3d), one([x.reach for x in m], wp.float64)
         tree.bound = one([x.plant.radius + x.plant.half_width for x in m], wp.float64)
         tree.sample = one([*(x.first[:-1] + s for x, s in zip(m, samples)), samples[-1:]], wp.int32)
-        tree.child, tree.next = one([c for c, _ in map(_children, m)], wp.int32), one([c for _, c in map(_children, m)], wp.int32)
+        tree.child, tree.next = one([c for c, _ in map(_children, m)],
+                                    wp.int32), one([c for _, c in map(_children, m)], wp.int32)
         ranks = [levels_of(x) for x in m]
         tree.rank = one([rank for rank, _ in ranks], wp.int32)
         tree.level = one([level + o for (_, level), o in zip(ranks, total, strict=False)], wp.int32)
@@ -54,7 +56,8 @@ def make_touches(b: int, t: int, p: int, half: Sequence[float], radius: Sequence
 
 
 def make_work(b: int, n: int, k: int, room: int, levels: int) -> Work:
-    """Workspace of B touches of plants with up to N nodes and ``levels`` levels by K capsules, with ``room`` places for contacts each; `enter` puts a touch in."""
+    """Workspace of B touches of plants with up to N nodes and ``levels`` levels by K capsules, with ``room`` places for
+    contacts each; `enter` puts a touch in."""
     w = Work()
     for name in ("x", "x_start", "x_try", "x_keep", "x_good"):
         setattr(w, name, wp.zeros((b, n), dtype=wp.vec3d))
@@ -117,7 +120,8 @@ def enter(
     # state out
     w: Work,
 ):
-    """Touches from number ``first`` on begin: the plant at rest, nothing touched, the arm at its first pose. One thread a touch and node."""
+    """Touches from number ``first`` on begin: the plant at rest, nothing touched, the arm at its first pose. One thread
+    a touch and node."""
     row, i = wp.tid()
     b = first + row
     plant = touch.plant[b]
@@ -162,7 +166,8 @@ def _children(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def levels_of(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
-    """The nodes by their number of segments from the root (n,), and the first of each number in this order, and the end (levels + 1,)."""
+    """The nodes by their number of segments from the root (n,), and the first of each number in this order, and the end
+    (levels + 1,)."""
     parent = model.plant.parent
     depth = np.zeros(len(parent), int)
     for i in range(1, len(parent)):
@@ -172,7 +177,8 @@ def levels_of(model: RodModel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def quaternions(turn: np.ndarray) -> np.ndarray:
-    """x y z w (..., 4) of rotations (..., 3, 3): the largest of the four components first, the others from it (Shepperd 1978)."""
+    """x y z w (..., 4) of rotations (..., 3, 3): the largest of the four components first, the others from it (Shepperd
+    1978)."""
     m = turn.reshape(-1, 3, 3)
     trace = np.trace(m, axis1=1, axis2=2)
     which = np.argmax(np.stack([m[:, 0, 0], m[:, 1, 1], m[:, 2, 2], trace], axis=1), axis=1)
@@ -184,5 +190,6 @@ def quaternions(turn: np.ndarray) -> np.ndarray:
         out[s, i], out[s, j] = m[s, i, k] + m[s, k, i], m[s, j, k] + m[s, k, j]
         out[s, 3] = m[s, j, i] - m[s, i, j]
     s = which == 3
-    out[s] = np.stack([m[s, 2, 1] - m[s, 1, 2], m[s, 0, 2] - m[s, 2, 0], m[s, 1, 0] - m[s, 0, 1], 1.0 + trace[s]], axis=1)
+    out[s] = np.stack([m[s, 2, 1] - m[s, 1, 2], m[s, 0, 2] - m[s, 2, 0], m[s, 1, 0] - m[s, 0, 1], 1.0 + trace[s]],
+                      axis=1)
     return (out / np.linalg.norm(out, axis=1, keepdims=True)).reshape(*turn.shape[:-2], 4)

@@ -1,4 +1,5 @@
-"""From a plant to the arrays of the solver: stiffness of sections, frames, contact samples, and the compliance at rest."""
+"""From a plant to the arrays of the solver: stiffness of sections, frames, contact samples, and the compliance at
+rest."""
 
 from __future__ import annotations
 
@@ -12,7 +13,8 @@ from vsfsim.core.plant import Plant
 SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
 SAMPLE_SPACING = 0.004  # m along a branch: the sagitta of half of it under a forearm is 0.06 mm
 BLADE_SPACING = 0.008  # m across a leaf blade
-STIFFER = 1000.0  # contact penalty over the stiffness of the plant at that point: a touch goes in by a thousandth of what it bends
+# contact penalty over the stiffness of the plant at that point: a touch goes in by a thousandth of what it bends
+STIFFER = 1000.0
 PENALTY = (1e2, 1e8)  # N/m, limits of the penalty
 _ROUNDING = 2.2e-16
 
@@ -25,9 +27,12 @@ class RodError(VsfsimError):
 class RodModel:
     """A plant ready to be solved; arrays of n nodes, entry 0 of what belongs to segments not used.
 
-    plant: what it was made from. frame: rotations (n, 3, 3), the segment's axis as the first column, a blade's width as the second. kd: (n, 3) [N/m], kphi: (n, 3) [N m], see `segment`.
-    reach: longest way to a node below (n,) [m]. first: of a segment's samples (n + 1,). sample_segment, along, radius, penalty: (Q,) [-, -, m, N/m]; offset: (Q, 3) [m].
-    compliance: of each node against a force and a moment there, rest state (n, 6, 6) [m/N and so on]. weight: dead load a node (n, 3) [N].
+    plant: what it was made from. frame: rotations (n, 3, 3), the segment's axis as the first column, a blade's width as
+    the second. kd: (n, 3) [N/m], kphi: (n, 3) [N m], see `segment`.
+    reach: longest way to a node below (n,) [m]. first: of a segment's samples (n + 1,). sample_segment, along, radius,
+    penalty: (Q,) [-, -, m, N/m]; offset: (Q, 3) [m].
+    compliance: of each node against a force and a moment there, rest state (n, 6, 6) [m/N and so on]. weight: dead load
+    a node (n, 3) [N].
     """
 
     plant: Plant
@@ -49,8 +54,10 @@ class RodModel:
         size = float(np.abs(self.plant.nodes).max())
         return 4.0 * _ROUNDING * size * float(self.kd.sum())
 
-    def point_stiffness(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Force over displacement at material points (k,), along unit directions (k, 3), at rest: (k,) [N/m]; infinite where nothing gives way."""
+    def point_stiffness(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray,
+                        direction: np.ndarray) -> np.ndarray:
+        """Force over displacement at material points (k,), along unit directions (k, 3), at rest: (k,) [N/m]; infinite
+        where nothing gives way."""
         c = self._point_compliance(segment, along, offset)
         soft = np.einsum("ki,kij,kj->k", direction, c, direction)
         return np.where(soft > 0.0, 1.0 / np.where(soft > 0.0, soft, 1.0), np.inf)
@@ -71,7 +78,8 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The rod model of a plant.
 
     Args:
-        gravity: [m/s^2]; a plant that weighs something sags before it is touched, and costs more: all of it is solved in every frame.
+        gravity: [m/s^2]; a plant that weighs something sags before it is touched, and costs more: all of it is solved
+        in every frame.
     """
     n, length = len(plant.nodes), plant.lengths()
     frame = _frames(plant)
@@ -81,21 +89,24 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         reach[plant.parent[i]] = max(reach[plant.parent[i]], length[i] + reach[i])
     compliance = _compliance(plant, frame, kd, kphi)
     segment, along, offset, radius = _samples(plant, frame)
-    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), segment, along, offset, radius, np.zeros(0), compliance, np.zeros((n, 3)))
+    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), segment, along, offset,
+                     radius, np.zeros(0), compliance, np.zeros((n, 3)))
     softest = np.linalg.eigvalsh(model._point_compliance(segment, along, offset))[:, -1]
     penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
     area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
     mass = np.zeros(n)
     np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
     np.add.at(mass, plant.parent[1:], 0.5 * (plant.density * area * length)[1:])
-    return RodModel(plant, frame, kd, kphi, reach, model.first, segment, along, offset, radius, penalty, compliance, mass[:, None] * np.asarray(gravity, float))
+    return RodModel(plant, frame, kd, kphi, reach, model.first, segment, along, offset, radius, penalty, compliance,
+                    mass[:, None] * np.asarray(gravity, float))
 
 
 def sections(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
-    """Stiffnesses kd (n, 3) [N/m] and kphi (n, 3) [N m] of the segments: axial, shear, shear; torsion, bending, bending.
+    """Stiffnesses kd (n, 3) [N/m] and kphi (n, 3) [N m] of the segments: axial, shear, shear; torsion, bending,
+    bending.
 
-    Round: A = pi r^2, I = pi r^4 / 4, J = 2 I. Blade of width w, thickness t: A = w t, I about its width w t^3 / 12, about its normal t w^3 / 12,
-    J = w t^3 / 3 (thin). Axis 2 of the frame is the width, axis 3 the normal.
+    Round: A = pi r^2, I = pi r^4 / 4, J = 2 I. Blade of width w, thickness t: A = w t, I about its width w t^3 / 12,
+    about its normal t w^3 / 12, J = w t^3 / 3 (thin). Axis 2 of the frame is the width, axis 3 the normal.
     """
     e, r, length = plant.young_modulus, plant.radius, np.where(plant.lengths() > 0.0, plant.lengths(), 1.0)
     shear = e / (2.0 * (1.0 + plant.poisson_ratio))
@@ -140,7 +151,8 @@ def _carry(way: np.ndarray) -> np.ndarray:
 
 
 def _compliance(plant: Plant, frame: np.ndarray, kd: np.ndarray, kphi: np.ndarray) -> np.ndarray:
-    """Of each node at rest: that of its parent, carried along, and that of the segment between; what hangs on other branches does not matter."""
+    """Of each node at rest: that of its parent, carried along, and that of the segment between; what hangs on other
+    branches does not matter."""
     n = len(plant.nodes)
     out = np.zeros((n, 6, 6))
     way = plant.nodes - plant.nodes[np.maximum(plant.parent, 0)]
@@ -166,7 +178,9 @@ def _samples(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
         across = 1 + 2 * int(np.ceil(plant.half_width[i] / BLADE_SPACING)) if plant.half_width[i] > 0.0 else 1
         side = np.linspace(-1.0, 1.0, across) * plant.half_width[i] if across > 1 else np.zeros(1)
         grid, width = (a.ravel() for a in np.meshgrid(s, side, indexing="ij"))
-        parts.append((np.full(len(grid), i), grid, width[:, None] * frame[i][:, 1], np.full(len(grid), plant.radius[i])))
+        parts.append((np.full(len(grid), i), grid, width[:, None] * frame[i][:, 1],
+                      np.full(len(grid), plant.radius[i])))
         if len(grid) > 4000:
-            raise RodError(f"segment {i} of the plant is {plant.lengths()[i]:g} m long and {2 * plant.half_width[i]:g} m wide: more contact samples than a segment may have. Cut it into shorter ones.")
+            raise RodError(f"segment {i} of the plant is {plant.lengths()[i]:g} m long and {2 * plant.half_width[i]:g} "
+                           f"m wide: more contact samples than a segment may have. Cut it into shorter ones.")
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]

@@ -1,5 +1,6 @@
-"""What the rod kernels read and write, as Warp structs: trees, touches, workspace, results. Shapes: P plants, S all nodes of all of them, B touches,
-N nodes of the largest plant, K capsules, T frames, P poses on the way, C places for contacts."""
+"""What the rod kernels read and write, as Warp structs: trees, touches, workspace, results. Shapes: P plants, S all
+nodes of all of them, B touches, N nodes of the largest plant, K capsules, T frames, P poses on the way, C places for
+contacts."""
 
 import warp as wp
 
@@ -8,14 +9,20 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
 @wp.struct
 class Trees:
-    """The plants, one after the other. A node and the segment from its parent to it share a number; node 0 of a plant is clamped and has none.
+    """The plants, one after the other. A node and the segment from its parent to it share a number; node 0 of a plant
+    is clamped and has none.
 
-    first: of a plant's nodes (P + 1,). parent: within the plant (S,). rest: position (S,) [m]. frame: of the segment at rest, x along it (S,).
-    length: (S,) [m]. kd: (S,) [N/m]. kphi: (S,) [N m]. load: dead force (S,) [N]. reach: longest way from a node to one below it, at rest (S,) [m].
+    first: of a plant's nodes (P + 1,). parent: within the plant (S,). rest: position (S,) [m]. frame: of the segment at
+    rest, x along it (S,).
+    length: (S,) [m]. kd: (S,) [N/m]. kphi: (S,) [N m]. load: dead force (S,) [N]. reach: longest way from a node to one
+    below it, at rest (S,) [m].
     bound: radius around the segment that holds all its samples (S,) [m]. sample: first of a segment's samples (S + 1,).
-    child: its highest child within the plant, next: the next lower one of the same parent, -1 for none (S,). rank: nodes of a plant by their number of segments from the root (S,);
-    level: first in `rank` of each such number and the end, plant after plant; levels: first of a plant's in `level` (P + 1,).
-    along: (Q,) in 0..1. offset: (Q,) [m]. radius: (Q,) [m]. penalty: (Q,) [N/m]. floor: what rounding leaves of the residual (P,) [N].
+    child: its highest child within the plant, next: the next lower one of the same parent, -1 for none (S,). rank:
+    nodes of a plant by their number of segments from the root (S,);
+    level: first in `rank` of each such number and the end, plant after plant; levels: first of a plant's in `level` (P
+    + 1,).
+    along: (Q,) in 0..1. offset: (Q,) [m]. radius: (Q,) [m]. penalty: (Q,) [N/m]. floor: what rounding leaves of the
+    residual (P,) [N].
     """
 
     first: wp.array(dtype=wp.int32)
@@ -43,11 +50,17 @@ class Trees:
 
 @wp.struct
 class Touches:
-    """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,) [m]. place, turn: their poses on the way, P of them (B, P, K); last: number of the last one (B,).
-    plan: where on the way each frame is meant to be, in numbers of poses (B, T). inward: frames before the planned way out (B,).
+    """The touches. plant: of each (B,). friction: (B,) [-]. frames: of each (B,). half, radius: of the capsules (K,)
+    [m]. place, turn: their poses on the way, P of them (B, P, K); last: number of the last one (B,).
+    plan: where on the way each frame is meant to be, in numbers of poses (B, T). inward: frames before the planned way
+    out (B,).
 
-    force_limit: no frame is kept that is past it [N]; guarded: 0, the touch ends there, 1: the arm turns back, see `guard`; hold, out: frames that such a touch stands still and at least goes back.
-    newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which `newton` does not count; work: of a frame, after which no stride is tried again in shorter ones, patience: of a touch, after which it is given up. tolerance: unbalanced over contact force [-]; contact forces under ``faint`` count as that [N].
+    force_limit: no frame is kept that is past it [N]; guarded: 0, the touch ends there, 1: the arm turns back, see
+    `guard`; hold, out: frames that such a touch stands still and at least goes back.
+    newton: iterations of one try at a stride, travel: with those in which something goes as far as it may, which
+    `newton` does not count; work: of a frame, after which no stride is tried again in shorter ones, patience: of a
+    touch, after which it is given up. tolerance: unbalanced over contact force [-]; contact forces under ``faint``
+    count as that [N].
     """
 
     plant: wp.array(dtype=wp.int32)
@@ -74,7 +87,8 @@ class Touches:
 
 @wp.struct
 class Here:
-    """Which touch a thread works on. b: the touch, o: first node of its plant, n: how many, low: first of its levels in `Trees.level`, high: how many levels. lane, lanes: see `lanes`."""
+    """Which touch a thread works on. b: the touch, o: first node of its plant, n: how many, low: first of its levels in
+    `Trees.level`, high: how many levels. lane, lanes: see `lanes`."""
 
     b: wp.int32
     o: wp.int32
@@ -89,21 +103,33 @@ class Here:
 class Work:
     """State and scratch. "Of a segment": of that from the parent to the node of the same number.
 
-    Nodes (B, N). x, q: now; *_start: at the step's start; *_try: in the line search; *_keep: to come back to. active, strained: 0 or 1; order: the active ones, level by level; level: first of each in it
-    (B, D + 2). rider: length of what hangs on a node unloaded [m]; clear: of segments from capsules, room: of nodes to move in [m]. first, many: contacts of a segment in the list in use.
-    g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative; diagonal, coupling (child, parent), across (parent, child), right: of the step's model;
-    passed, held: what elimination leaves of coupling and right side; stale: 2 where contacts were set on or off since, 1 below such a node; step: Newton's. *_up: the share of a segment's that belongs to its parent, *_on: of its contacts, for the child. mid, stretch, half_turn, rate: Rm F, D, g and D' of each
-    segment, see `segment`; relative: spin over it. cap_*: capsules now and at the start (B, K).
-    Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on the capsule, its frame [m];
-    gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the surface, world at the start [m]; tau: limit
-    of friction [N]; depth: inside the capsule [m]; on: in the step's model; normal; hold: anchor in the world [m]. count: contacts of each list (2, B).
-    Contacts now (B, C): arm_p, arm_c: levers of the sample from its nodes, rub_p, rub_c: of its surface point [m]; fn, ft: gradients of normal and friction energy [N]; slid: way from the anchor [m];
+    Nodes (B, N). x, q: now; *_start: at the step's start; *_try: in the line search; *_keep: to come back to. active,
+    strained: 0 or 1; order: the active ones, level by level; level: first of each in it (B, D + 2). rider: length of
+    what hangs on a node unloaded [m]; clear: of segments from capsules, room: of nodes to move in [m]. first, many:
+    contacts of a segment in the list in use.
+    g: gradient, elastic: that of the elastic energy; own, mixed (child, parent): blocks of its second derivative;
+    diagonal, coupling (child, parent), across (parent, child), right: of the step's model;
+    passed, held: what elimination leaves of coupling and right side; stale: 2 where contacts were set on or off since,
+    1 below such a node; step: Newton's. *_up: the share of a segment's that belongs to its parent, *_on: of its
+    contacts, for the child. mid, stretch, half_turn, rate: Rm F, D, g and D' of each segment, see `segment`; relative:
+    spin over it. cap_*: capsules now and at the start (B, K).
+    Contacts (2, B, C), two lists in turn: key, sample, node, body: which; stuck: 1 if `anchor` holds; anchor: place on
+    the capsule, its frame [m];
+    gap0: at the step's start [m]; local0: surface point there, in the capsule's frame [m]; lever: from the point to the
+    surface, world at the start [m]; tau: limit of friction [N]; depth: inside the capsule [m]; on: in the step's model;
+    normal; hold: anchor in the world [m]. count: contacts of each list (2, B).
+    Contacts now (B, C): arm_p, arm_c: levers of the sample from its nodes, rub_p, rub_c: of its surface point [m]; fn,
+    ft: gradients of normal and friction energy [N]; slid: way from the anchor [m];
     hn, ht, hc: second derivatives, and that of friction by the normal way [N/m]; out_f, out_m: wrench on the capsule.
-    side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1 (B,).
+    side: list in use (B,). next: frame that comes next (B,). ended: number of the frame past the force limit, from 1
+    (B,).
     astray: 1 since something was deep in a link, until nothing touches (B,).
-    A frame that a launch could not finish: part of it that is done, stride that comes next, 0 for a fresh frame (B,) [-]; used: its iterations so far (B,). total: of the whole touch (B,).
-    The guard (B,), see `guard`: at: where the arm is on the way, good: where it last was in equilibrium under the limit, pace: poses a frame when it creeps, top: where it turned, low: where nothing was met yet;
-    phase, turned, met, fails. What it goes back to: x_good, q_good, strained_good (B, N), contacts key_good, stuck_good, anchor_good (B, C), count_good (B,).
+    A frame that a launch could not finish: part of it that is done, stride that comes next, 0 for a fresh frame (B,)
+    [-]; used: its iterations so far (B,). total: of the whole touch (B,).
+    The guard (B,), see `guard`: at: where the arm is on the way, good: where it last was in equilibrium under the
+    limit, pace: poses a frame when it creeps, top: where it turned, low: where nothing was met yet;
+    phase, turned, met, fails. What it goes back to: x_good, q_good, strained_good (B, N), contacts key_good,
+    stuck_good, anchor_good (B, C), count_good (B,).
     """
 
     x: wp.array2d(dtype=wp.vec3d)
@@ -207,8 +233,10 @@ class Work:
 
 @wp.struct
 class Results:
-    """What comes out. force, moment: on each capsule, the moment about its origin (B, T, K) [N, N m]. reaction: of the pot on the plant, force and moment about its node 0
-    (B, T). residual, energy, penetration, slipping: (B, T) [-, J, m, -]. where: on the way (B, T) [poses]. iterations, reason, contacts: (B, T). x, q: nodes (B, T, N), or of no length."""
+    """What comes out. force, moment: on each capsule, the moment about its origin (B, T, K) [N, N m]. reaction: of the
+    pot on the plant, force and moment about its node 0 (B, T). residual, energy, penetration, slipping: (B, T) [-, J,
+    m, -]. where: on the way (B, T) [poses]. iterations, reason, contacts: (B, T). x, q: nodes (B, T, N), or of no
+    length."""
 
     force: wp.array3d(dtype=wp.vec3d)
     moment: wp.array3d(dtype=wp.vec3d)

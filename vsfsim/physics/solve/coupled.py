@@ -1,7 +1,8 @@
 """A soft sensor that is carried against a soft object: both find one equilibrium, frame by frame.
 
-The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and the factor of its rest state
-stay what they are while it is carried along); `pair.PairTouching` is the contact between them, and everything else is `Solver`.
+The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and the
+factor of its rest state stay what they are while it is carried along); `pair.PairTouching` is the contact between them,
+and everything else is `Solver`.
 """
 
 from __future__ import annotations
@@ -52,8 +53,10 @@ class BothFactors:
 class Both:
     """Two bodies as one model for `Solver`; fields as `Model`.
 
-    object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node numbers after the object's.
-    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. factor: of both at rest.
+    object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node
+    numbers after the object's.
+    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. factor: of both at
+    rest.
     """
 
     object: Model
@@ -69,7 +72,8 @@ class Both:
         """Put an object and a sensor side by side."""
         count = len(model.mesh.points)
         moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
-        return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])), (*model.blocks, *moved),
+        return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])),
+                   (*model.blocks, *moved),
                    np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
                    BothFactors(model.factor, sensor.factor, 3 * count))
 
@@ -78,7 +82,8 @@ class Both:
         return np.concatenate([self.object.grounding(), self.sensor.grounding()])
 
     def least_force(self) -> float:
-        """As `Model.least_force`: a sensor that has just let go balances its own gas to that only, however little the object's forces are."""
+        """As `Model.least_force`: a sensor that has just let go balances its own gas to that only, however little the
+        object's forces are."""
         return max(self.object.least_force(), 100.0 * self.sensor.least_force())
 
 
@@ -100,17 +105,22 @@ class CoupledSolver(Solver):
     """Touches of one object by one soft sensor.
 
     Args:
-        model: the object, in the world. sensor: in its own frame, +z towards the object; its displacements are 0 in the free state.
+        model: the object, in the world. sensor: in its own frame, +z towards the object; its displacements are 0 in the
+        free state.
         friction: Coulomb's coefficient of the pair [-]. device, precision, options: see `Solver`.
     """
 
-    def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu", precision: str = "float64",
+    def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu",
+                 precision: str = "float64",
                  options: SolverOptions | None = None):
         if len(sensor.mesh.points) > SENSOR_NODES:
-            raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} are allowed, since its compliance is kept whole. Give fewer nodes.")
-        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options, False)
+            raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} "
+                             f"are allowed, since its compliance is kept whole. Give fewer nodes.")
+        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options,
+                    False)
         self.object, self.sensor = model, sensor
-        self._predicted: tuple[torch.Tensor, Memory, np.ndarray] | None = None  # displacements, friction's memory before the prediction, poses before
+        # displacements, friction's memory before the prediction, poses before
+        self._predicted: tuple[torch.Tensor, Memory, np.ndarray] | None = None
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height
 
@@ -118,11 +128,14 @@ class CoupledSolver(Solver):
         """Follow the sensor through all frames.
 
         Args:
-            poses: sensor to world (T, B, 4, 4). keep, progress: see `Solver.run`; with ``keep``, ``self.sensor_position`` holds T entries
-                (m, 3, B) of the sensor's nodes in the world [m] and ``self.sensor_force`` (m, 3, B) the contact force on each [N].
+            poses: sensor to world (T, B, 4, 4). keep, progress: see `Solver.run`; with ``keep``,
+            ``self.sensor_position`` holds T entries
+                (m, 3, B) of the sensor's nodes in the world [m] and ``self.sensor_force`` (m, 3, B) the contact force
+                on each [N].
 
         Returns:
-            Frames: force is the one on the sensor; ``pressure`` [Pa] and ``volume`` [m^3] (T, B) of a sensor with gas are in `self`.
+            Frames: force is the one on the sensor; ``pressure`` [Pa] and ``volume`` [m^3] (T, B) of a sensor with gas
+            are in `self`.
         """
         self.pressure: list[np.ndarray] = []
         self.volume: list[np.ndarray] = []
@@ -131,7 +144,8 @@ class CoupledSolver(Solver):
         return super().run(poses, keep=keep, progress=progress)
 
     def _meet(self, poses: np.ndarray) -> tuple[PairTouching, np.ndarray]:
-        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device, stride=self._stride)
+        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device,
+                                stride=self._stride)
         return touching, self._outside(touching, poses[0])
 
     def _outside(self, touching: PairTouching, pose: np.ndarray) -> np.ndarray:
@@ -151,7 +165,8 @@ class CoupledSolver(Solver):
         return out
 
     def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
-        """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes are seen by the contact."""
+        """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes
+        are seen by the contact."""
         at = self.object.mesh.points[self.object.mesh.surface_nodes()]
         own = self.sensor.mesh.points
         sheet = own[self.sensor.mesh.faces[:, :3]]
@@ -169,7 +184,8 @@ class CoupledSolver(Solver):
             self.touching.foresee(columns, self._balance.u)
             if self.touching.rubs:
                 self._predicted = self._balance.u.clone(), self.touching.memory(), before
-                # what is predicted tells friction's limits better than the step before, and points that touch for the first time have none yet
+                # what is predicted tells friction's limits better than the step before, and points that touch for the
+                # first time have none yet
                 self._balance.evaluate(columns)
                 self.touching.lag(columns)
 
@@ -179,11 +195,13 @@ class CoupledSolver(Solver):
         super()._equilibrium(columns, pose, begin, deadline)
         if predicted is None:
             return
-        # limits from a prediction that was far off may lead nowhere: those touches begin again with the limits of the step before
+        # limits from a prediction that was far off may lead nowhere: those touches begin again with the limits of the
+        # step before
         u, memory, before = predicted
         balance, touching = self._balance, self.touching
         host = columns.cpu().numpy()
-        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.spent(host), device=self.device)]
+        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.spent(host),
+                                         device=self.device)]
         if len(failed):
             balance.u[:, failed] = u[:, failed]
             touching.restore(failed, memory)
@@ -192,12 +210,15 @@ class CoupledSolver(Solver):
             touching.foresee(failed, balance.u)
             super()._equilibrium(failed, pose, begin, deadline)
 
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a turn of the path, where it is the other one
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor,
+                 pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a
+        # turn of the path, where it is the other one
         return super()._guesses(now, last, pose)[-1:]
 
     def _hard(self, measure: torch.Tensor) -> torch.Tensor:
-        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its pressure, as often as not
+        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its
+        # pressure, as often as not
         return measure > HARD
 
     def _keep(self) -> None:
@@ -205,9 +226,12 @@ class CoupledSolver(Solver):
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         split = 3 * len(self.object.mesh.points)
         contact = self._pushed.view(-1, 3, u.shape[1])
-        self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)].cpu().numpy())
+        self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(),
+                                                          device=self.device)].cpu().numpy())
         self.sensor_force.append(self.touching.carried(contact[split // 3:], place=False).cpu().numpy())
-        own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None] + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
+        own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :,
+                                                                           None] + u[split:].view(-1,
+                                                                                                  3, u.shape[1]).to(torch.float64)
         self.sensor_position.append(self.touching.carried(own, place=True).cpu().numpy())
 
     def _report(self, state: State) -> Rows:
@@ -225,7 +249,8 @@ class CoupledSolver(Solver):
 
 
 def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) -> float:
-    """How far the sensor can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the object at rest [m]; infinite if it does not.
+    """How far the sensor can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the object at rest
+    [m]; infinite if it does not.
 
     Between flat facets: from every node of either surface to the other one.
     """
@@ -238,7 +263,8 @@ def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) ->
 
 
 def _along(points: np.ndarray, triangles: np.ndarray, axis: np.ndarray) -> float:
-    """Shortest way [m] of any of the points (p, 3) along ``axis`` to any of the triangles (f, 3, 3), no less than -1e-9."""
+    """Shortest way [m] of any of the points (p, 3) along ``axis`` to any of the triangles (f, 3, 3), no less than
+    -1e-9."""
     across = np.linalg.svd(axis[None])[2][1:]  # two directions across the axis
     p, t = points @ across.T, triangles @ across.T
     edge1, edge2 = t[:, 1] - t[:, 0], t[:, 2] - t[:, 0]

@@ -1,4 +1,5 @@
-"""One Newton direction for a batch of touches: elements and contact in the matrix, both answered by the preconditioner."""
+"""One Newton direction for a batch of touches: elements and contact in the matrix, both answered by the
+preconditioner."""
 
 from __future__ import annotations
 
@@ -12,8 +13,10 @@ from vsfsim.physics.solve import pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 
 
-def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *, near: torch.Tensor,
-                     tolerance: torch.Tensor, iterations: int, plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *,
+                     near: torch.Tensor,
+                     tolerance: torch.Tensor, iterations: int,
+                     plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
@@ -23,7 +26,8 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
         tolerance: relative residual of each column (k,). iterations: limit. plain: see `pcg.solve`.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness
+        used (k, 3 s, 3 s) [N/m].
     """
     response = touching.response
     stiffness = touching.stiffness(columns, near)
@@ -69,5 +73,6 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
                 y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
         return y.to(r.dtype)
 
-    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations, plain=plain)
+    direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
+                                           plain=plain)
     return direction, steps, negative, stiffness

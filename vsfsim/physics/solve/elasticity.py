@@ -1,7 +1,7 @@
 """All elements of a body on the device: forces, energy, tangent products, for the columns of a batch.
 
-Every element writes its own forces; a node then adds up what its elements wrote, in a fixed order: the sum is the same on every
-run, which atomics would not promise.
+Every element writes its own forces; a node then adds up what its elements wrote, in a fixed order: the sum is the same
+on every run, which atomics would not promise.
 """
 
 import functools
@@ -149,10 +149,12 @@ def kernels(real: type) -> Any:
 class Collective:
     """A block whose elements act through one number a touch, e.g. a gas through its volume; see `elements/block.py`.
 
-    number: the number at the last `evaluate` (B,). answer: what it brings about (ANSWERS, B); both float64 on the device.
+    number: the number at the last `evaluate` (B,). answer: what it brings about (ANSWERS, B); both float64 on the
+    device.
 
     Args:
-        block: of the model. model: its nodes and parameters on the device. own, shared: kernels of the element and of `Elasticity`.
+        block: of the model. model: its nodes and parameters on the device. own, shared: kernels of the element and of
+        `Elasticity`.
     """
 
     def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
@@ -195,15 +197,17 @@ class Collective:
         """Tangent times x (3 n, k); ``at``: displacements of the tangent."""
         self._launch(self._own.share_change, (self._rows, len(index)), [*self._model, index, at, x, self._shares])
         self._add(index, 1, self._change)
-        self._launch(self._own.multiply, (self._rows, len(index)), [*self._model, index, at, self._tangent_answer, self._true, self._change, x, force])
+        self._launch(self._own.multiply, (self._rows, len(index)),
+                     [*self._model, index, at, self._tangent_answer, self._true, self._change, x, force])
 
 
 class Elasticity:
     """Device arrays of one model and one batch of touches. Everything stays on the device; nothing is read back here.
 
-    internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns of the last
-    `forces` are renewed, the others stay as they were. pressure: gauge pressure (B,) [Pa] and volume: inside the surface (B,) [m^3] of
-    the (first) gas at the last `forces`, float64; None if there is none.
+    internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns
+    of the last
+    `forces` are renewed, the others stay as they were. pressure: gauge pressure (B,) [Pa] and volume: inside the
+    surface (B,) [m^3] of the (first) gas at the last `forces`, float64; None if there is none.
 
     Args:
         model: the body. device: Warp device. real: `wp.float32` or `wp.float64`.
@@ -217,7 +221,8 @@ class Elasticity:
         self._of = [block.element.kernels(real) for block in self.blocks]
         self._model = [[wp.array(block.nodes, dtype=wp.int32, device=device), *k.parameters(block, device)]
                        for block, k in zip(self.blocks, self._of, strict=True)]
-        self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i, block in enumerate(self.blocks) if block.collective}
+        self._together = {i: Collective(block, self._model[i], self._of[i], self.kernels, device) for i,
+                          block in enumerate(self.blocks) if block.collective}
         # slot s of the element forces belongs to node flat[s]; slots of one node in increasing order
         flat = np.concatenate([block.nodes.ravel() for block in self.blocks])
         count = np.bincount(flat, minlength=self._points)
@@ -235,7 +240,8 @@ class Elasticity:
         self._energies = wp.zeros((int(rows[-1]), batch), **new)
         self._dets = wp.zeros((int(rows[-1]), batch), **new)
         # the part of each block, as its element sees it
-        self._part = [(self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch)),
+        self._part = [(self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1],
+                                                                             batch)),
                        self._energies[int(rows[i]):int(rows[i + 1])], self._dets[int(rows[i]):int(rows[i + 1])])
                       for i, block in enumerate(self.blocks)]
         self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
@@ -265,35 +271,43 @@ class Elasticity:
         wp.launch(kernel, dim=dim, inputs=inputs, device=self.device)
 
     def forces(self, index: wp.array, u: wp.array) -> None:
-        """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B) [m]."""
+        """Renew `internal`, `energy` and `least_det` of the columns ``index`` (k,) int32 for displacements u (3 n, B)
+        [m]."""
         k, count = self.kernels, len(index)
         for i, (block, own, model, part) in enumerate(zip(self.blocks, self._of, self._model, self._part, strict=True)):
             if i in self._together:
                 self._together[i].forces(index, u, part)
             else:
                 self._launch(own.forces, (len(block), count), [*model, index, u, *part])
-        self._launch(k.gather, (self._points, count), [self._start, self._slot, self._every, index, 0, self._force, self.internal])
+        self._launch(k.gather, (self._points, count), [self._start, self._slot, self._every, index, 0, self._force,
+                                                       self.internal])
         chunk = -(-self._energies.shape[0] // _CHUNKS)
-        self._launch(k.partial, (_CHUNKS, count), [index, chunk, self._energies, self._dets, self._partial_energy, self._partial_det])
+        self._launch(k.partial, (_CHUNKS, count), [index, chunk, self._energies, self._dets, self._partial_energy,
+                                                   self._partial_det])
         self._launch(k.whole, (count,), [index, self._partial_energy, self._partial_det, self.energy, self.least_det])
 
     def tangent(self, index: wp.array, u: wp.array, *, projected: bool) -> None:
-        """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it is."""
+        """Make the tangent of the columns ``index`` (k,) at u (3 n, B), projected to positive semi-definite or as it
+        is."""
         self._launch(self.kernels.remember, (3 * self._points, len(index)), [index, u, self._at])
-        for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state, strict=True)):
+        for i, (block, own, model, state) in enumerate(zip(self.blocks, self._of, self._model, self._state,
+                                                           strict=True)):
             if i in self._together:
                 self._together[i].tangent(index, u, projected)
             elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
 
     def remembered(self, block: int) -> np.ndarray:
-        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble a matrix on the host."""
+        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble
+        a matrix on the host."""
         return self._state[block].numpy()
 
     def multiply(self, index: wp.array, x: wp.array) -> wp.array:
-        """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are 0."""
+        """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are
+        0."""
         out = wp.empty_like(x)
-        for i, (block, own, model, state, part) in enumerate(zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)):
+        for i, (block, own, model, state, part) in enumerate(zip(self.blocks, self._of, self._model, self._state,
+                                                                 self._part, strict=True)):
             if i in self._together:
                 self._together[i].multiply(index, self._at, x, part[0])
             else:

@@ -2,8 +2,8 @@
 
     Pi(u) = sum of element energies - load . u + energy of the contact    ->    minimum
 
-Each linear system goes to `pcg`, preconditioned by the rest-state inverse with the contact block inverted exactly. Far from the solution the
-tangent is projected to positive semi-definite; near it the true one converges quadratically.
+Each linear system goes to `pcg`, preconditioned by the rest-state inverse with the contact block inverted exactly. Far
+from the solution the tangent is projected to positive semi-definite; near it the true one converges quadratically.
 """
 
 from __future__ import annotations
@@ -35,8 +35,10 @@ class Equilibrium:
         options: limits. floor: forces under this are zero [N].
     """
 
-    def __init__(self, model: Model, elasticity: Elasticity, touching: Touching, options: SolverOptions, *, floor: float):
-        self.model, self.elasticity, self.touching, self.options, self.floor = model, elasticity, touching, options, floor
+    def __init__(self, model: Model, elasticity: Elasticity, touching: Touching, options: SolverOptions, *,
+                 floor: float):
+        self.model, self.elasticity, self.touching, self.options, self.floor = (model, elasticity, touching, options,
+                                                                                floor)
         self.device = touching.device
         batch = touching.batch
         self.real = torch.float64 if elasticity.real is wp.float64 else torch.float32
@@ -64,7 +66,8 @@ class Equilibrium:
             self.elasticity.forces(index, wp.from_torch(self.u))
         dof = self.touching.dof[columns]
         moved = self.u[:, columns]
-        self.touching.evaluate(columns, moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
+        self.touching.evaluate(columns,
+                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
         return self._state(columns, moved)
 
     def renew_friction(self, columns: torch.Tensor, state: State) -> State:
@@ -74,7 +77,8 @@ class Equilibrium:
         self.touching.lag(columns)
         dof = self.touching.dof[columns]
         moved = self.u[:, columns]
-        self.touching.evaluate(columns, moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
+        self.touching.evaluate(columns,
+                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
         out = self._state(columns, moved)
         out["measure"] = out["measure"] + self.touching.unlawful(columns) / self._acting(out["contact"])
         return out
@@ -86,7 +90,8 @@ class Equilibrium:
         energy = wp.to_torch(self.elasticity.energy)[columns]
         potential = energy + self.touching.energy(columns) - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
-        state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual, "energy": energy,
+        state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
+                 "energy": energy,
                  "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)}
         state["astray"] = self.touching.astray(columns)
         state["measure"] = self.measure(residual, contact)
@@ -102,14 +107,17 @@ class Equilibrium:
     # ------------------------------------------------------------------------------------------ Newton
 
     def solve(self, columns: torch.Tensor, state: State, tolerance: float, deadline: float) -> None:
-        """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state, counts and reasons."""
+        """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state, counts and
+        reasons."""
         rubs = self.touching.rubs
         stuck = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
-        held = torch.full((len(columns),), rubs, dtype=torch.bool, device=self.device)  # whose friction limit is not the present one
+        # whose friction limit is not the present one
+        held = torch.full((len(columns),), rubs, dtype=torch.bool, device=self.device)
         within = torch.full_like(state["measure"], self.touching.within)  # measure at which the limit is renewed
         renew = torch.ones_like(stuck)  # whose tangent must be made anew
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
-        least = torch.full_like(within, float("inf"))  # measure since friction was renewed, and iterations in which it did not fall by a tenth
+        # measure since friction was renewed, and iterations in which it did not fall by a tenth
+        least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         for _ in range(self.options.newton * (1 + rubs)):
@@ -119,7 +127,8 @@ class Equilibrium:
                 for key, value in self.renew_friction(columns[at], state).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
-                # balanced under the present limit: done. If not, a tenth of what is missing is asked for before it is renewed again
+                # balanced under the present limit: done. If not, a tenth of what is missing is asked for before it is
+                # renewed again
                 held[at] = present > tolerance
                 within[at] = torch.minimum(0.1 * present, within[at])
                 stuck[at] &= ~(present > tolerance) | (present > 0.5)
@@ -181,14 +190,15 @@ class Equilibrium:
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
                    near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
-        return newton_direction(self.elasticity, self.touching, columns, residual.to(self.real), near=near, iterations=opt.cg,
+        return newton_direction(self.elasticity, self.touching, columns, residual.to(self.real), near=near,
+                                iterations=opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor) -> torch.Tensor:
         """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.
 
-        The difference between the true contact forces at the end of the step and the linearised ones is worked off by the condensed
-        problem. Where the contact stays as it is this changes nothing.
+        The difference between the true contact forces at the end of the step and the linearised ones is worked off by
+        the condensed problem. Where the contact stays as it is this changes nothing.
         """
         touching = self.touching
         at = touching.dof[columns].clamp(min=0).T
@@ -205,8 +215,10 @@ class Equilibrium:
             direction[:, useful] += more.to(direction.dtype)
         return direction
 
-    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State, tolerance: float) -> torch.Tensor:
-        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the fall).
+    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
+              tolerance: float) -> torch.Tensor:
+        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the
+        fall).
 
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns who moved (k,) bool.
         """
@@ -221,7 +233,8 @@ class Equilibrium:
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < self.touching.shrinks * measure[pending]) & (measure[pending] < self.touching.near_balance)
+            shrinks = (new["measure"] < self.touching.shrinks
+                       * measure[pending]) & (measure[pending] < self.touching.near_balance)
             if self.touching.rubs:
                 shrinks |= new["measure"] <= tolerance  # forces that depend on the way have no potential that must fall
             good = (falls | shrinks) & (new["astray"] <= astray[pending])

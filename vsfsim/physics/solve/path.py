@@ -11,7 +11,8 @@ from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.model import Model
 
-_PART = 0.5  # of the thinnest body's inner radius: a wall that is met then lies in its nearer half, and is pushed the right way;
+# of the thinnest body's inner radius: a wall that is met then lies in its nearer half, and is pushed the right way;
+_PART = 0.5
 # and not further than the wall is thick, or its other side is met as well
 _MOST = 100  # pieces of one frame
 _DEEP = 0.2  # of the same radius: a first pose deeper than this is come to from outside
@@ -19,14 +20,16 @@ _SAMPLES = 4000
 
 
 def stride(bodies: RigidBodies, thickness: float) -> float:
-    """Longest way [m] that the bodies may go in one step against an object of this mean ``thickness`` [m], see `mean_thickness`."""
+    """Longest way [m] that the bodies may go in one step against an object of this mean ``thickness`` [m], see
+    `mean_thickness`."""
     return min(thickness, _PART * min(_inner_radius(bodies, k) for k in range(len(bodies))))
 
 
 def mean_thickness(model: Model) -> float:
-    """Twice the volume over the surface [m]: of a sheet or a hollow body its wall. Of a membrane, a third of an element: a tip that goes further in one
-    step meets points that the prediction did not see, and nothing of the sheet's own stiffness holds them apart. Where the mesh was made finer for the tip,
-    a third of the mean of all elements, and three quarters of those under it."""
+    """Twice the volume over the surface [m]: of a sheet or a hollow body its wall. Of a membrane, a third of an
+    element: a tip that goes further in one step meets points that the prediction did not see, and nothing of the
+    sheet's own stiffness holds them apart. Where the mesh was made finer for the tip, a third of the mean of all
+    elements, and three quarters of those under it."""
     if model.mesh.faces.shape[1] == 3:
         return min(model.mesh.edge() / 3.0, 0.75 * model.element_size)
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
@@ -52,7 +55,8 @@ def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
 
 
 def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) -> Iterator[np.ndarray]:
-    """Poses (B, K, 4, 4) on the way from a to b, ending with b, none further than ``longest`` [m] from the one before."""
+    """Poses (B, K, 4, 4) on the way from a to b, ending with b, none further than ``longest`` [m] from the one
+    before."""
     way = np.linalg.norm(b[..., :3, 3] - a[..., :3, 3], axis=-1)
     cosine = 0.5 * (np.einsum("...ij,...ij->...", a[..., :3, :3], b[..., :3, :3]) - 1.0)
     angle = np.arccos(np.clip(cosine, -1.0, 1.0)) * (cosine < 1.0 - 1e-12)
@@ -64,7 +68,8 @@ def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) ->
 
 
 def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarray:
-    """How far the way second -> third goes on along first -> second, per touch (B,): 1 for even steps, at most 2, 0 when it turns back."""
+    """How far the way second -> third goes on along first -> second, per touch (B,): 1 for even steps, at most 2, 0
+    when it turns back."""
     last = (second - first)[..., :3, 3].reshape(len(second), -1)
     now = (third - second)[..., :3, 3].reshape(len(second), -1)
     size = np.linalg.norm(last, axis=1)
@@ -73,7 +78,8 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
 
 
 def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in it, else moved straight out of it.
+    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in
+    it, else moved straight out of it.
 
     Args:
         bodies: the bodies. model: the object. pose: (B, K, 4, 4). gap: least gap of each touch there (B,) [m].
@@ -92,12 +98,15 @@ def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray
                 return -float(bodies.distance(k, (surface - at - shift) @ turn).min())
 
             if depth(np.zeros(3)) > deep:
-                out[b, k, :3, 3] = at + _way_out(depth, turn, bodies, k, (surface - at) @ turn, np.ptp(surface, axis=0).max())
+                out[b, k, :3, 3] = at + _way_out(depth, turn, bodies, k, (surface - at) @ turn,
+                                                 np.ptp(surface, axis=0).max())
     return out
 
 
-def _way_out(depth: Callable[[np.ndarray], float], turn: np.ndarray, bodies: RigidBodies, k: int, local: np.ndarray, size: float) -> np.ndarray:
-    """The shortest straight shift [m] that frees a body, among the axes (not down) and away from the point that is deepest in it."""
+def _way_out(depth: Callable[[np.ndarray], float], turn: np.ndarray, bodies: RigidBodies, k: int, local: np.ndarray,
+             size: float) -> np.ndarray:
+    """The shortest straight shift [m] that frees a body, among the axes (not down) and away from the point that is
+    deepest in it."""
     deepest = local[bodies.distance(k, local).argmin()]
     h = 1e-6
     slope = np.array([bodies.distance(k, deepest + h * e) - bodies.distance(k, deepest - h * e) for e in np.eye(3)])

@@ -1,11 +1,12 @@
 """Conjugate gradients for several touches at once, vectors (3 n, k), one column a touch.
 
-The matrix is the object's tangent plus the contact block of each touch; the preconditioner is the rest-state inverse with the contact block
-added exactly (Woodbury):
+The matrix is the object's tangent plus the contact block of each touch; the preconditioner is the rest-state inverse
+with the contact block added exactly (Woodbury):
 
     (K0 + S C S^T)^-1 = K0^-1 (1 - S T S^T K0^-1),   T = (C^-1 + A)^-1,   A = S^T K0^-1 S
 
-with S the patch's degrees of freedom and A its compliance. Columns stop together; one that is done is frozen by a zero step.
+with S the patch's degrees of freedom and A its compliance. Columns stop together; one that is done is frozen by a zero
+step.
 """
 
 from __future__ import annotations
@@ -28,14 +29,16 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     """Solve A x = ``right`` from x = 0.
 
     Args:
-        multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument says which columns of ``right`` those are (j,),
+        multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument says which columns of
+        ``right`` those are (j,),
             None for all.
         right: (3 n, k). tolerance: relative residual, per column (k,). iterations: the limit.
-        plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the preconditioner's norm.
+        plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
+        preconditioner's norm.
 
     Returns:
-        x (3 n, k), iterations of every column (k,), and which columns met negative curvature (k,) bool: those keep what they have so far
-        (their first direction at the least).
+        x (3 n, k), iterations of every column (k,), and which columns met negative curvature (k,) bool: those keep what
+        they have so far (their first direction at the least).
     """
     which: torch.Tensor | None = None
     out = torch.zeros_like(right)

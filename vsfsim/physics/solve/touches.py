@@ -1,8 +1,10 @@
 """Quasi-static touches: every frame is an equilibrium of the object against rigid bodies on prescribed paths.
 
-All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last two frames drawn on,
-their contact put right by the condensed problem), is brought into balance by `Equilibrium`, and what does not converge is approached again:
-through softer contact, then in halved steps. A frame that fails all of it is marked with the reason, never passed off as data.
+All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
+two frames drawn on, their contact put right by the condensed problem), is brought into balance by `Equilibrium`, and
+what does not converge is approached again:
+through softer contact, then in halved steps. A frame that fails all of it is marked with the reason, never passed off
+as data.
 With friction the way matters: every step remembers where each point of the surface stuck.
 """
 
@@ -20,9 +22,9 @@ import warp as wp
 
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import clock
+from vsfsim.physics.contact import condensed
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid import Touching
-from vsfsim.physics.contact.rigid_points import condensed
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import path
@@ -33,11 +35,13 @@ from vsfsim.physics.solve.newton import Equilibrium, State
 Rows = dict[str, np.ndarray]
 Memory = Any  # what `Touching.memory` gives and `Touching.restore` takes
 
-FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and the one that counts as converged, in single precision
+# tolerance aimed at, and the one that counts as converged, in single precision
+FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3
 HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
 _SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
 _WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
-_RENEWALS, _RENEWED = 60, 5e-4  # of friction's limit in a linear frame: how often, and the change that ends it (the `fem` tier's tolerance)
+# of friction's limit in a linear frame: how often, and the change that ends it (the `fem` tier's tolerance)
+_RENEWALS, _RENEWED = 60, 5e-4
 _KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
 _SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
 
@@ -48,23 +52,27 @@ class Solver:
     Args:
         model: the object. shapes: the rigid bodies (K).
         friction: Coulomb's coefficient with the object, one for all or one for each body [-].
-        device: Warp device, "cpu" or "cuda:0". precision: "float32" or "float64" of elements and vectors (the rest-state inverse
-        and the contact are always double). options: limits.
+        device: Warp device, "cpu" or "cuda:0". precision: "float32" or "float64" of elements and vectors (the
+        rest-state inverse and the contact are always double). options: limits.
         linear: answer with the rest state's linear elasticity (the `linear` tier) instead of Newton's method.
     """
 
-    def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *, friction: float | Sequence[float] = 0.0, device: str = "cpu",
+    def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *,
+                 friction: float | Sequence[float] = 0.0, device: str = "cpu",
                  precision: str = "float64", options: SolverOptions | None = None, linear: bool = False):
         bodies = RigidBodies(shapes)
-        self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device, precision, options, linear)
+        self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
+                    precision, options, linear)
 
-    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str, options: SolverOptions | None,
+    def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str,
+               options: SolverOptions | None,
                linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
         options = options or SolverOptions()
         if precision == "float32":
             # rounding of the nodal forces leaves about 1e-3 unbalanced; asking for less would only burn iterations
-            options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM), newton=min(options.newton, 15))
+            options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM),
+                                          newton=min(options.newton, 15))
         self.options = options
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
         self._linear_accept = max(self._accept, _RENEWED) if self.friction.any() else self._accept
@@ -77,9 +85,11 @@ class Solver:
         """Follow the bodies through all frames.
 
         Args:
-            poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch. The first may be deep in the object:
+            poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch. The first may be
+            deep in the object:
                 the bodies then come in from outside.
-            keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the contact force on every
+            keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
+            contact force on every
                 surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as `QuadraticMesh.surface_nodes`.
             progress: called with the number of finished frames.
         """
@@ -164,7 +174,8 @@ class Solver:
     # ------------------------------------------------------------------------------------------ one frame
 
     def _take_up_weight(self, pose: np.ndarray) -> None:
-        """The equilibrium under the load alone, which all touches begin from: in parts, as large as they converge in few iterations."""
+        """The equilibrium under the load alone, which all touches begin from: in parts, as large as they converge in
+        few iterations."""
         balance, touching = self._balance, self.touching
         if not self.model.load.any():
             return
@@ -193,7 +204,8 @@ class Solver:
         touching.softening[:] = 1.0
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
-        """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else predict."""
+        """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else
+        predict."""
         balance, touching = self._balance, self.touching
         touching.begin(before, balance.u)
         touching.move(pose, columns)
@@ -227,18 +239,23 @@ class Solver:
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
 
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """What a step may begin from: the last equilibrium, and the last two drawn on. Displacements (3 n, B) [m] and forces on the patches (B, 3 s) [N]."""
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor,
+                 pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """What a step may begin from: the last equilibrium, and the last two drawn on. Displacements (3 n, B) [m] and
+        forces on the patches (B, 3 s) [N]."""
         out = [(now, last)]
         if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
-            (p1, u1, f1), (p0, u0, f0) = ((p, u, self.touching.recall(f)) for p, u, f in (self._known[-1], self._known[-2]))
+            (p1, u1, f1), (p0, u0, f0) = ((p, u, self.touching.recall(f)) for p, u,
+                                          f in (self._known[-1], self._known[-2]))
             ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
             out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
         return out
 
-    def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, deadline: float,
+    def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
+                 deadline: float,
                  halvings: int, memory: Memory) -> None:
-        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with friction's ``memory`` from there, into balance at ``pose`` (B, K, 4, 4).
+        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with friction's ``memory`` from
+        there, into balance at ``pose`` (B, K, 4, 4).
 
         The present displacements are the first guess. Touches that fail are approached again in half steps.
         """
@@ -262,7 +279,8 @@ class Solver:
         touching.settle(failed)
         self._advance(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, touching.memory())
         if touching.rubs and len(lost):
-            balance.reason[lost] = reasons  # friction remembers the step that failed: what follows is no equilibrium of the true history
+            # friction remembers the step that failed: what follows is no equilibrium of the true history
+            balance.reason[lost] = reasons
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, touching = self._balance, self.touching
@@ -293,7 +311,8 @@ class Solver:
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
     def _hard(self, measure: torch.Tensor) -> torch.Tensor:
-        """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead the way (k,) bool."""
+        """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead
+        the way (k,) bool."""
         return ((measure - 1.0).abs() < 0.03) | (measure > HARD)
 
     # ------------------------------------------------------------------------------------------ the linear tier
@@ -308,7 +327,8 @@ class Solver:
         for _ in range(4):
             with clock.measure("contact"):
                 pushed, error = self._condensed(start)
-            # body by body while the contact is where it gave those forces: the stiff contact at the displacements that they cause tells forces far worse than displacements
+            # body by body while the contact is where it gave those forces: the stiff contact at the displacements that
+            # they cause tells forces far worse than displacements
             by_body = {"body_force": touching.on_bodies(every), "body_moment": touching.moment_on_bodies(every)}
             balance.u.copy_(self._sag + touching.response.patch(every, pushed))
             if not touching.grow(every, pose, balance.u):
@@ -329,24 +349,28 @@ class Solver:
         return self._report(state)
 
     def _condensed(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Contact forces (B, 3 s) [N] of linear elasticity and their relative errors (B,); friction's limit is renewed until it is the present one."""
+        """Contact forces (B, 3 s) [N] of linear elasticity and their relative errors (B,); friction's limit is renewed
+        until it is the present one."""
         touching, every = self.touching, self._balance.every
         sag = touching.gather(self._sag)
         for _ in range(_RENEWALS if touching.rubs else 1):
-            pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100, tolerance=self.options.tolerance, start=start)
+            pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100,
+                                            tolerance=self.options.tolerance, start=start)
             if touching.rubs:
                 moved = sag + (touching.compliance @ pushed[:, :, None])[:, :, 0]
                 touching.evaluate(every, moved)
                 touching.lag(every)
                 touching.evaluate(every, moved)
-                off = ((touching.nodal(every) - pushed).norm(dim=1) + touching.unlawful(every)) / pushed.norm(dim=1).clamp(min=self._floor)
+                off = ((touching.nodal(every) - pushed).norm(dim=1)
+                       + touching.unlawful(every)) / pushed.norm(dim=1).clamp(min=self._floor)
                 error, start = torch.maximum(error, off), pushed
                 if bool((error <= _RENEWED).all()):
                     break
         return pushed, error
 
     def _guess(self, pose: np.ndarray) -> torch.Tensor:
-        """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn on."""
+        """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn
+        on."""
         known = [(seen, pushed) for seen, _, pushed in self._known if pushed.shape == self._pushed.shape]
         if not self.touching.rubs:
             for seen, pushed in reversed(known):
@@ -395,7 +419,8 @@ class Solver:
         reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
         if not touching.rubs:
             # a step that stalled at rounding's floor may still be good enough; nothing of its way is remembered
-            reason[(out["residual"] <= accept) & ~np.isin(reason, (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
+            reason[(out["residual"] <= accept) & ~np.isin(reason,
+                                                          (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
         out["reason"], out["converged"] = reason, reason == Reason.NONE
         out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
         return out

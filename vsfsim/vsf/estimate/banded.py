@@ -1,7 +1,9 @@
-"""Inverse of a sparse positive definite matrix where it is needed: on the pattern of the matrix itself, by blocks along its band.
+"""Inverse of a sparse positive definite matrix where it is needed: on the pattern of the matrix itself, by blocks along
+its band.
 
-Readings on the vertices of a sensor are coupled only where a particle is held by both, that is, between neighbours of its mesh. In the order
-of reverse Cuthill and McKee (1969) the matrix M of such readings is block tridiagonal, with D_i on the diagonal and E_i below it, and
+Readings on the vertices of a sensor are coupled only where a particle is held by both, that is, between neighbours of
+its mesh. In the order of reverse Cuthill and McKee (1969) the matrix M of such readings is block tridiagonal, with D_i
+on the diagonal and E_i below it, and
 
     S_0 = D_0,   X_i = S_i^-1 E_i^T,   S_i+1 = D_i+1 - E_i X_i
     Z_nn = S_n^-1,   Z_i,i+1 = -X_i Z_i+1,i+1,   Z_ii = S_i^-1 - Z_i,i+1 X_i^T
@@ -54,8 +56,8 @@ class Band:
             matrix: M (r, r), its readings in the order of `position`, overwritten. right: (r,).
 
         Returns:
-            An array (>= r, >= r) that holds M^-1 where two readings are no further apart than the width, and anything elsewhere; it
-            is used again by the next call.
+            An array (>= r, >= r) that holds M^-1 where two readings are no further apart than the width, and anything
+            elsewhere; it is used again by the next call.
         """
         r = len(matrix)
         step = max(self.width, 1)
@@ -101,7 +103,8 @@ def _inverse(matrix: np.ndarray) -> np.ndarray:
     """
     factor, failed = linalg.lapack.dpotrf(matrix, lower=1)
     if failed:
-        raise linalg.LinAlgError("the readings' covariance is not positive definite: noise_std is too small beside what the prior explains")
+        raise linalg.LinAlgError("the readings' covariance is not positive definite: noise_std is too small beside "
+                                 "what the prior explains")
     half = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)[0]
     # potrf leaves zeros above the diagonal, and potri too.
     out = half + half.T

@@ -4,10 +4,11 @@ For one object, with readings z, observation matrix W, noise S = diag(s^2) and t
 
     NLL(mu, d) = 1/2 e^T C^-1 e + 1/2 log det C,   e = z - A mu,   C = A diag(d) A^T + S,   A = W B = [W, W G]
 
-A, z and S never change while the prior is learned, so the readings are first divided by their noise and then turned: an orthogonal
-matrix from the left splits a touch's rows into r that depend on the stiffnesses (r = the rank of the rows: the way out of a
-press repeats the way in) and the rest, which is constant. Touches that share no particle are independent blocks of C but for
-the few shared components, which come in by Woodbury's identity. What remains are Cholesky factors of r x r blocks, or, where a block
+A, z and S never change while the prior is learned, so the readings are first divided by their noise and then turned: an
+orthogonal matrix from the left splits a touch's rows into r that depend on the stiffnesses (r = the rank of the rows:
+the way out of a press repeats the way in) and the rest, which is constant. Touches that share no particle are
+independent blocks of C but for the few shared components, which come in by Woodbury's identity. What remains are
+Cholesky factors of r x r blocks, or, where a block
 has about as many rows as particles, of k x k ones: with G = A^T A, made once, and S = diag(sqrt(d)),
 
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
@@ -30,19 +31,22 @@ from scipy.sparse import csgraph
 
 from vsfsim.vsf.dynamics import VsfError
 
-# Singular values under this fraction of the largest are rounding: with a prior a million times the noise they would still add
-# only 1e-6 of the noise's variance.
+# Singular values under this fraction of the largest are rounding: with a prior a million times the noise they would
+# still add only 1e-6 of the noise's variance.
 _RANK = 1e-9
 # A prior variance under this fraction of the largest: (1 - P^-1_jj) / d_j would be rounding over nothing.
 _TINY = 1e-10
-# Particles whose columns are worked on at one time: a copy of all of them would cost more in fresh memory than in arithmetic.
+# Particles whose columns are worked on at one time: a copy of all of them would cost more in fresh memory than in
+# arithmetic.
 _CHUNK = 1024
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Touches that share particles. particle: HE components they move (k,). rows: turned rows of W (r, k). value: turned readings (r,).
-    shared: turned rows of W G (r, s). gram: rows^T rows (k, k) where the particles' side is the cheaper one, else None."""
+    """Touches that share particles. particle: HE components they move (k,). rows: turned rows of W (r, k). value:
+    turned readings (r,).
+    shared: turned rows of W G (r, s). gram: rows^T rows (k, k) where the particles' side is the cheaper one, else
+    None."""
 
     particle: torch.Tensor
     rows: torch.Tensor
@@ -61,7 +65,9 @@ class _Block:
                 spread.addmm_(scaled, scaled.T)
             factor = torch.linalg.cholesky(spread)
             white = torch.linalg.solve_triangular(factor, right, upper=False)
-            return _Solved(2.0 * factor.diagonal().log().sum(), torch.linalg.solve_triangular(factor.T, white, upper=True), (white * white).sum(dim=0), factor)
+            return _Solved(2.0 * factor.diagonal().log().sum(),
+                           torch.linalg.solve_triangular(factor.T, white, upper=True), (white * white).sum(dim=0),
+                           factor)
         s = var.sqrt()
         precision = self.gram * s
         precision *= s[:, None]
@@ -92,7 +98,8 @@ class _Block:
 
 @dataclass(frozen=True)
 class _Solved:
-    """log_det: of C. inverse: C^-1 right (r, c). quadratic: right_j^T C^-1 right_j (c,). factor: lower Cholesky factor, of C or P."""
+    """log_det: of C. inverse: C^-1 right (r, c). quadratic: right_j^T C^-1 right_j (c,). factor: lower Cholesky factor,
+    of C or P."""
 
     log_det: torch.Tensor
     inverse: torch.Tensor
@@ -104,7 +111,8 @@ class _Solved:
 class Evidence:
     """The readings of one object, reduced.
 
-    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior changes, in nats [-].
+    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior
+    changes, in nats [-].
     readings: how many there were. shared: components beside the heterogeneous ones, s.
     """
 
@@ -115,12 +123,14 @@ class Evidence:
     shared: int
 
     @classmethod
-    def of(cls, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, membership: sparse.csr_matrix | None = None,
+    def of(cls, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
+           membership: sparse.csr_matrix | None = None,
            touch: np.ndarray | None = None, device: str = "cpu", dtype: torch.dtype = torch.float64) -> Evidence:
         """Reduce the readings of one object.
 
         Args:
-            w: observation matrix (m, n). z: readings (m,), finite. noise_std: > 0, (m,) or one number, in the unit of z.
+            w: observation matrix (m, n). z: readings (m,), finite. noise_std: > 0, (m,) or one number, in the unit of
+            z.
             membership: G (n, s) of the shared components, or None.
             touch: number of the touch of each reading (m,) int; None: all readings belong to one.
             device, dtype: torch's, of the likelihood.
@@ -136,9 +146,11 @@ class Evidence:
         touch = np.zeros(m, int) if touch is None else np.asarray(touch)
         g = sparse.csr_matrix((n, 0)) if membership is None else sparse.csr_matrix(membership, dtype=np.float64)
         if z.shape != (m,) or touch.shape != (m,) or g.shape[0] != n:
-            raise VsfError(f"vsf.evidence: W is {m} x {n}, z {z.shape}, touch {touch.shape}, membership {g.shape}; they must fit.")
+            raise VsfError(f"vsf.evidence: W is {m} x {n}, z {z.shape}, touch {touch.shape}, membership {g.shape}; "
+                           f"they must fit.")
         if not (np.isfinite(z).all() and np.isfinite(w.data).all() and (noise > 0.0).all()):
-            raise VsfError("vsf.evidence: readings and rows must be finite and noise_std greater than 0; remove readings that are not.")
+            raise VsfError("vsf.evidence: readings and rows must be finite and noise_std greater than 0; remove "
+                           "readings that are not.")
         a, b = sparse.csr_matrix(sparse.diags_array(1.0 / noise) @ w), z / noise
         touched = np.flatnonzero(np.diff(a.tocsc().indptr))
         place = np.full(n, -1)
@@ -155,8 +167,10 @@ class Evidence:
             if len(value):
                 by_particles = _particle_side(*dense.shape)
                 dense = torch.as_tensor(dense, dtype=dtype, device=device)
-                blocks.append(_Block(torch.as_tensor(place[columns], device=device), dense, torch.as_tensor(value, dtype=dtype, device=device),
-                                     torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device), dense.T @ dense if by_particles else None))
+                blocks.append(_Block(torch.as_tensor(place[columns], device=device), dense,
+                                     torch.as_tensor(value, dtype=dtype, device=device),
+                                     torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device),
+                                     dense.T @ dense if by_particles else None))
         return cls(touched, tuple(blocks), constant, m, g.shape[1])
 
     def nll(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor | None = None,
@@ -174,7 +188,8 @@ class Evidence:
 
 
 def _inverse_diagonal(factor: torch.Tensor) -> torch.Tensor:
-    """Diagonal of (L L^T)^-1 (k,): the squares of L^-1's columns, so that the inverse itself, twice the work, is not made on a CPU."""
+    """Diagonal of (L L^T)^-1 (k,): the squares of L^-1's columns, so that the inverse itself, twice the work, is not
+    made on a CPU."""
     if factor.device.type != "cpu":
         return torch.cholesky_inverse(factor).diagonal()
     upper = factor.numpy().T  # in Fortran's order as it lies
@@ -217,7 +232,9 @@ class _MarginalNll(torch.autograd.Function):
                 alpha = found.inverse[:, 0] - found.inverse[:, 1:] @ shift
                 size = block.sizes(var[block.particle], found)
                 if s:
-                    cross = torch.linalg.solve_triangular(small_factor, root[:, None] * (found.inverse[:, 1:].T @ block.rows), upper=False)
+                    cross = torch.linalg.solve_triangular(small_factor,
+                                                          root[:, None] * (found.inverse[:, 1:].T @ block.rows),
+                                                          upper=False)
                     size = size - (cross * cross).sum(dim=0)
                     pull = pull + block.shared.T @ alpha
                 along = block.rows.T @ alpha
@@ -246,18 +263,23 @@ def _groups(a: sparse.csr_matrix, touch: np.ndarray) -> list[list[np.ndarray]]:
     return [[rows[t] for t in np.flatnonzero(label == k)] for k in range(label.max() + 1 if len(label) else 0)]
 
 
-def _turned(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray, scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
-    """Columns (k,), rows (r, k), shared rows (r, s) and readings (r,) of one touch, and 1/2 |readings that no stiffness explains|^2."""
+def _turned(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray,
+            scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+    """Columns (k,), rows (r, k), shared rows (r, s) and readings (r,) of one touch, and 1/2 |readings that no stiffness
+    explains|^2."""
     columns = np.unique(a.indices)
     dense = a[:, columns].toarray()
-    turn, size, right = np.linalg.svd(dense, full_matrices=False) if dense.size else (np.zeros((len(b), 0)), np.zeros(0), np.zeros((0, 0)))
+    turn, size, right = np.linalg.svd(dense,
+                                      full_matrices=False) if dense.size else (np.zeros((len(b), 0)), np.zeros(0),
+                                                                               np.zeros((0, 0)))
     keep = size > _RANK * scale
     turn = turn[:, keep]
     value = turn.T @ b
     return columns, size[keep, None] * right[keep], turn.T @ ag, value, 0.5 * max(float(b @ b - value @ value), 0.0)
 
 
-def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], scale: float) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
+def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
+            scale: float) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
     """Several touches as one, like `_turned`; with many more rows than particles they are turned once more."""
     columns = np.unique(np.concatenate([part[0] for part in parts]))
     dense, start = np.zeros((sum(len(part[3]) for part in parts), len(columns))), 0
@@ -272,5 +294,6 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]], 
 
 
 def _particle_side(rows: int, particles: int) -> bool:
-    """Whether a k x k factor and its inverse (k^3 operations) cost less than an r x r one and its product with the rows (3 r^2 k and r^3 / 3)."""
+    """Whether a k x k factor and its inverse (k^3 operations) cost less than an r x r one and its product with the rows
+    (3 r^2 k and r^3 / 3)."""
     return particles**3 < 3 * rows**2 * particles + rows**3 // 3

@@ -1,13 +1,14 @@
 """Online estimation of a VSF: the diagonal Kalman filter (Neural VSF sections III-B and III-C).
 
-The stiffnesses are kept as independent Gaussians. A frame of readings z = W K + noise updates them exactly, and what it correlates
-is then forgotten:
+The stiffnesses are kept as independent Gaussians. A frame of readings z = W K + noise updates them exactly, and what it
+correlates is then forgotten:
 
     M = W V W^T + S,   K += V W^T M^-1 (z - W K),   v_i -= v_i^2 w_i^T M^-1 w_i,   K = max(K, 0)
 
-w_i is column i of W. Only the particles a frame moves are touched. Readings on the vertices of a sensor are coupled between neighbours only, and
-M^-1 is needed between such neighbours only: then both are worked out along a band (`banded`). Else M is factorised once, or, with fewer
-particles than readings, the same update is made through the particles' precision matrix.
+w_i is column i of W. Only the particles a frame moves are touched. Readings on the vertices of a sensor are coupled
+between neighbours only, and M^-1 is needed between such neighbours only: then both are worked out along a band
+(`banded`). Else M is factorised once, or, with fewer particles than readings, the same update is made through the
+particles' precision matrix.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ class DiagonalFilter:
         try:
             out = cls(*(np.array(np.broadcast_to(np.asarray(x, np.float64), (particles,))) for x in (mean, var)))
         except ValueError:
-            raise VsfError(f"vsf.kalman: the prior has shapes {np.shape(mean)} and {np.shape(var)} for {particles} particles; give one number or ({particles},).") from None
+            raise VsfError(f"vsf.kalman: the prior has shapes {np.shape(mean)} and {np.shape(var)} for {particles} "
+                           f"particles; give one number or ({particles},).") from None
         if not (np.isfinite(out.mean).all() and np.isfinite(out.var).all() and (out.var > 0.0).all()):
             raise VsfError("vsf.kalman: the prior's mean must be finite and its variance finite and greater than 0.")
         return out
@@ -62,9 +64,11 @@ class DiagonalFilter:
         z = np.asarray(z, np.float64)
         noise = np.broadcast_to(np.asarray(noise_std, np.float64), z.shape)
         if w.shape != (len(z), len(self.mean)):
-            raise VsfError(f"vsf.kalman: W is {w.shape[0]} x {w.shape[1]} for {len(z)} readings and {len(self.mean)} particles.")
+            raise VsfError(f"vsf.kalman: W is {w.shape[0]} x {w.shape[1]} for {len(z)} readings and "
+                           f"{len(self.mean)} particles.")
         if not (np.isfinite(z).all() and np.isfinite(w.data).all() and (noise > 0.0).all()):
-            raise VsfError("vsf.kalman: a frame has readings or rows that are not finite, or a noise that is not positive; leave the frame out.")
+            raise VsfError("vsf.kalman: a frame has readings or rows that are not finite, or a noise that is not "
+                           "positive; leave the frame out.")
         if w.nnz == 0:
             return
         count = np.diff(w.indptr)
@@ -78,7 +82,8 @@ class DiagonalFilter:
         place[moved] = np.arange(len(moved))
         rank = np.empty(len(z), np.int32)
         rank[rows] = np.arange(len(rows))
-        a = sparse.csr_matrix((w.data / np.repeat(noise, count), (np.repeat(rank, count), place[w.indices])), shape=(len(rows), len(moved)))
+        a = sparse.csr_matrix((w.data / np.repeat(noise, count), (np.repeat(rank, count), place[w.indices])),
+                              shape=(len(rows), len(moved)))
         surprise = z[rows] / noise[rows] - a @ self.mean[moved]
         var = self.var[moved]
         if a.nnz * 4 < a.shape[0] * a.shape[1]:
@@ -90,7 +95,8 @@ class DiagonalFilter:
         self.var[moved] = np.maximum(left, 1e-14 * var)
 
     def run(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, size: int = 1) -> None:
-        """Frame after frame: rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T size,) are frame t."""
+        """Frame after frame: rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T size,) are frame
+        t."""
         w = sparse.csr_matrix(w)
         noise = np.broadcast_to(np.asarray(noise_std, np.float64), np.shape(z))
         for start in range(0, w.shape[0], size):
@@ -99,8 +105,10 @@ class DiagonalFilter:
                 self.update(w[part], z[part], noise_std=noise[part])
 
 
-def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray, band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances where a particle has few readings, ``rows`` being those of the frame, in the band's order; noise is 1."""
+def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray,
+                        band: Band) -> tuple[np.ndarray, np.ndarray]:
+    """Shift of the means and new variances where a particle has few readings, ``rows`` being those of the frame, in the
+    band's order; noise is 1."""
     columns = a.tocsc()
     weighted = columns.T
     weighted.data = weighted.data * np.repeat(var, np.diff(columns.indptr))

@@ -5,7 +5,8 @@
 With x = K / sqrt(v), A = diag(1/s) W diag(sqrt(v)) and b = z / s it reads 1/2 |b - A x|^2 + 1/2 |x - x0|^2, x >= 0. Its
 dual has one unknown a reading: x = max(0, x0 + A^T y), and y solves F(y) = y + A max(0, x0 + A^T y) - b = 0, the
 gradient of a convex, piecewise quadratic function. Semi-smooth Newton with an exact line search ends after finitely
-many steps; the largest matrix is readings x readings. Where touched particles are not much more than readings, their normal equations are cheaper, see
+many steps; the largest matrix is readings x readings. Where touched particles are not much more than readings, their
+normal equations are cheaper, see
 `pivoting`. Where both are many (dense contact forces) no matrix is formed at all, see `projected_cg`.
 """
 
@@ -36,7 +37,8 @@ _PATIENCE = 12
 _GOOD = 1e-9
 # Smaller side beyond which no dense matrix is made (its factor would take 130 MB and seconds a step).
 _DENSE_LIMIT = 4000
-# Touched particles a reading up to which the particles' side is the cheaper one: it takes no detour over weaker readings.
+# Touched particles a reading up to which the particles' side is the cheaper one: it takes no detour over weaker
+# readings.
 _SQUARE = 2
 # Columns of A that are dense at one time in `posterior_std`.
 _BLOCK = 1024
@@ -132,7 +134,8 @@ def posterior_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior_
     read = np.flatnonzero(np.diff(w.indptr))
     if len(touched) == 0:
         return out
-    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:, touched] @ sparse.diags_array(scale[touched]))
+    a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read][:,
+                                                                          touched] @ sparse.diags_array(scale[touched]))
     if a.shape[1] <= a.shape[0]:
         factor = linalg.cholesky((a.T @ a).toarray() + np.eye(a.shape[1]), lower=True)
         inverse = linalg.solve_triangular(factor, np.eye(a.shape[1]), lower=True)
@@ -267,7 +270,8 @@ def _kkt(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, sca
     gradient = a.T @ (a @ x - b) + x - x0
     own = 1.0 + np.asarray(a.multiply(a).sum(axis=0)).ravel()
     change = np.abs(x - np.maximum(x - gradient / own, 0.0))
-    largest = max(float(np.max(scale * np.abs(x))), float(np.max(scale * np.abs(x0))), float(np.max(scale * change)), 1e-300)
+    largest = max(float(np.max(scale * np.abs(x))), float(np.max(scale * np.abs(x0))), float(np.max(scale * change)),
+                  1e-300)
     return float(np.max(scale * change)) / largest
 
 
@@ -284,7 +288,8 @@ def _largest_eigenvalue(a: sparse.csr_matrix) -> float:
     return value
 
 
-def _checked(where: str, w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float, prior_mean: np.ndarray | float,
+def _checked(where: str, w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float,
+             prior_mean: np.ndarray | float,
              prior_var: np.ndarray | float) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     w = sparse.csr_matrix(w, dtype=np.float64, copy=True)
     w.sum_duplicates()
@@ -297,11 +302,13 @@ def _checked(where: str, w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndar
     for name, value, size in (("noise_std", noise_std, m), ("prior_mean", prior_mean, n), ("prior_var", prior_var, n)):
         value = np.asarray(value, np.float64)
         if value.ndim and value.shape != (size,):
-            raise VsfError(f"vsf.{where}: {name} has shape {value.shape}, but W is {m} x {n}; give one number or ({size},).")
+            raise VsfError(f"vsf.{where}: {name} has shape {value.shape}, but W is {m} x {n}; give one number "
+                           f"or ({size},).")
         values.append(np.broadcast_to(value, (size,)).astype(np.float64))
     for name, value in zip(("W", "z", "noise_std", "prior_mean", "prior_var"), (w.data, z, *values)):
         if not np.isfinite(value).all():
-            raise VsfError(f"vsf.{where}: {name} has {int((~np.isfinite(value)).sum())} values that are not finite; remove those readings or particles.")
+            raise VsfError(f"vsf.{where}: {name} has {int((~np.isfinite(value)).sum())} values that are not finite; "
+                           f"remove those readings or particles.")
     for name, value in (("noise_std", values[0]), ("prior_var", values[2])):
         if (value <= 0.0).any():
             raise VsfError(f"vsf.{where}: {name} goes down to {value.min():g}; it must be greater than 0.")

@@ -2,11 +2,12 @@
 
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
-H = A^T A + 1 is formed once, on as many rows as there are unknowns; where readings are many (contact forces on every vertex of a sensor) that is
-all that is left of them. Each step solves for a set F of free unknowns and exchanges every unknown that has the wrong sign: x_i < 0 in F,
-or a pull (H x - c)_i < 0 outside (Portugal, Judice and Vicente 1994). When the number of wrong ones has not fallen for a while only the
-last of them is exchanged, which ends for any positive definite H (Murty 1974). H squares the condition of A, so each solution is refined
-with residuals taken through A itself (corrected seminormal equations, Bjorck 1987).
+H = A^T A + 1 is formed once, on as many rows as there are unknowns; where readings are many (contact forces on every
+vertex of a sensor) that is all that is left of them. Each step solves for a set F of free unknowns and exchanges every
+unknown that has the wrong sign: x_i < 0 in F, or a pull (H x - c)_i < 0 outside (Portugal, Judice and Vicente 1994).
+When the number of wrong ones has not fallen for a while only the last of them is exchanged, which ends for any positive
+definite H (Murty 1974). H squares the condition of A, so each solution is refined with residuals taken through A itself
+(corrected seminormal equations, Bjorck 1987).
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ def pivoted(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray) -> tuple[np.nda
         if free.any():
             inside = np.flatnonzero(free)
             try:
-                factor = linalg.cho_factor(hessian[np.ix_(inside, inside)] if len(inside) < len(x0) else hessian, lower=True, check_finite=False)
+                factor = linalg.cho_factor(hessian[np.ix_(inside, inside)] if len(inside) < len(x0) else hessian,
+                                           lower=True, check_finite=False)
             except linalg.LinAlgError:
                 return None
             x[inside] = linalg.cho_solve(factor, right[inside], check_finite=False)

@@ -1,14 +1,17 @@
-"""Large non-negative least squares by conjugate gradients on the free variables: for dense contact forces, where neither side is small.
+"""Large non-negative least squares by conjugate gradients on the free variables: for dense contact forces, where
+neither side is small.
 
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
-Modified proportioning with reduced gradient projections (Dostal and Schoeberl 2005): conjugate gradient steps while they stay feasible, a
-projected gradient step when they would leave, and a step on the held variables when their pull outweighs that of the free ones. Only
-products with A and its transpose are needed. Variables are scaled by the diagonal of the Hessian, which keeps the bound a bound.
+Modified proportioning with reduced gradient projections (Dostal and Schoeberl 2005): conjugate gradient steps while
+they stay feasible, a projected gradient step when they would leave, and a step on the held variables when their pull
+outweighs that of the free ones. Only products with A and its transpose are needed. Variables are scaled by the diagonal
+of the Hessian, which keeps the bound a bound.
 
-That finds the held variables a few at a time. Where A^T A can be gathered, they are guessed first, all together: conjugate gradients on a face without
-the bound, roughly, then every variable that came out negative is held and every held one that is pulled off is released (block principal pivoting,
-Portugal, Judice and Vicente 1994), and so on, each face solved more tightly. The exact method then starts from there and has little left to do.
+That finds the held variables a few at a time. Where A^T A can be gathered, they are guessed first, all together:
+conjugate gradients on a face without the bound, roughly, then every variable that came out negative is held and every
+held one that is pulled off is released (block principal pivoting, Portugal, Judice and Vicente 1994), and so on, each
+face solved more tightly. The exact method then starts from there and has little left to do.
 """
 
 from __future__ import annotations
@@ -18,13 +21,15 @@ from scipy import sparse
 
 # How much larger than the free gradient the held ones' pull must be to release them; the authors' choice.
 _PROPORTION = 1.0
-# Faces that are tried, those whose number of wrong variables may come without a new least one, and how much tighter each is solved than its start.
+# Faces that are tried, those whose number of wrong variables may come without a new least one, and how much tighter
+# each is solved than its start.
 _FACES, _PATIENCE, _TIGHTER = 40, 5, 0.01
 # Entries of a row, on average over entries, up to which A^T A is formed: it costs as much as that many products with A.
 _GATHER = 60.0
 
 
-def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: np.ndarray, tolerance: float = 1e-7, steps: int = 5000) -> tuple[np.ndarray, int]:
+def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: np.ndarray, tolerance: float = 1e-7,
+                 steps: int = 5000) -> tuple[np.ndarray, int]:
     """The minimiser (n,) and the number of products with A^T A.
 
     Args:
@@ -36,8 +41,11 @@ def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: 
     at, ridge = sparse.csr_matrix(a.T), scale**2
     right = at @ b + scale * x0
 
-    # Readings of many frames share few pairs of particles: their products are then gathered once. Dense rows would fill the matrix.
-    gathered = sparse.csr_matrix(at @ a) if float((np.diff(a.indptr).astype(float) ** 2).sum()) < _GATHER * max(a.nnz, 1) else None
+    # Readings of many frames share few pairs of particles: their products are then gathered once. Dense rows would fill
+    # the matrix.
+    gathered = sparse.csr_matrix(at
+                                 @ a) if float((np.diff(a.indptr).astype(float) ** 2).sum()) < _GATHER * max(a.nnz,
+                                                                                                             1) else None
 
     def times(v: np.ndarray) -> np.ndarray:
         return (at @ (a @ v) if gathered is None else gathered @ v) + ridge * v
@@ -86,8 +94,10 @@ def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: 
     return y * scale, count
 
 
-def _guess(gathered: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.ndarray, goal: float) -> tuple[np.ndarray, int]:
-    """A feasible point near the minimiser, by exchanging all wrong variables at once; and the number of products. It may fail to come near: the caller checks."""
+def _guess(gathered: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.ndarray,
+           goal: float) -> tuple[np.ndarray, int]:
+    """A feasible point near the minimiser, by exchanging all wrong variables at once; and the number of products. It
+    may fail to come near: the caller checks."""
     gradient = gathered @ y + ridge * y - right
     inside, count, best, fewest, patience = (y > 0.0) | (gradient < 0.0), 1, y, len(y) + 1, _PATIENCE
     for _ in range(_FACES):
@@ -111,8 +121,10 @@ def _guess(gathered: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y:
     return best, count
 
 
-def _face(part: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.ndarray, goal: float) -> tuple[np.ndarray, int]:
-    """Conjugate gradients from ``y`` to `_TIGHTER` of the first residual, or half of the goal; and the number of products."""
+def _face(part: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.ndarray,
+          goal: float) -> tuple[np.ndarray, int]:
+    """Conjugate gradients from ``y`` to `_TIGHTER` of the first residual, or half of the goal; and the number of
+    products."""
     residual = right - part @ y - ridge * y
     direction, size, count = residual.copy(), float(residual @ residual), 1
     enough = max(_TIGHTER * size**0.5, 0.5 * goal) ** 2

@@ -2,9 +2,10 @@
 
     minimise  1/2 |(z - W theta) / s|^2 + 1/2 |theta - B mu|^2_(B D B^T)^-1   subject to  theta >= 0
 
-With theta = phi + G g the prior's term is 1/2 |theta - mean - G g|^2 / var + 1/2 |g - group_mean|^2 / group_var, minimised over the
-few shared components g. For a fixed g this is the program of `estimate.map_estimate`; what is left is a convex, once
-differentiable function of g, minimised by Newton's method with a line search. Its Hessian needs readings x readings at most:
+With theta = phi + G g the prior's term is 1/2 |theta - mean - G g|^2 / var + 1/2 |g - group_mean|^2 / group_var,
+minimised over the few shared components g. For a fixed g this is the program of `estimate.map_estimate`; what is left
+is a convex, once differentiable function of g, minimised by Newton's method with a line search. Its Hessian needs
+readings x readings at most:
 
     H = 1/group_var + (W_F G_F)^T (S + W_F diag(var_F) W_F^T)^-1 (W_F G_F) + G_A^T diag(1/var_A) G_A
 
@@ -30,8 +31,9 @@ _BLOCK = 1024
 
 @dataclass(frozen=True)
 class StructuredResult:
-    """The most probable stiffnesses. mean: theta >= 0 (n,) [N/m]. shared: the shared components g (s,) [N/m]; steps: Newton steps on
-    g. decrement: of the last one, an estimate of how far the negative log-posterior is above its minimum [-]."""
+    """The most probable stiffnesses. mean: theta >= 0 (n,) [N/m]. shared: the shared components g (s,) [N/m]; steps:
+    Newton steps on g. decrement: of the last one, an estimate of how far the negative log-posterior is above its
+    minimum [-]."""
 
     mean: np.ndarray
     shared: np.ndarray
@@ -39,7 +41,8 @@ class StructuredResult:
     decrement: float
 
 
-def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> StructuredResult:
+def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
+                   prior: GaussianPrior) -> StructuredResult:
     """Solve SBML eq. 16 for any composition structure.
 
     Args:
@@ -52,7 +55,8 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
     g = prior.membership
     w = sparse.csr_matrix(w)
     if g.shape[1] == 0:
-        return StructuredResult(map_estimate(w, z, noise_std=noise_std, prior_mean=prior.mean, prior_var=prior.var).mean, np.zeros(0), 0, 0.0)
+        return StructuredResult(map_estimate(w, z, noise_std=noise_std, prior_mean=prior.mean,
+                                             prior_var=prior.var).mean, np.zeros(0), 0, 0.0)
     if not ((prior.group_var > 0.0).all() and np.isfinite(prior.group_mean).all()):
         raise VsfError("vsf.structured_map: the shared components need finite means and variances greater than 0.")
     z = np.asarray(z, np.float64)
@@ -83,8 +87,8 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
 def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
     """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
 
-    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles; with more
-    readings than touched particles the rows are first reduced by an orthogonal factorisation.
+    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles;
+    with more readings than touched particles the rows are first reduced by an orthogonal factorisation.
     """
     g = prior.membership
     w = sparse.csr_matrix(w)
@@ -102,11 +106,13 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
     return np.sqrt(np.maximum(out, 1e-14 * prior.total_std() ** 2))
 
 
-def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
+def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float,
+                prior: GaussianPrior) -> np.ndarray:
     """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
 
     Args:
-        w: rows that were read (m, n). query: rows of readings to come, Q (q, n). noise_std: of the readings of ``w``. prior: on theta.
+        w: rows that were read (m, n). query: rows of readings to come, Q (q, n). noise_std: of the readings of ``w``.
+        prior: on theta.
     """
     query = sparse.csr_matrix(query)
     shared = (query @ sparse.csr_matrix(prior.membership)).toarray()
@@ -122,7 +128,8 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
 
 @dataclass(frozen=True)
 class _Whitener:
-    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P A^T + 1 (r, r)."""
+    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P
+    A^T + 1 (r, r)."""
 
     a: sparse.csr_matrix
     shared: np.ndarray
@@ -139,7 +146,8 @@ class _Whitener:
         touched = np.flatnonzero(np.diff(a.tocsc().indptr))
         if len(touched) < a.shape[0]:
             r = linalg.qr(a[:, touched].toarray(), mode="r")[0][:len(touched)]
-            a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)), shape=(len(r), w.shape[1]))
+            a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)),
+                                  shape=(len(r), w.shape[1]))
         shared = (a @ sparse.csr_matrix(prior.membership)).toarray()
         spread = (a @ sparse.diags_array(prior.var) @ a.T).toarray() + (shared * prior.group_var) @ shared.T
         spread[np.diag_indices_from(spread)] += 1.0
@@ -148,16 +156,19 @@ class _Whitener:
     def of_rows(self, rows: sparse.csr_matrix, prior: GaussianPrior) -> np.ndarray:
         """L^-1 A P Q^T for rows Q (q, n): (r, q); its columns' squares are what the readings take off the variances."""
         members = (rows @ sparse.csr_matrix(prior.membership)).toarray()
-        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray() + (self.shared * prior.group_var) @ members.T
+        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray() + (self.shared
+                                                                               * prior.group_var) @ members.T
         return linalg.solve_triangular(self.factor, cross, lower=True)
 
 
-def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior, shared: np.ndarray) -> tuple[float, np.ndarray]:
+def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior,
+           shared: np.ndarray) -> tuple[float, np.ndarray]:
     """Value and stiffnesses of the program at fixed shared components."""
     centre = prior.mean + prior.membership @ shared
     theta = map_estimate(w, z, noise_std=noise, prior_mean=centre, prior_var=prior.var).mean
     misfit = (z - w @ theta) / noise
-    value = 0.5 * (misfit @ misfit + np.sum((theta - centre) ** 2 / prior.var) + np.sum((shared - prior.group_mean) ** 2 / prior.group_var))
+    value = 0.5 * (misfit @ misfit + np.sum((theta - centre) ** 2 / prior.var)
+                   + np.sum((shared - prior.group_mean) ** 2 / prior.group_var))
     return float(value), theta
 
 

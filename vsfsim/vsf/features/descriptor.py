@@ -1,13 +1,17 @@
 """The default features: what a view says about a surface at several metric scales, without anything to download.
 
-`local`, for the tens of training objects there usually are: the mean colour over 8 mm, the energy of three bands of luminance (texture), and of every
-particle its position, depth behind the surface and distance to the nearest visible point: 11 numbers. `local-full` has everything below. With a
-dozen shoes to learn from its 32 numbers overfit; with many it has more to say. For every masked pixel, at scales given in metres (so that the camera's distance does not matter):
+`local`, for the tens of training objects there usually are: the mean colour over 8 mm, the energy of three bands of
+luminance (texture), and of every
+particle its position, depth behind the surface and distance to the nearest visible point: 11 numbers. `local-full` has
+everything below. With a dozen shoes to learn from its 32 numbers overfit; with many it has more to say. For every
+masked pixel, at scales given in metres (so that the camera's distance does not matter):
 
     colour      log luminance and two opponent colours, blurred over 3, 8 and 20 mm
-    texture     energy of the band between consecutive scales in luminance, and of the opponent colours; how much one direction
+    texture     energy of the band between consecutive scales in luminance, and of the opponent colours; how much one
+    direction
                 dominates (coherence of the structure tensor)
-    surface     height, upward and camera-facing component of the normal, mean curvature over 8 and 20 mm, distance to the outline
+    surface     height, upward and camera-facing component of the normal, mean curvature over 8 and 20 mm, distance to
+    the outline
 
 and for every particle its position in the visible box, how deep behind the surface it lies and how far from the nearest
 visible point. All blurs are normalised by the blurred mask, so that the background never leaks in.
@@ -50,11 +54,13 @@ class LocalDescriptor:
         return FeatureImage(values, mask, np.concatenate([seen.mean(axis=0), seen.std(axis=0)]).astype(np.float32))
 
     def of_particles(self, view: View, geometry: Geometry) -> np.ndarray:
-        """Position, depth behind the surface and distance to the nearest visible point, both logarithmic; if full, height, too (n, 5 or 6)."""
+        """Position, depth behind the surface and distance to the nearest visible point, both logarithmic; if full,
+        height, too (n, 5 or 6)."""
         away = cKDTree(view.points()).query(geometry.points)[0]
         behind = np.clip(geometry.behind, 0.0, _DEEPEST)
         depth = np.log1p(np.stack([behind, away], axis=1) / geometry.spacing)
-        return np.concatenate([normalised_position(view, geometry.points), depth, geometry.points[:, 2:][:, : int(self.full)]], axis=1)
+        return np.concatenate([normalised_position(view, geometry.points), depth,
+                               geometry.points[:, 2:][:, : int(self.full)]], axis=1)
 
 
 class _Blur:
@@ -98,7 +104,8 @@ def _coherence(luminance: np.ndarray, mask: np.ndarray, sigma: float) -> np.ndar
 def _surface(view: View, mask: np.ndarray, pixel_size: float) -> list[np.ndarray]:
     """Normals, curvature and the distance to the outline, from the depth image."""
     rows, columns = np.indices(mask.shape)
-    ray = np.linalg.solve(view.intrinsics, np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1).astype(np.float64))
+    ray = np.linalg.solve(view.intrinsics, np.stack([columns, rows,
+                                                     np.ones_like(rows)]).reshape(3, -1).astype(np.float64))
     out: list[np.ndarray] = []
     depth = view.depth.astype(np.float64)
     # Half a scale wide: less would see the quantised depth, more would round the edges off.
@@ -110,7 +117,8 @@ def _surface(view: View, mask: np.ndarray, pixel_size: float) -> list[np.ndarray
     toward = -np.einsum("ikl,ikl->kl", normal, points) / np.maximum(np.linalg.norm(points, axis=0), 1e-9)
     normal, toward = normal * np.sign(toward), np.abs(toward)
     world = np.einsum("ij,jkl->ikl", view.camera_pose[:3, :3], normal)
-    height = np.einsum("i,ikl->kl", view.camera_pose[2, :3], (ray * depth.ravel()).reshape(3, *mask.shape)) + view.camera_pose[2, 3]
+    height = np.einsum("i,ikl->kl", view.camera_pose[2, :3],
+                       (ray * depth.ravel()).reshape(3, *mask.shape)) + view.camera_pose[2, 3]
     out += [height, world[2], toward]
     for scale in _CURVATURE_SCALES:
         # Laplacian of the depth along the view, over the scale: positive on a bump [1/m].

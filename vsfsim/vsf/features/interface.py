@@ -1,8 +1,8 @@
 """Visual features of the particles behind a view (SBML appendix B.2), behind one interface.
 
-An extractor turns a view into a dense image of features. The image is projected onto the particles: a visible particle reads it
-by bilinear interpolation at its pixel, an occluded one takes the mean of its 10 nearest visible particles. An extractor may
-add columns that only geometry can tell (how deep behind the surface a particle lies).
+An extractor turns a view into a dense image of features. The image is projected onto the particles: a visible particle
+reads it by bilinear interpolation at its pixel, an occluded one takes the mean of its 10 nearest visible particles. An
+extractor may add columns that only geometry can tell (how deep behind the surface a particle lies).
 
     xyzrgb      normalised position and colour (SBML appendix C.6), 6 numbers
     local       the default: colour, texture and place relative to the seen surface, see `descriptor`, 11 numbers
@@ -48,8 +48,9 @@ class FeatureImage:
 class Geometry:
     """Particles as the camera sees them.
 
-    points: world (n, 3) [m]. pixel: (column, row) (n, 2) [px]. behind: how far behind the seen surface along the optical
-    axis, inf where the camera sees no object (n,) [m]. visible: at the surface (n,) bool. spacing: of the particles [m].
+    points: world (n, 3) [m]. pixel: (column, row) (n, 2) [px]. behind: how far behind the seen surface along the
+    optical axis, inf where the camera sees no object (n,) [m]. visible: at the surface (n,) bool. spacing: of the
+    particles [m].
     """
 
     points: np.ndarray
@@ -59,23 +60,27 @@ class Geometry:
     spacing: float
 
 
-def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: float, weights: str = "", device: str = "cpu") -> np.ndarray:
+def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: float, weights: str = "",
+                      device: str = "cpu") -> np.ndarray:
     """Features of the particles (n, F) float32, not normalised.
 
     Args:
         name: one of `NAMES`.
-        view: the image. particles: rest positions, world (n, 3) [m]. spacing: their distance [m]; a particle is visible within
+        view: the image. particles: rest positions, world (n, 3) [m]. spacing: their distance [m]; a particle is visible
+        within
             one spacing of the seen surface.
         weights: file of pretrained weights, for the DINOv2 extractors; "" looks in the usual caches.
         device: torch device of the DINOv2 extractors.
 
     Raises:
-        VsfError: unknown name, no particle, an empty mask, particles of which the camera sees none, or weights that are missing or do not fit.
+        VsfError: unknown name, no particle, an empty mask, particles of which the camera sees none, or weights that are
+        missing or do not fit.
     """
     extractor = _extractor(name, weights, device)
     particles = np.asarray(particles, np.float64)
     if particles.ndim != 2 or particles.shape[1:] != (3,) or len(particles) == 0:
-        raise VsfError(f"vsf.features: particles have shape {particles.shape}; give at least one world position (n, 3) in metres.")
+        raise VsfError(f"vsf.features: particles have shape {particles.shape}; give at least one world position (n, "
+                       f"3) in metres.")
     if not view.mask.any():
         raise VsfError("vsf.features: the view's mask is empty; point the camera at the object.")
     geometry = see(view, particles, spacing)
@@ -113,7 +118,8 @@ def see(view: View, particles: np.ndarray, spacing: float) -> Geometry:
     if not visible.any():
         # A grid so coarse, or a mask so thin, that no particle is near the surface: the least deep ones stand for it.
         if not hit.any():
-            raise VsfError(f"vsf.features: none of the {len(particles)} particles lies on a ray through the view's mask, so that none has a feature; are they of this view?")
+            raise VsfError(f"vsf.features: none of the {len(particles)} particles lies on a ray through the view's "
+                           f"mask, so that none has a feature; are they of this view?")
         nearest = np.abs(behind)
         visible = nearest <= nearest.min()
     return Geometry(particles, pixel, behind, visible, spacing)
@@ -134,7 +140,8 @@ def project(image: FeatureImage, geometry: Geometry) -> np.ndarray:
 
 
 def _bilinear(image: FeatureImage, pixel: np.ndarray) -> np.ndarray:
-    """(k, C) at (column, row) pixels (k, 2); cells without the object have no weight, and a pixel among none of them takes the nearest cell."""
+    """(k, C) at (column, row) pixels (k, 2); cells without the object have no weight, and a pixel among none of them
+    takes the nearest cell."""
     height, width = image.valid.shape
     x = np.clip((pixel[:, 0] - image.offset) / image.stride, 0.0, width - 1.0)
     y = np.clip((pixel[:, 1] - image.offset) / image.stride, 0.0, height - 1.0)
@@ -142,7 +149,8 @@ def _bilinear(image: FeatureImage, pixel: np.ndarray) -> np.ndarray:
     right, bottom = np.minimum(left + 1, width - 1), np.minimum(top + 1, height - 1)
     fx, fy = x - left, y - top
     total, weight = np.zeros((len(pixel), image.values.shape[2])), np.zeros(len(pixel))
-    for row, column, w in ((top, left, (1 - fy) * (1 - fx)), (top, right, (1 - fy) * fx), (bottom, left, fy * (1 - fx)), (bottom, right, fy * fx)):
+    for row, column, w in ((top, left, (1 - fy) * (1 - fx)), (top, right, (1 - fy) * fx), (bottom, left, fy * (1 - fx)),
+                           (bottom, right, fy * fx)):
         w = w * image.valid[row, column]
         total += w[:, None] * image.values[row, column]
         weight += w
@@ -171,7 +179,8 @@ class Normaliser:
         mean = np.mean([f.mean(axis=0, dtype=np.float64) for f in features], axis=0)
         var = np.mean([((f.astype(np.float64) - mean) ** 2).mean(axis=0) for f in features], axis=0)
         std = np.sqrt(var)
-        return cls(mean.astype(np.float32), np.where(std > 1e-6 * np.maximum(np.abs(mean), 1.0), std, 1.0).astype(np.float32))
+        return cls(mean.astype(np.float32), np.where(std > 1e-6 * np.maximum(np.abs(mean), 1.0), std,
+                                                     1.0).astype(np.float32))
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
         """Normalised features, cut at 6 standard deviations: beyond, a network would extrapolate."""

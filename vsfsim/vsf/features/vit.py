@@ -1,7 +1,9 @@
-"""A vision transformer whose state dict has the names and shapes of the published DINOv2 checkpoints (Oquab et al. 2023).
+"""A vision transformer whose state dict has the names and shapes of the published DINOv2 checkpoints (Oquab et al.
+2023).
 
-Patches of 14 x 14 pixels become tokens by a linear map; a class token goes before them, learned positions are added, and
-pre-norm blocks follow: x + ls1 * attention(norm1(x)), then x + ls2 * mlp(norm2(x)) with a GELU, layer scale ls and a last norm.
+Patches of 14 x 14 pixels become tokens by a linear map; a class token goes before them, learned positions are added,
+and pre-norm blocks follow: x + ls1 * attention(norm1(x)), then x + ls2 * mlp(norm2(x)) with a GELU, layer scale ls and
+a last norm.
 Only the forward pass is here.
 """
 
@@ -17,8 +19,8 @@ from torch.nn import functional
 
 @dataclass(frozen=True)
 class Architecture:
-    """width: of a token, D. depth: blocks. heads: of attention. patch: edge of a patch [px]. grid: patches along an edge of the images
-    whose positions were learned (518 px / 14)."""
+    """width: of a token, D. depth: blocks. heads: of attention. patch: edge of a patch [px]. grid: patches along an
+    edge of the images whose positions were learned (518 px / 14)."""
 
     width: int
     depth: int
@@ -99,7 +101,8 @@ class _Attention(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         count, tokens, width = x.shape
-        query, key, value = self.qkv(x).reshape(count, tokens, 3, self.heads, width // self.heads).permute(2, 0, 3, 1, 4)
+        query, key, value = self.qkv(x).reshape(count, tokens, 3, self.heads,
+                                                width // self.heads).permute(2, 0, 3, 1, 4)
         weight = (query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)).softmax(dim=-1)
         return self.proj((weight @ value).transpose(1, 2).reshape(count, tokens, width))
 

@@ -2,8 +2,8 @@
 
     m = b1 m + (1 - b1) g,   v = b2 v + (1 - b2) g^2,   p -= rate (m / (1 - b1^t)) / (sqrt(v / (1 - b2^t)) + eps)
 
-The same steps as `torch.optim.Adam` with its defaults, in a few calls for all parameters together. torch's own imports its compiler on the first
-step, which takes seconds and needs packages that an estimator has no use for.
+The same steps as `torch.optim.Adam` with its defaults, in a few calls for all parameters together. torch's own imports
+its compiler on the first step, which takes seconds and needs packages that an estimator has no use for.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ class Adam:
 
     Args:
         parameters: tensors with `requires_grad`; those without a gradient stay. rate: of learning.
-        counted_there: the number of steps is kept on the parameters' device, so that a step may be recorded (`recorded`). The same steps but
+        counted_there: the number of steps is kept on the parameters' device, so that a step may be recorded
+        (`recorded`). The same steps but
             for rounding.
     """
 
@@ -28,7 +29,8 @@ class Adam:
         self.parameters, self.rate, self.steps = list(parameters), rate, 0
         # beta_1^t and beta_2^t
         self._powers = torch.ones(2, dtype=torch.float64, device=self.parameters[0].device) if counted_there else None
-        self._factors = torch.tensor([_MEAN, _SQUARE], dtype=torch.float64, device=self.parameters[0].device) if counted_there else None
+        self._factors = torch.tensor([_MEAN, _SQUARE], dtype=torch.float64,
+                                     device=self.parameters[0].device) if counted_there else None
         self._mean = [torch.zeros_like(p) for p in self.parameters]
         self._square = [torch.zeros_like(p) for p in self.parameters]
 
@@ -60,7 +62,8 @@ class Adam:
         live = [k for k, p in enumerate(self.parameters) if p.grad is not None]
         if not live:
             return
-        p, g, m, v = ([group[k] for k in live] for group in (self.parameters, [q.grad for q in self.parameters], self._mean, self._square))
+        p, g, m, v = ([group[k] for k in live] for group in (self.parameters, [q.grad for q in self.parameters],
+                                                             self._mean, self._square))
         torch._foreach_lerp_(m, g, 1.0 - _MEAN)
         torch._foreach_mul_(v, _SQUARE)
         torch._foreach_addcmul_(v, g, g, 1.0 - _SQUARE)

@@ -4,11 +4,12 @@ The force on a vertex that has come along its way v(tau) up to time t is a line 
 
     f(t) = sum_i -K(v(tau_i)) (v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
 
-with s its oriented area: linear in the values of K at known points, see `swept`. A field is fitted by minimising eq. 6, the sum of |f - f_hat| over a
-batch of B observations plus a free-space term lambda * mean K at random points of the volume, with Adam.
+with s its oriented area: linear in the values of K at known points, see `swept`. A field is fitted by minimising eq. 6,
+the sum of |f - f_hat| over a batch of B observations plus a free-space term lambda * mean K at random points of the
+volume, with Adam.
 
-Two fields share all of this: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours: a sum of trilinear grids
-of rising resolution, which needs a few dozen operations a point instead of tens of thousands.
+Two fields share all of this: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours: a
+sum of trilinear grids of rising resolution, which needs a few dozen operations a point instead of tens of thousands.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ class NerfField(nn.Module):
     """K(p) by an 8-layer perceptron on a sinusoidal encoding, the encoding once more at the fifth layer.
 
     Args:
-        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. width: of a layer; 64 gives the
+        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. width: of a layer; 64
+        gives the
             paper's 100 kB. octaves: of the encoding.
     """
 
@@ -43,7 +45,8 @@ class NerfField(nn.Module):
         self.register_buffer("bounds", torch.as_tensor(np.asarray(bounds), dtype=torch.float32))
         self.unit, self.octaves = float(unit), octaves
         size = 3 + 6 * octaves
-        self.layers = nn.ModuleList([nn.Linear(size if i == 0 else width + (size if i == 4 else 0), width) for i in range(8)])
+        self.layers = nn.ModuleList([nn.Linear(size if i == 0 else width + (size if i == 4 else 0), width)
+                                     for i in range(8)])
         self.out = nn.Linear(width, 1)
 
     def forward(self, points: torch.Tensor) -> torch.Tensor:
@@ -60,10 +63,12 @@ class NerfField(nn.Module):
 class GridField(nn.Module):
     """K(p) = softplus of a sum of trilinear grids, each twice as fine as the one before.
 
-    The coarse grids carry what neighbours share, the fine ones the detail, so that the field is as smooth as the data let it be.
+    The coarse grids carry what neighbours share, the fine ones the detail, so that the field is as smooth as the data
+    let it be.
 
     Args:
-        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. cell: edge of the finest cells [m];
+        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. cell: edge of the finest
+        cells [m];
             None for a 24th of the longest edge. levels: of grids.
     """
 
@@ -81,7 +86,8 @@ class GridField(nn.Module):
     def forward(self, points: torch.Tensor) -> torch.Tensor:
         """Stiffness density over the unit at ``points`` (k, 3) [m]: (k,), > 0."""
         x = (2.0 * (points - self.bounds[0]) / (self.bounds[1] - self.bounds[0]) - 1.0).reshape(1, 1, 1, -1, 3)
-        total = self.bias + sum(functional.grid_sample(grid, x, align_corners=True, padding_mode="border").reshape(-1) for grid in self.grids)
+        total = self.bias + sum(functional.grid_sample(grid, x, align_corners=True, padding_mode="border").reshape(-1)
+                                for grid in self.grids)
         return functional.softplus(total)
 
 
@@ -93,7 +99,8 @@ FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridFi
 
 @dataclass(frozen=True)
 class Fitting:
-    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K over the field's unit. free_points: n_reg.
+    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K
+    over the field's unit. free_points: n_reg.
     seed: of initial weights and batches."""
 
     iterations: int = 2000
@@ -105,13 +112,16 @@ class Fitting:
     seed: int = 0
 
 
-def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray, settings: Fitting | None = None, *, device: str = "cpu",
+def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray,
+        settings: Fitting | None = None, *, device: str = "cpu",
         progress: Callable[[int, int, str], None] | None = None, **field: object) -> nn.Module:
     """Fit a stiffness field to contact forces.
 
     Args:
-        kind: "nerf" or "grid". touches: at least one; with forces on the vertices, or with their total only. bounds: corners of the volume (2, 3) [m].
-        settings: of the training; with totals a batch holds as many vertices as with forces on them. device: torch device.
+        kind: "nerf" or "grid". touches: at least one; with forces on the vertices, or with their total only. bounds:
+        corners of the volume (2, 3) [m].
+        settings: of the training; with totals a batch holds as many vertices as with forces on them. device: torch
+        device.
         progress: called with (iteration, of how many, loss). field: settings of the field's constructor.
 
     Returns:
@@ -161,7 +171,8 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         if progress is not None and iteration % 50 == 0:
             progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
     if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
-        raise VsfError(f"vsf.neural: the {kind} field diverged: its weights are no longer finite. Lower the rate, {s.rate:g} now.")
+        raise VsfError(f"vsf.neural: the {kind} field diverged: its weights are no longer finite. Lower the rate, "
+                       f"{s.rate:g} now.")
     return model.eval()
 
 
@@ -169,7 +180,8 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
 def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.ndarray:
     """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not looked at."""
     device = model.bounds.device
-    asked = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))], device=str(device))
+    asked = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))],
+                           device=str(device))
     points, factor, _ = asked.rows(torch.arange(len(asked.index), device=device), samples)
     inside = ((points >= model.bounds[0]) & (points <= model.bounds[1])).all(dim=2)
     value = torch.cat([model(part) for part in points.reshape(-1, 3).split(200_000)]).reshape(inside.shape)
@@ -186,10 +198,13 @@ def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
 
 
 def save_field(model: nn.Module, path: str | Path) -> None:
-    """Write a field as .npz, its weights in half precision (a relative 5e-4 of each): a `NerfField` takes under 100 kB."""
-    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16) for name, value in model.state_dict().items()}
+    """Write a field as .npz, its weights in half precision (a relative 5e-4 of each): a `NerfField` takes under 100
+    kB."""
+    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16) for name,
+              value in model.state_dict().items()}
     with open(path, "wb") as file:
-        np.savez_compressed(file, kind=model.kind, unit=model.unit, **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
+        np.savez_compressed(file, kind=model.kind, unit=model.unit,
+                            **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
 
 
 def load_field(path: str | Path) -> nn.Module:
@@ -203,16 +218,19 @@ def load_field(path: str | Path) -> nn.Module:
             given = {name: file[name] for name in file.files}
         kind = str(given["kind"])
         settings = {name.removeprefix("set."): value.item() for name, value in given.items() if name.startswith("set.")}
-        state = {name.removeprefix("weight."): torch.as_tensor(value).float() for name, value in given.items() if name.startswith("weight.")}
+        state = {name.removeprefix("weight."): torch.as_tensor(value).float() for name,
+                 value in given.items() if name.startswith("weight.")}
         model = FIELDS[kind](state["bounds"].numpy(), float(given["unit"]), **settings)
         model.load_state_dict(state)
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        raise VsfError(f"vsf.neural: no field can be read from '{path}': {error}. Give a file that `save_field` wrote.") from error
+        raise VsfError(f"vsf.neural: no field can be read from '{path}': {error}. Give a file that "
+                       f"`save_field` wrote.") from error
     return model.eval()
 
 
 class _Draws:
-    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that a step waits for no host.
+    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that a
+    step waits for no host.
 
     observations: to draw from. size: of a batch. free: points an iteration, as fractions of the volume's edges.
     """
@@ -228,7 +246,8 @@ class _Draws:
         if iteration % _PACK:
             return
         count = min(_PACK, of - iteration)
-        pairs = [(torch.randint(self.observations, self.which.shape[1:], generator=self.generator), torch.rand(self.free.shape[1:], generator=self.generator))
+        pairs = [(torch.randint(self.observations, self.which.shape[1:], generator=self.generator),
+                  torch.rand(self.free.shape[1:], generator=self.generator))
                  for _ in range(count)]
         for buffer, column in ((self.which, 0), (self.free, 1)):
             buffer[:count].copy_(torch.stack([pair[column] for pair in pairs]))
@@ -248,5 +267,6 @@ def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: in
     total = factor.sum(dim=1)
     unit = float((total * force).sum()) / max(float((total * total).sum()), 1e-300)
     if not unit > 0.0:
-        raise VsfError("vsf.neural: the contact forces are all zero, or pull; a stiffness cannot be estimated. Are the forces those of the object on the sensor?")
+        raise VsfError("vsf.neural: the contact forces are all zero, or pull; a stiffness cannot be estimated. Are the "
+                       "forces those of the object on the sensor?")
     return unit

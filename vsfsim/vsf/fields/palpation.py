@@ -1,7 +1,8 @@
 """A synthetic palpation: a dome that presses into a volume of known stiffness, with the force on each of its vertices.
 
-Not physics: the forces are those of the continuous VSF itself (Neural VSF eq. 4), integrated finely along the way of each vertex. It is
-a workload and a ground truth for estimators that read dense contact forces, with as many touches and frames as wanted.
+Not physics: the forces are those of the continuous VSF itself (Neural VSF eq. 4), integrated finely along the way of
+each vertex. It is a workload and a ground truth for estimators that read dense contact forces, with as many touches and
+frames as wanted.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ Field = Callable[[np.ndarray], np.ndarray]
 class DenseTouch:
     """One touch of a sensor with a surface.
 
-    vertices: of the surface, world (T, N, 3) [m]. triangles: corners, wound outwards (m, 3). force: of the object on each vertex, world
-    (T, N, 3) [N].
+    vertices: of the surface, world (T, N, 3) [m]. triangles: corners, wound outwards (m, 3). force: of the object on
+    each vertex, world (T, N, 3) [N].
     """
 
     vertices: np.ndarray
@@ -39,7 +40,8 @@ def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tupl
         r = radius * ring / rings
         angle = 2.0 * np.pi * np.arange(6 * ring) / (6 * ring)
         start.append(start[-1] + (6 * (ring - 1) if ring > 1 else 1))
-        points.append(np.stack([r * np.cos(angle), r * np.sin(angle), np.full(6 * ring, ball - np.sqrt(ball**2 - r**2))], axis=1))
+        points.append(np.stack([r * np.cos(angle), r * np.sin(angle),
+                                np.full(6 * ring, ball - np.sqrt(ball**2 - r**2))], axis=1))
     triangles = []
     for ring in range(1, rings + 1):
         for side in range(6):
@@ -49,7 +51,8 @@ def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tupl
                 inner = start[ring - 1] + (side * (ring - 1) + step) % max(6 * (ring - 1), 1)
                 triangles.append((inner, after, outer))
                 if step < ring - 1:
-                    triangles.append((inner, start[ring - 1] + (side * (ring - 1) + step + 1) % (6 * (ring - 1)), after))
+                    triangles.append((inner, start[ring - 1] + (side * (ring - 1) + step + 1) % (6 * (ring - 1)),
+                                      after))
     return np.concatenate(points), np.array(triangles)
 
 
@@ -65,7 +68,8 @@ def oriented_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return out
 
 
-def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, float], depth: float = 0.012, rings: int = 8, tilt: float = 0.2,
+def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, float], depth: float = 0.012,
+            rings: int = 8, tilt: float = 0.2,
             noise: float = 0.0, substeps: int = 20, seed: int = 0) -> list[DenseTouch]:
     """Press the dome at random places of the plane z = 0 into the half-space under it.
 
@@ -83,7 +87,8 @@ def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, flo
         target = np.append(rng.uniform(-0.5, 0.5, 2) * extent, 0.0)
         lean = rng.uniform(-tilt, tilt, 2)
         c, s = np.cos(lean), np.sin(lean)
-        turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+        turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]],
+                                                                                    [0, s[0], c[0]]])
         travel = np.linspace(0.002, -depth, frames)
         base = shape @ turn.T + target
         vertices = base + travel[:, None, None] * turn[:, 2]
@@ -92,8 +97,10 @@ def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, flo
     return out
 
 
-def _forces(field: Field, base: np.ndarray, area: np.ndarray, up: np.ndarray, travel: np.ndarray, substeps: int) -> np.ndarray:
-    """Eq. 4 for a straight way: f(t) = sum over the way of -K(p) (v(t) - p) s . dv, midpoints of ``substeps`` steps a frame."""
+def _forces(field: Field, base: np.ndarray, area: np.ndarray, up: np.ndarray, travel: np.ndarray,
+            substeps: int) -> np.ndarray:
+    """Eq. 4 for a straight way: f(t) = sum over the way of -K(p) (v(t) - p) s . dv, midpoints of ``substeps`` steps a
+    frame."""
     count = (len(travel) - 1) * substeps
     ends = np.linspace(travel[0], travel[-1], count + 1)
     middle = 0.5 * (ends[1:] + ends[:-1])

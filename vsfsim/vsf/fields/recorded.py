@@ -1,8 +1,8 @@
-"""A step of a training loop, recorded once and replayed: on a GPU a step of a small network is a hundred launches of some microseconds each, and the
-launching costs more than the work. A CUDA graph launches them as one.
+"""A step of a training loop, recorded once and replayed: on a GPU a step of a small network is a hundred launches of
+some microseconds each, and the launching costs more than the work. A CUDA graph launches them as one.
 
-The step must take all that changes from tensors that stay where they are (a counter on the device, buffers that are refilled in place) and
-ask the host for nothing.
+The step must take all that changes from tensors that stay where they are (a counter on the device, buffers that are
+refilled in place) and ask the host for nothing.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ _ORDINARY = 3
 class Recorded:
     """``step`` () -> tensor, called again and again.
 
-    On a CPU it is called. On a GPU it is called `_ORDINARY` times, recorded, and replayed from then on; the tensor it returns is then one and
-    the same, with the latest values.
+    On a CPU it is called. On a GPU it is called `_ORDINARY` times, recorded, and replayed from then on; the tensor it
+    returns is then one and the same, with the latest values.
     """
 
     def __init__(self, step: Callable[[], torch.Tensor], *, device: str):

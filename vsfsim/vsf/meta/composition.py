@@ -6,7 +6,8 @@ The stiffnesses of the particles are a superposition of components, theta = B ph
     HO   one component for all particles (homogeneous)
     SEG  one component a segment; segments are clusters of similar features, 10 of them
 
-so that theta ~ N(mean + G g, diag(var) + G diag(group_var) G^T), with the columns of G the members of the shared components.
+so that theta ~ N(mean + G g, diag(var) + G diag(group_var) G^T), with the columns of G the members of the shared
+components.
 B = [I, G] is sparse with two ones a row at most, and no n x n matrix is ever formed.
 """
 
@@ -104,8 +105,8 @@ class GaussianPrior:
 def segment(features: np.ndarray, count: int, *, seed: int = 0) -> np.ndarray:
     """Clusters of similar features: labels (n,) int, 0 .. at most count - 1, each one used.
 
-    A Gaussian mixture with full covariances by expectation maximisation (Dempster, Laird and Rubin 1977), on the leading principal
-    components, started by k-means++; the best of a few starts. Same input and seed, same labels.
+    A Gaussian mixture with full covariances by expectation maximisation (Dempster, Laird and Rubin 1977), on the
+    leading principal components, started by k-means++; the best of a few starts. Same input and seed, same labels.
 
     Args:
         features: (n, F), finite. count: clusters at most. seed: of the starts, >= 0.
@@ -130,7 +131,8 @@ def segment(features: np.ndarray, count: int, *, seed: int = 0) -> np.ndarray:
     return np.unique(label, return_inverse=True)[1]
 
 
-def _expectation_maximisation(values: np.ndarray, count: int, floor: float, rng: np.random.Generator) -> tuple[tuple, float]:
+def _expectation_maximisation(values: np.ndarray, count: int, floor: float,
+                              rng: np.random.Generator) -> tuple[tuple, float]:
     nearest = _kmeans(values, count, rng)
     share = np.eye(count)[nearest]
     before = -np.inf

@@ -1,8 +1,10 @@
-"""The meta-prior of SBML: from visual features to the mean and variance of each component's stiffness (appendix B.3), and its training.
+"""The meta-prior of SBML: from visual features to the mean and variance of each component's stiffness (appendix B.3),
+and its training.
 
-HE components go through a perceptron [F, 256, 128, 2] with dropout; HO and SEG components have a linear mean and one learned variance.
-The 2-D output is made non-negative by a ReLU in the paper. A ReLU that is off has no gradient, and a variance of 0 has no density,
-so the default here is the softplus; `output="relu"` is the paper's, with a floor under the variance.
+HE components go through a perceptron [F, 256, 128, 2] with dropout; HO and SEG components have a linear mean and one
+learned variance.
+The 2-D output is made non-negative by a ReLU in the paper. A ReLU that is off has no gradient, and a variance of 0 has
+no density, so the default here is the softplus; `output="relu"` is the paper's, with a floor under the variance.
 """
 
 from __future__ import annotations
@@ -32,10 +34,11 @@ _SMALL = 500_000
 
 @dataclass(frozen=True)
 class Spread:
-    """What the training objects' own fits say about their stiffnesses [N/m], for the initial uncertainty (SBML section 3.3).
+    """What the training objects' own fits say about their stiffnesses [N/m], for the initial uncertainty (SBML section
+    3.3).
 
-    mean: of all touched particles [N/m]. std: of one particle around it [N/m]. shared_std: of a shared component (of the objects' means for
-    HO, of the segments' for SEG) [N/m]; 0 for HE.
+    mean: of all touched particles [N/m]. std: of one particle around it [N/m]. shared_std: of a shared component (of
+    the objects' means for HO, of the segments' for SEG) [N/m]; 0 for HE.
     """
 
     mean: float
@@ -45,7 +48,8 @@ class Spread:
 
 @dataclass(frozen=True)
 class MetaTask:
-    """One training object: normalised features of its touched particles (k, F) and of its shared components (s, F), and its readings."""
+    """One training object: normalised features of its touched particles (k, F) and of its shared components (s, F), and
+    its readings."""
 
     features: torch.Tensor
     shared: torch.Tensor
@@ -60,12 +64,14 @@ class MetaPrior(nn.Module):
         hidden: widths of the hidden layers. dropout: probability. output: one of `OUTPUTS`.
     """
 
-    def __init__(self, size: int, *, shared: bool, spread: Spread, hidden: Sequence[int] = (256, 128), dropout: float = 0.1, output: str = "softplus"):
+    def __init__(self, size: int, *, shared: bool, spread: Spread, hidden: Sequence[int] = (256, 128),
+                 dropout: float = 0.1, output: str = "softplus"):
         super().__init__()
         if output not in OUTPUTS:
             raise VsfError(f"vsf.meta_prior: output is '{output}'. {did_you_mean(output, OUTPUTS)}")
         if not 0.0 <= dropout < 1.0 or not spread.std > 0.0:
-            raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread {spread.std!r} (greater than 0).")
+            raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread "
+                           f"{spread.std!r} (greater than 0).")
         widths, layers = [size, *hidden], []
         for a, b in itertools.pairwise(widths):
             layers += [nn.Linear(a, b), nn.ReLU(), nn.Dropout(dropout)]
@@ -75,15 +81,19 @@ class MetaPrior(nn.Module):
         with torch.no_grad():
             # The first guess is the naive Gaussian prior: the training mean and spread everywhere.
             last.weight.mul_(0.1)
-            last.bias.copy_(torch.tensor([self._inverse(max(spread.mean, 0.05 * spread.std) / self.unit), self._inverse(1.0)]))
+            last.bias.copy_(torch.tensor([self._inverse(max(spread.mean, 0.05 * spread.std) / self.unit),
+                                          self._inverse(1.0)]))
         self.shared = nn.Linear(size, 1) if shared else None
         if self.shared is not None:
             nn.init.zeros_(self.shared.weight)
             nn.init.zeros_(self.shared.bias)
-            self.shared_log_std = nn.Parameter(torch.tensor(float(np.log(max(spread.shared_std, 0.05 * spread.std) / self.unit))))
+            self.shared_log_std = nn.Parameter(torch.tensor(float(np.log(max(spread.shared_std, 0.05 * spread.std)
+                                                                         / self.unit))))
 
-    def forward(self, features: torch.Tensor, shared: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Mean and variance of HE components with ``features`` (k, F), and of shared ones with ``shared`` (s, F) [N/m], [(N/m)^2]."""
+    def forward(self, features: torch.Tensor, shared: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor,
+                                                                             torch.Tensor]:
+        """Mean and variance of HE components with ``features`` (k, F), and of shared ones with ``shared`` (s, F) [N/m],
+        [(N/m)^2]."""
         raw = self.he(features)
         if self.output == "relu":
             mean, var = functional.relu(raw[:, 0]), functional.relu(raw[:, 1]) + _LEAST_STD**2
@@ -111,14 +121,16 @@ class MetaPrior(nn.Module):
 
 @dataclass(frozen=True)
 class Training:
-    """How `train` went. best: epoch whose weights were kept. train, validation: NLL of a reading in nats [-], by epoch (epoch 0 is before any step)."""
+    """How `train` went. best: epoch whose weights were kept. train, validation: NLL of a reading in nats [-], by epoch
+    (epoch 0 is before any step)."""
 
     best: int
     train: tuple[float, ...]
     validation: tuple[float, ...]
 
 
-def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], *, rate: float = 1e-4, epochs: int = 400,
+def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], *, rate: float = 1e-4,
+          epochs: int = 400,
           patience: int = 40, seed: int = 0, progress: Callable[[int, int, str], None] | None = None) -> Training:
     """Fit the meta-prior by maximum likelihood (eq. 15): Adam, one object a step, early stopping.
 
@@ -135,7 +147,8 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
     tasks = [task for task in tasks if task.evidence.blocks]
     validation = [task for task in validation if task.evidence.blocks]
     if not tasks:
-        raise VsfError("vsf.train: no touch of a training object reached a particle; give a train split whose touches meet the objects.")
+        raise VsfError("vsf.train: no touch of a training object reached a particle; give a train split whose touches "
+                       "meet the objects.")
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     # Many small matrices: on the CPU, threads that wait for each other cost up to fifteen times what they bring.
     largest = max(block.rows.numel() for task in tasks for block in task.evidence.blocks)
@@ -143,7 +156,8 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
         return _descend(prior, tasks, validation, rate, epochs, patience, seed, rng, progress)
 
 
-def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], rate: float, epochs: int, patience: int, seed: int,
+def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], rate: float, epochs: int,
+             patience: int, seed: int,
              rng: np.random.Generator, progress: Callable[[int, int, str], None] | None) -> Training:
     optimiser = Adam(prior.parameters(), rate=rate)
     best, best_value, kept = 0, score(prior, validation) if validation else np.inf, _copy(prior)
@@ -157,7 +171,8 @@ def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[M
                 task = tasks[index]
                 loss = task.evidence.nll(*prior(task.features, task.shared))
                 if not torch.isfinite(loss):
-                    raise VsfError(f"vsf.train: the likelihood is not finite at epoch {epoch}; lower the rate, or look for readings far out of range.")
+                    raise VsfError(f"vsf.train: the likelihood is not finite at epoch {epoch}; lower the rate, or look "
+                                   f"for readings far out of range.")
                 optimiser.clear()
                 loss.backward()
                 optimiser.step()
@@ -172,7 +187,8 @@ def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[M
             else:
                 best = epoch
             if progress is not None:
-                progress(epoch, epochs, f"NLL {history[-1]:.3f} a reading" + (f", validation {checked[-1]:.3f}" if validation else ""))
+                progress(epoch, epochs, f"NLL {history[-1]:.3f} a reading" + (f", validation {checked[-1]:.3f}"
+                                                                              if validation else ""))
     if validation:
         prior.load_state_dict(kept)
     prior.eval()

@@ -1,14 +1,17 @@
 """Where a known object lies, from an estimate of stiffness alone (Neural VSF section III-E).
 
-Points stiffer than a threshold, chosen above the cover's stiffness, make a cloud. The object's surface is registered to it again and again:
-RANSAC over triples of points with equal distances (Fischler and Bolles 1981), then iterative closest points (Besl and McKay 1992). Of all
-poses the one is kept whose inside is stiffest, by the loss of eq. 7,
+Points stiffer than a threshold, chosen above the cover's stiffness, make a cloud. The object's surface is registered to
+it again and again:
+RANSAC over triples of points with equal distances (Fischler and Bolles 1981), then iterative closest points (Besl and
+McKay 1992). Of all poses the one is kept whose inside is stiffest, by the loss of eq. 7,
 
     L = sum over touched points inside the object of max(threshold - K, 0)
 
-A pose that covers few stiff points has few terms, too, so the loss is taken together with what it leaves out: the stiff points outside the
-object, each counted as the threshold. The cloud fills the object's touched part while the registration sees a surface, which tips poses by some
-ten degrees; so the best one is at last refined on the loss itself, by a shrinking random search (``refine=0`` is the papers' way). `contact_pose` is the papers' baseline without stiffness: it registers contact points.
+A pose that covers few stiff points has few terms, too, so the loss is taken together with what it leaves out: the stiff
+points outside the object, each counted as the threshold. The cloud fills the object's touched part while the
+registration sees a surface, which tips poses by some ten degrees; so the best one is at last refined on the loss
+itself, by a shrinking random search (``refine=0`` is the papers' way). `contact_pose` is the papers' baseline without
+stiffness: it registers contact points.
 """
 
 from __future__ import annotations
@@ -55,7 +58,8 @@ class KnownObject:
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         size = np.linalg.norm(normal, axis=1)
         if np.linalg.norm(normal.sum(axis=0)) > 1e-6 * size.sum():
-            raise VsfError("vsf.localise: the object's mesh is not closed (its face areas do not add up to zero); repair it first.")
+            raise VsfError("vsf.localise: the object's mesh is not closed (its face areas do not add up to zero); "
+                           "repair it first.")
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         pick = rng.choice(len(corners), samples, p=size / size.sum())
         a, b = np.sqrt(rng.uniform(size=samples)), rng.uniform(size=samples)
@@ -80,18 +84,21 @@ class KnownObject:
 
 @dataclass(frozen=True)
 class Pose:
-    """transform: object to world (4, 4) [m]. loss: [-] of eq. 7 with the points left out, or the registration's own for `contact_pose`."""
+    """transform: object to world (4, 4) [m]. loss: [-] of eq. 7 with the points left out, or the registration's own for
+    `contact_pose`."""
 
     transform: np.ndarray
     loss: float
 
 
-def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray, *, threshold: float, tries: int = 10, refine: int = 400,
+def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray, *, threshold: float, tries: int = 10,
+                   refine: int = 400,
                    seed: int = 0) -> Pose:
     """The pose that best explains an estimate of stiffness.
 
     Args:
-        known: the object. points: that were touched, world (n, 3) [m]. stiffness: there (n,). threshold: above the cover's.
+        known: the object. points: that were touched, world (n, 3) [m]. stiffness: there (n,). threshold: above the
+        cover's.
         tries: registrations, of which the best is kept. refine: steps of the random search after them, from
             each of the best three that are turned against each other. seed: of the draws.
 
@@ -100,26 +107,32 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
     """
     stiff = stiffness > threshold
     if stiff.sum() < 10:
-        raise VsfError(f"vsf.localise: {int(stiff.sum())} of {len(points)} points are stiffer than {threshold:g}; lower the threshold (the stiffest has {np.max(stiffness, initial=0.0):g}), or touch more.")
+        raise VsfError(f"vsf.localise: {int(stiff.sum())} of {len(points)} points are stiffer than {threshold:g}; "
+                       f"lower the threshold (the stiffest has {np.max(stiffness, initial=0.0):g}), or touch more.")
     lack = np.maximum(threshold - stiffness, 0.0)
 
     def judged(transform: np.ndarray) -> Pose:
         inside = known.contains((points - transform[:3, 3]) @ transform[:3, :3])
         return Pose(transform, float(lack[inside].sum() + threshold * np.count_nonzero(stiff & ~inside)))
 
-    found = sorted((judged(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0]) for attempt in range(tries)), key=lambda p: p.loss)
+    found = sorted((judged(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0])
+                    for attempt in range(tries)), key=lambda p: p.loss)
     if not refine:
         return found[0]
-    # A pose that is turned over may fit the sheet of stiff points nearly as well: the search starts from the best of each kind.
+    # A pose that is turned over may fit the sheet of stiff points nearly as well: the search starts from the best of
+    # each kind.
     starts: list[Pose] = []
     for pose in found:
         if len(starts) < _STARTS and all(pose_errors(pose.transform, other.transform)[1] > _APART for other in starts):
             starts.append(pose)
-    return min((_searched(pose, judged, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed) for pose in starts), key=lambda p: p.loss)
+    return min((_searched(pose, judged, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed)
+                for pose in starts), key=lambda p: p.loss)
 
 
-def _searched(best: Pose, judged: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int, seed: int) -> Pose:
-    """A random search from ``best``, about ``centre`` (3,) [m]: from ``reach`` [m] and 0.2 rad down to a thirtieth of that."""
+def _searched(best: Pose, judged: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int,
+              seed: int) -> Pose:
+    """A random search from ``best``, about ``centre`` (3,) [m]: from ``reach`` [m] and 0.2 rad down to a thirtieth of
+    that."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     for step in range(steps):
         size = 30.0 ** (-step / steps)
@@ -139,14 +152,16 @@ def contact_pose(known: KnownObject, contacts: np.ndarray, *, tries: int = 10, s
         VsfError: fewer than 10 contact points.
     """
     if len(contacts) < 10:
-        raise VsfError(f"vsf.localise: {len(contacts)} contact points are too few to register an object to; lower the force limit, or touch more.")
+        raise VsfError(f"vsf.localise: {len(contacts)} contact points are too few to register an object to; lower the "
+                       f"force limit, or touch more.")
     found = [register(known.surface, contacts, seed=seed * 1000 + attempt) for attempt in range(tries)]
     transform, error = min(found, key=lambda item: item[1])
     return Pose(transform, error)
 
 
 def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: int = 0) -> tuple[np.ndarray, float]:
-    """Object-to-world transform (4, 4) that lays ``cloud`` (n, 3) on ``surface`` (s, 3), and the root mean square distance [m]."""
+    """Object-to-world transform (4, 4) that lays ``cloud`` (n, 3) on ``surface`` (s, 3), and the root mean square
+    distance [m]."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     cloud = cloud[rng.permutation(len(cloud))[:_CLOUD]]
     tree = cKDTree(surface)
@@ -171,7 +186,8 @@ def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: 
     return _closest_points(surface, tree, cloud, best, span)
 
 
-def _closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarray, transform: np.ndarray, span: float) -> tuple[np.ndarray, float]:
+def _closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarray, transform: np.ndarray,
+                    span: float) -> tuple[np.ndarray, float]:
     limit, before = 0.2 * span, np.inf
     for _ in range(60):
         away, index = tree.query((cloud - transform[:3, 3]) @ transform[:3, :3])
@@ -217,6 +233,8 @@ def _winding(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         a, b, c = (corners[None, :, k] - points[start:start + 2048, None] for k in range(3))
         la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
         over = np.einsum("kmi,kmi->km", a, np.cross(b, c))
-        under = la * lb * lc + np.einsum("kmi,kmi->km", a, b) * lc + np.einsum("kmi,kmi->km", b, c) * la + np.einsum("kmi,kmi->km", c, a) * lb
+        under = la * lb * lc + np.einsum("kmi,kmi->km", a, b) * lc + np.einsum("kmi,kmi->km", b,
+                                                                               c) * la + np.einsum("kmi,kmi->km", c,
+                                                                                                   a) * lb
         out[start:start + 2048] = np.arctan2(over, under).sum(axis=1) / (2.0 * np.pi)
     return out

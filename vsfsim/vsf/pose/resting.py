@@ -1,13 +1,15 @@
 """Where a known object lies when it rests on one of its flat sides: the loss of Neural VSF eq. 7, seen from above.
 
-Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer over it before a probe gets there: the stiff points
-of an estimate are a thin sheet over the object, to which a registration of surfaces fits it in many ways. What such a sheet does tell is the object's
-outline. So the stiffness of each column of touched points is compared with the outline of the object at all angles and places,
+Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer over it before a probe
+gets there: the stiff points of an estimate are a thin sheet over the object, to which a registration of surfaces fits
+it in many ways. What such a sheet does tell is the object's outline. So the stiffness of each column of touched points
+is compared with the outline of the object at all angles and places,
 
     L = sum over columns under the outline of max(threshold - K, 0) + threshold * (stiff columns beside it)
 
-on a grid first, then by a shrinking random search. The threshold leaves as large a share of the columns stiff as the outline has of the area
-that can be touched, so that it needs no knowledge of the cover. A turned over object has nearly the same outline mirrored: unless it may lie so, it is not asked.
+on a grid first, then by a shrinking random search. The threshold leaves as large a share of the columns stiff as the
+outline has of the area that can be touched, so that it needs no knowledge of the cover. A turned over object has nearly
+the same outline mirrored: unless it may lie so, it is not asked.
 """
 
 from __future__ import annotations
@@ -28,19 +30,23 @@ def outline(known: KnownObject) -> float:
     return float(known.inside.any(axis=2).sum()) * known.cell**2
 
 
-def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float, turned: bool = False, refine: int = 400,
+def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float,
+               turned: bool = False, refine: int = 400,
                seed: int = 0) -> Pose:
     """The pose that best explains the stiffness of columns.
 
     Args:
-        known: the object, lying as in its own frame, or turned over about its x axis. columns: places (n, 2) [m], world. stiffness: of each, >= 0 (n,).
-        area: that can be touched [m^2]. top: z of the object's upper side [m]. turned: it may lie on its other face. refine: steps of the random search. seed: of it.
+        known: the object, lying as in its own frame, or turned over about its x axis. columns: places (n, 2) [m],
+        world. stiffness: of each, >= 0 (n,).
+        area: that can be touched [m^2]. top: z of the object's upper side [m]. turned: it may lie on its other face.
+        refine: steps of the random search. seed: of it.
 
     Raises:
         VsfError: fewer than 10 columns, or all of one stiffness.
     """
     if len(columns) < 10 or not np.ptp(stiffness) > 0.0:
-        raise VsfError(f"vsf.lying: {len(columns)} columns of stiffnesses {np.min(stiffness, initial=0.0):g} to {np.max(stiffness, initial=0.0):g} tell nothing of where an object lies; touch more.")
+        raise VsfError(f"vsf.lying: {len(columns)} columns of stiffnesses {np.min(stiffness, initial=0.0):g} to "
+                       f"{np.max(stiffness, initial=0.0):g} tell nothing of where an object lies; touch more.")
     share = min(outline(known) / area, _MOST_STIFF)
     cut = float(np.quantile(stiffness, 1.0 - share))
     if not cut > 0.0:
@@ -71,7 +77,8 @@ def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     for step in range(refine):
         size = 20.0 ** (-step / max(refine, 1))
-        trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1], best[2] + _STEP * size * rng.standard_normal(2))
+        trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1],
+                 best[2] + _STEP * size * rng.standard_normal(2))
         found = float(covered(trial[0], trial[1], trial[2][None])[0])
         if found >= most:
             best, most = trial, found

@@ -1,7 +1,10 @@
-"""A touch: frame after frame, each in strides that nothing can be jumped in, retried in shorter ones, its forces written out.
+"""A touch: frame after frame, each in strides that nothing can be jumped in, retried in shorter ones, its forces
+written out.
 
-A launch goes on until every touch has used up its share of Newton iterations, on a GPU until its time is up, so that no touch waits long for a harder one, and the next launch goes on where it stopped,
-in the middle of a frame if need be: the bits do not depend on it. On a GPU one warp works on a touch, see `lanes`. Where the arm is in a frame, and when it turns back, says `guard`.
+A launch goes on until every touch has used up its share of Newton iterations, on a GPU until its time is up, so that no
+touch waits long for a harder one, and the next launch goes on where it stopped,
+in the middle of a frame if need be: the bits do not depend on it. On a GPU one warp works on a touch, see `lanes`.
+Where the arm is in a frame, and when it turns back, says `guard`.
 """
 
 import warp as wp
@@ -22,7 +25,9 @@ STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two 
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
 DEEP = wp.constant(wp.float64(1e-3))  # m: what is further inside a link may come out on its wrong side
 ASTRAY = wp.constant(6)  # frames.Reason
-REGISTERS = 128  # of a thread on a GPU: 16 warps a multiprocessor instead of the 8 of the compiler's 255; 1.6 times the readings a second of easy touches on an H200
+# of a thread on a GPU: 16 warps a multiprocessor instead of the 8 of the compiler's 255; 1.6 times the readings a
+# second of easy touches on an H200
+REGISTERS = 128
 WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # of a frame, but for rounding
 
 
@@ -79,7 +84,8 @@ def settle(tree: Trees, touch: Touches, w: Work, at: Here, side: int, count: int
                 y = point_at(tree.along[j], tree.offset[j], w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i])
                 gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
                 if gap.value < ZERO:
-                    through = 1  # a soft leaf, bent by less than the tolerance, would go back through a link: it stays as it is
+                    # a soft leaf, bent by less than the tolerance, would go back through a link: it stays as it is
+                    through = 1
         if count_all(through) == 0:
             kept = 0
         else:
@@ -97,7 +103,8 @@ def settle(tree: Trees, touch: Touches, w: Work, at: Here, side: int, count: int
 
 @wp.func
 def report(tree: Trees, touch: Touches, w: Work, out: Results, at: Here, t: int, side: int, count: int):
-    """Forces on the capsules and the pot, and the audit of a frame. The sum of the contact forces [N], the deepest penetration [m] and how many samples touch."""
+    """Forces on the capsules and the pot, and the audit of a frame. The sum of the contact forces [N], the deepest
+    penetration [m] and how many samples touch."""
     b = at.b
     o = at.o
     pressed = ZERO
@@ -118,7 +125,8 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, at: Here, t: int,
         gap = gap_of(y, tree.radius[j], cx, w.cap_q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
             fn = -normal_force(-gap.value, tree.penalty[j]) * gap.normal
-            at_root = wp.where(p == 0, ONE - tree.along[j], ZERO)  # the share of it that the clamp takes without bending anything
+            # the share of it that the clamp takes without bending anything
+            at_root = wp.where(p == 0, ONE - tree.along[j], ZERO)
             lp = wp.quat_rotate(w.q[b, p], tree.offset[j])
             root_f = root_f + at_root * fn
             root_m = root_m + at_root * wp.cross(lp, fn)
@@ -166,7 +174,8 @@ def report(tree: Trees, touch: Touches, w: Work, out: Results, at: Here, t: int,
     deepest = most(deepest)
     touching = count_all(touching)
     slipping = count_all(slipping)
-    root = six(vec3(total(root_f[0]), total(root_f[1]), total(root_f[2])), vec3(total(root_m[0]), total(root_m[1]), total(root_m[2])))
+    root = six(vec3(total(root_f[0]), total(root_f[1]), total(root_f[2])),
+               vec3(total(root_m[0]), total(root_m[1]), total(root_m[2])))
     if at.lane == 0:
         out.reaction[b, t] = root
         out.energy[b, t] = stored
@@ -272,7 +281,8 @@ def advance(
                 w.side[b] = side
         else:
             pressed, deepest, touching = report(tree, touch, w, out, at, t, side, count)
-            # a frame that failed may leave a leaf in a link, where it can find an equilibrium pierced, or come out on the other side: such frames are marked until nothing touches any more
+            # a frame that failed may leave a leaf in a link, where it can find an equilibrium pierced, or come out on
+            # the other side: such frames are marked until nothing touches any more
             if deepest > DEEP or lost == 1:
                 astray = 1
             elif touching == 0 and reason == 0:

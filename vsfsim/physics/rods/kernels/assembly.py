@@ -1,6 +1,7 @@
 """Gradient and second derivative of the potential at a state, and the model that Newton's step minimises.
 
-What contacts say is worked out contact by contact, what segments say segment by segment, and a node gathers from its own segment and those above it: nothing is added up by two lanes at once.
+What contacts say is worked out contact by contact, what segments say segment by segment, and a node gathers from its
+own segment and those above it: nothing is added up by two lanes at once.
 """
 
 import warp as wp
@@ -46,7 +47,8 @@ vec6 = wp.spatial_vectord
 
 @wp.func
 def renew(tree: Trees, touch: Touches, w: Work, at: Here, side: int):
-    """Limits, normals, anchors of friction, levers and forces of all contacts at the present state. The sum of the contact forces [N]."""
+    """Limits, normals, anchors of friction, levers and forces of all contacts at the present state. The sum of the
+    contact forces [N]."""
     b = at.b
     pressed = ZERO
     mu = touch.friction[b]
@@ -103,7 +105,8 @@ def renew(tree: Trees, touch: Touches, w: Work, at: Here, side: int):
 
 
 @wp.func
-def contact_energy(tree: Trees, touch: Touches, w: Work, at: Here, side: int, x: wp.array2d(dtype=vec3), q: wp.array2d(dtype=quat)):
+def contact_energy(tree: Trees, touch: Touches, w: Work, at: Here, side: int, x: wp.array2d(dtype=vec3),
+                   q: wp.array2d(dtype=quat)):
     """This lane's share of the energy of the contacts, the limits of friction as `renew` left them [J]."""
     b = at.b
     out = ZERO
@@ -179,7 +182,8 @@ def assemble(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: i
 
 @wp.func
 def harden(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts; all of the model is stale then. One that does not press stands in the way as a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
+    """Second derivatives of the contacts; all of the model is stale then. One that does not press stands in the way as
+    a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
     b = at.b
     for a in range(1 + at.lane, count, at.lanes):
         w.stale[b, w.order[b, a]] = 2
@@ -297,7 +301,8 @@ def model(tree: Trees, w: Work, at: Here, count: int, side: int, geometric: real
 
 @wp.func
 def foresee(tree: Trees, w: Work, at: Here, tall: int, count: int, side: int):
-    """Sets on what the step would press, off what it would leave, and marks what of the model is stale then. How many contacts changed."""
+    """Sets on what the step would press, off what it would leave, and marks what of the model is stale then. How many
+    contacts changed."""
     b = at.b
     changed = int(0)
     for a in range(1 + at.lane, count, at.lanes):

@@ -1,7 +1,9 @@
-"""Newton's step of a tree: elimination of 6 x 6 blocks from the tips to the root and back, which costs as many blocks as there are nodes.
+"""Newton's step of a tree: elimination of 6 x 6 blocks from the tips to the root and back, which costs as many blocks
+as there are nodes.
 
-Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a lane each, which all eliminate the node's block for themselves. The loops over
-a block are plain C++, which the compilers unroll: on a GPU a block then stays in registers.
+Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a
+lane each, which all eliminate the node's block for themselves. The loops over a block are plain C++, which the
+compilers unroll: on a GPU a block then stays in registers.
 """
 
 import warp as wp
@@ -141,10 +143,12 @@ COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
 #endif
     return fine;
 """)
-def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32), diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
-              across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
-    """Node ``i`` after its children: the inverse of its block on the column. 1, or 0 where the block is not positive definite; if it is not ``symmetric``, rows are exchanged for the largest pivot, and 0 says
-    that one is lost."""
+def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), active: wp.array2d(dtype=wp.int32),
+              diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
+              across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
+              held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
+    """Node ``i`` after its children: the inverse of its block on the column. 1, or 0 where the block is not positive
+    definite; if it is not ``symmetric``, rows are exchanged for the largest pivot, and 0 says that one is lost."""
     ...
 
 
@@ -160,14 +164,16 @@ def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), a
         out[r] = v;
     }
 """)
-def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), step: wp.array2d(dtype=vec6), b: int, p: int, i: int):
+def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), step: wp.array2d(dtype=vec6), b: int,
+               p: int, i: int):
     """The step of node ``i`` after that of its parent ``p``."""
     ...
 
 
 @wp.func
 def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
-    """The step of all active nodes into ``w.step``; nodes that are not stale keep what elimination left of them before. 1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
+    """The step of all active nodes into ``w.step``; nodes that are not stale keep what elimination left of them before.
+    1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
     b = at.b
     column = int(0)
     begin = int(0)
@@ -184,7 +190,8 @@ def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
                 i = w.order[b, a]
                 if w.stale[b, i] == 0:
                     continue
-                if eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.right, w.passed, w.held, b, at.o, i, column, 1 - coulomb) == 0:
+                if eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.right, w.passed,
+                             w.held, b, at.o, i, column, 1 - coulomb) == 0:
                     lost = lost + 1
         meet()
     if count_all(lost) > 0:

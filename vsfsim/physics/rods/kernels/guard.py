@@ -1,11 +1,16 @@
 """Where the arm is in each frame, and what it does before the force limit.
 
-Poses stand along the way in; a frame is at a number of them, `at`, which may be a fraction: between poses the tool goes along the cubic through four of them. A planned frame is at the plan's number. A guarded touch
-(`Touches.guarded`) whose next frame would pass the force limit goes back to the last equilibrium under it and creeps on from there, a quarter as far a frame, and again, down to a 64th; it speeds up again
-while the force is under half the limit. Then it stands still and goes back the way it came to where it first met the plant, in as many frames as are left: how far frames are apart follows from their number, which stays.
-The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes back from the last one. On the way back such frames go on, marked, each stride tried once. After a frame that
-left a link inside the plant, or took too long, the next one begins at the last equilibrium, too, five times on end at most.
-On the way back there is nowhere to turn to: an arm that hooks a branch there comes to its protective stop, and the touch ends before the frame past it.
+Poses stand along the way in; a frame is at a number of them, `at`, which may be a fraction: between poses the tool goes
+along the cubic through four of them. A planned frame is at the plan's number. A guarded touch (`Touches.guarded`) whose
+next frame would pass the force limit goes back to the last equilibrium under it and creeps on from there, a quarter as
+far a frame, and again, down to a 64th; it speeds up again while the force is under half the limit. Then it stands still
+and goes back the way it came to where it first met the plant, in as many frames as are left: how far frames are apart
+follows from their number, which stays.
+The same is done where several frames on end found no equilibrium: from there on nothing can be told, and the arm goes
+back from the last one. On the way back such frames go on, marked, each stride tried once. After a frame that left a
+link inside the plant, or took too long, the next one begins at the last equilibrium, too, five times on end at most.
+On the way back there is nowhere to turn to: an arm that hooks a branch there comes to its protective stop, and the
+touch ends before the frame past it.
 """
 
 import warp as wp
@@ -21,12 +26,15 @@ AS_PLANNED, CREEPING, BACK = (wp.constant(k) for k in range(3))  # phases
 SLOWER = wp.constant(wp.float64(0.25))  # pace after the limit was passed
 SLOWEST = wp.constant(wp.float64(1.0 / 64.0))  # pace: 0.04 mm a frame where poses are 2.3 mm apart
 HOPELESS = wp.constant(5)  # frames on end without an equilibrium, after which the arm turns back
-PROTECTIVE = wp.constant(wp.float64(1.25))  # of the force limit: the arm's protective stop on the way back; friction that turns round there takes an honest touch up to 1.1 of it
+# of the force limit: the arm's protective stop on the way back; friction that turns round there takes an honest touch
+# up to 1.1 of it
+PROTECTIVE = wp.constant(wp.float64(1.25))
 
 
 @wp.func
 def pose_at(touch: Touches, b: int, k: int, s: real):
-    """Place and turn of capsule ``k`` at number ``s`` of the way: at a pose its own bits, between two the cubic through the four around them (Lagrange)."""
+    """Place and turn of capsule ``k`` at number ``s`` of the way: at a pose its own bits, between two the cubic through
+    the four around them (Lagrange)."""
     i = int(wp.floor(s))
     x = touch.place[b, i, k]
     q = touch.turn[b, i, k]
@@ -61,7 +69,8 @@ def pose_at(touch: Touches, b: int, k: int, s: real):
 
 @wp.func
 def capsules_at(touch: Touches, w: Work, at: Here, before: real, goal: real, from_part: real, part: real):
-    """Poses of the capsules a part of the way from ``before`` to ``goal``, and of the step's start. Their longest way of all, from the one to the other [m]."""
+    """Poses of the capsules a part of the way from ``before`` to ``goal``, and of the step's start. Their longest way
+    of all, from the one to the other [m]."""
     b = at.b
     way = ZERO
     for k in range(at.lane, touch.half.shape[0], at.lanes):
@@ -80,7 +89,8 @@ def capsules_at(touch: Touches, w: Work, at: Here, before: real, goal: real, fro
 
 
 @wp.func
-def copy_all(at: Here, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat), x_out: wp.array2d(dtype=vec3), q_out: wp.array2d(dtype=quat)):
+def copy_all(at: Here, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat), x_out: wp.array2d(dtype=vec3),
+             q_out: wp.array2d(dtype=quat)):
     """All nodes of one state to another."""
     for i in range(at.lane, at.n, at.lanes):
         x_out[at.b, i] = x_in[at.b, i]
@@ -90,7 +100,8 @@ def copy_all(at: Here, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat
 
 @wp.func
 def where_to(touch: Touches, w: Work, at: Here, t: int):
-    """Number on the way at which frame ``t`` is; one that creeps turns back here when the way, or the frames for it, are over."""
+    """Number on the way at which frame ``t`` is; one that creeps turns back here when the way, or the frames for it,
+    are over."""
     b = at.b
     frames = touch.frames[b]
     phase = w.phase[b]
@@ -149,10 +160,15 @@ def restore(w: Work, at: Here, side: int):
 
 
 @wp.func
-def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pressed: real, touching: int, reason: int, astray: int):
-    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if the state went back to one that was good, as it does where a link got into the plant (``astray``); 1 if the arm stops for good.
+def watch(touch: Touches, w: Work, at: Here, t: int, goal: real, side: int, pressed: real, touching: int, reason: int,
+          astray: int):
+    """After frame ``t`` at ``goal``: what the guard does. 1 if the frame is kept, 0 if it is done again elsewhere; 1 if
+    the state went back to one that was good, as it does where a link got into the plant (``astray``); 1 if the arm
+    stops for good.
 
-    The first frame is taken as good: the arm starts clear of the plant. A frame that found no equilibrium has no force that a stop could be told from; it is marked, and only where several on end are past the stop's force the arm does stop.
+    The first frame is taken as good: the arm starts clear of the plant. A frame that found no equilibrium has no force
+    that a stop could be told from; it is marked, and only where several on end are past the stop's force the arm does
+    stop.
     """
     b = at.b
     phase = w.phase[b]

@@ -1,7 +1,9 @@
 """The lanes that one touch is worked on by: the 32 threads of a GPU's warp, or one thread of a CPU.
 
-All lanes of a touch run through the same code; a loop over nodes or contacts is shared out, lane k takes every 32nd from k on, and `meet` stands between what is written and what other lanes read.
-A decision is taken on numbers that all lanes have alike, so none of them ever waits alone. Sums over lanes have a fixed order: the same bits on every run.
+All lanes of a touch run through the same code; a loop over nodes or contacts is shared out, lane k takes every 32nd
+from k on, and `meet` stands between what is written and what other lanes read.
+A decision is taken on numbers that all lanes have alike, so none of them ever waits alone. Sums over lanes have a fixed
+order: the same bits on every run.
 A block is one touch, so Warp's barrier of a block is all that is needed; with one lane everything here is nothing.
 """
 
@@ -27,7 +29,8 @@ def meet():
 
 
 def _folded(kind: str, join: str) -> str:
-    """A number of every lane joined in a butterfly; on a CPU with more than one lane (tests) through a box that they share."""
+    """A number of every lane joined in a butterfly; on a CPU with more than one lane (tests) through a box that they
+    share."""
     return f"""
     {kind} v = x;
 #if defined(__CUDA_ARCH__)
@@ -109,5 +112,6 @@ def ahead(x: wp.int32) -> wp.int32:
 #endif
 """)
 def late(clock: wp.array(dtype=wp.uint64), span: wp.int64) -> wp.int32:
-    """1 once ``span`` [ns] have gone since the launch first asked; ``clock`` (1,) is 0 before it. On a CPU, and without a span, never: there the iterations are counted. It decides where a launch stops, no bit depends on it."""
+    """1 once ``span`` [ns] have gone since the launch first asked; ``clock`` (1,) is 0 before it. On a CPU, and without
+    a span, never: there the iterations are counted. It decides where a launch stops, no bit depends on it."""
     ...

@@ -13,11 +13,14 @@ from vsfsim.physics.rods.state import Here, Touches, Trees, Work
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be listed [m]
-MOVE = wp.constant(wp.float64(0.85))  # longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is under half of the thinnest
+# longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is
+# under half of the thinnest
+MOVE = wp.constant(wp.float64(0.85))
 TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
 BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
 HALVINGS = wp.constant(12)
-SHRINK = wp.constant(wp.float64(0.25))  # least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
+# least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
+SHRINK = wp.constant(wp.float64(0.25))
 TRIES = wp.constant(3)  # lengths that such a step is tried at
 CAREFUL = wp.constant(2)  # steps down the potential after one that was taken back
 OK, ITERATIONS, STALLED, NOT_FINITE, PATCH = (wp.constant(k) for k in (0, 1, 3, 4, 5))  # frames.Reason
@@ -58,7 +61,8 @@ def rates(tree: Trees, w: Work, at: Here, count: int):
 
 @wp.func
 def soften(tree: Trees, w: Work, at: Here, tall: int, bend: real):
-    """A segment that would bend further than ``bend`` [rad] bends that far, and what is above it goes with it: soft leaves shall not hold up the branch that they hang on. The step is changed."""
+    """A segment that would bend further than ``bend`` [rad] bends that far, and what is above it goes with it: soft
+    leaves shall not hold up the branch that they hang on. The step is changed."""
     b = at.b
     for d in range(1, tall):
         for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
@@ -74,13 +78,15 @@ def soften(tree: Trees, w: Work, at: Here, tall: int, bend: real):
                 rate = (bend / size) * rate
             spin = on_p + HALF * e - HALF * wp.cross(w.half_turn[b, i], e)
             w.rate[b, i] = rate
-            w.step[b, i] = six(wp.spatial_top(up) + wp.quat_rotate(mid, rate + wp.cross(spin, w.stretch[b, i])), wp.quat_rotate(mid, on_p + e))
+            w.step[b, i] = six(wp.spatial_top(up) + wp.quat_rotate(mid, rate + wp.cross(spin, w.stretch[b, i])),
+                               wp.quat_rotate(mid, on_p + e))
         meet()
 
 
 @wp.func
 def extent(w: Work, at: Here, count: int):
-    """Slope of the potential along the step [J], the longest way of a node or its riders over the room that they have [-], the largest turn [rad]."""
+    """Slope of the potential along the step [J], the longest way of a node or its riders over the room that they have
+    [-], the largest turn [rad]."""
     b = at.b
     slope = ZERO
     way = ZERO
@@ -97,10 +103,12 @@ def extent(w: Work, at: Here, count: int):
 
 @wp.func
 def attempt(tree: Trees, w: Work, at: Here, count: int, tall: int, alpha: real, weighs: int):
-    """The trial state at ``alpha`` of the step, and this lane's share of its elastic energy less the work of the loads [J].
+    """The trial state at ``alpha`` of the step, and this lane's share of its elastic energy less the work of the loads
+    [J].
 
-    Nodes turn by their spins, each segment's D goes a part of its D', and positions follow from the root: a slender segment is then not stretched by turning, as it
-    would be if positions went straight. The path has the step as its tangent, which is all that a line search needs.
+    Nodes turn by their spins, each segment's D goes a part of its D', and positions follow from the root: a slender
+    segment is then not stretched by turning, as it would be if positions went straight. The path has the step as its
+    tangent, which is all that a line search needs.
     """
     b = at.b
     o = at.o
@@ -133,7 +141,8 @@ def attempt(tree: Trees, w: Work, at: Here, count: int, tall: int, alpha: real, 
 
 
 @wp.func
-def copy_state(w: Work, at: Here, count: int, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat), x_out: wp.array2d(dtype=vec3), q_out: wp.array2d(dtype=quat)):
+def copy_state(w: Work, at: Here, count: int, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat),
+               x_out: wp.array2d(dtype=vec3), q_out: wp.array2d(dtype=quat)):
     """Active nodes of one state to another: the trial that is taken, the state to come back to, and the way back."""
     for a in range(1 + at.lane, count, at.lanes):
         i = w.order[at.b, a]
@@ -143,8 +152,10 @@ def copy_state(w: Work, at: Here, count: int, x_in: wp.array2d(dtype=vec3), q_in
 
 
 @wp.func
-def step(tree: Trees, touch: Touches, w: Work, at: Here, count: int, tall: int, side: int, geometric: real, coulomb: int, sets: int):
-    """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at most. 1, or 0 where there is none."""
+def step(tree: Trees, touch: Touches, w: Work, at: Here, count: int, tall: int, side: int, geometric: real,
+         coulomb: int, sets: int):
+    """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at
+    most. 1, or 0 where there is none."""
     fine = int(0)
     harden(tree, touch, w, at, count, side, geometric, coulomb)
     for _pick in range(sets):
@@ -159,9 +170,11 @@ def step(tree: Trees, touch: Touches, w: Work, at: Here, count: int, tall: int, 
 
 @wp.func
 def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, weighs: int, load: real):
-    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations, residual, active nodes.
+    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations,
+    residual, active nodes.
 
-    Each large function is called in one place only, and a step that failed comes round again by another turn of the loop: CUDA's compiler takes in what is called, once for each place.
+    Each large function is called in one place only, and a step that failed comes round again by another turn of the
+    loop: CUDA's compiler takes in what is called, once for each place.
     """
     b = at.b
     count = int(0)
@@ -212,7 +225,8 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
         else:
             rest = unbalanced(tree, w, at, count)
             if tried > 0 and not rest < (ONE - SHRINK * part) * before:
-                # no potential vouches for the step with friction that follows the normal force, so the unbalanced force must shrink; else back, and at last down the potential
+                # no potential vouches for the step with friction that follows the normal force, so the unbalanced force
+                # must shrink; else back, and at last down the potential
                 copy_state(w, at, count, w.x_keep, w.q_keep, w.x, w.q)
                 if tried < TRIES:
                     tried = tried + 1

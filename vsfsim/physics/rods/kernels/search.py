@@ -1,6 +1,7 @@
 """Which samples are near which capsules, and which part of the tree can be loaded: only that part is solved.
 
-A sub-tree that nothing touches carries no load, so it rides on its joint undeformed: exact, not an approximation, where the plant weighs nothing.
+A sub-tree that nothing touches carries no load, so it rides on its joint undeformed: exact, not an approximation, where
+the plant weighs nothing.
 """
 
 import warp as wp
@@ -33,8 +34,10 @@ def ride(tree: Trees, w: Work, at: Here):
 
 
 @wp.func
-def surface_point(tree: Trees, w: Work, b: int, p: int, i: int, j: int, lever: vec3, xp: vec3, qp: quat, xc: vec3, qc: quat):
-    """The sample's point on the branch's surface, ``lever`` from it at the step's start, carried along by both nodes."""
+def surface_point(tree: Trees, w: Work, b: int, p: int, i: int, j: int, lever: vec3, xp: vec3, qp: quat, xc: vec3,
+                  qc: quat):
+    """The sample's point on the branch's surface, ``lever`` from it at the step's start, carried along by both
+    nodes."""
     s = tree.along[j]
     lp = wp.quat_rotate(qp, wp.quat_rotate_inv(w.q_start[b, p], lever))
     lc = wp.quat_rotate(qc, wp.quat_rotate_inv(w.q_start[b, i], lever))
@@ -73,7 +76,8 @@ def capsules_near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin
         far = around + touch.radius[k]
         if wp.length(mid - cx) - far - touch.half[k] < clear:
             local = wp.quat_rotate_inv(w.cap_q[b, k], mid - cx)
-            apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k], touch.half[k]))) - far
+            apart = wp.length(vec3(local[0], local[1], local[2] - wp.clamp(local[2], -touch.half[k],
+                                                                           touch.half[k]))) - far
             clear = wp.min(clear, apart)
             if apart < margin:
                 which = which | (1 << k)
@@ -82,8 +86,10 @@ def capsules_near(tree: Trees, touch: Touches, w: Work, at: Here, i: int, margin
 
 
 @wp.func
-def enlist(tree: Trees, touch: Touches, w: Work, at: Here, i: int, k: int, margin: real, old: int, new: int, begin: int):
-    """Puts the samples of segment ``i`` nearer to capsule ``k`` than ``margin`` into the list from ``begin`` on, as far as there is room; how many they are. The lanes share the samples: a leaf has hundreds."""
+def enlist(tree: Trees, touch: Touches, w: Work, at: Here, i: int, k: int, margin: real, old: int, new: int,
+           begin: int):
+    """Puts the samples of segment ``i`` nearer to capsule ``k`` than ``margin`` into the list from ``begin`` on, as far
+    as there is room; how many they are. The lanes share the samples: a leaf has hundreds."""
     b = at.b
     m = begin
     p = tree.parent[at.o + i]
@@ -116,7 +122,8 @@ def enlist(tree: Trees, touch: Touches, w: Work, at: Here, i: int, k: int, margi
                 stuck = wp.min(w.stuck[old, b, there], 1)
                 w.anchor[new, b, place] = w.anchor[old, b, there]
             w.stuck[new, b, place] = stuck
-            y0 = point_at(tree.along[j], tree.offset[j], w.x_start[b, p], w.q_start[b, p], w.x_start[b, i], w.q_start[b, i])
+            y0 = point_at(tree.along[j], tree.offset[j], w.x_start[b, p], w.q_start[b, p], w.x_start[b, i],
+                          w.q_start[b, i])
             gap0 = gap_of(y0, tree.radius[j], w.cap_x_start[b, k], w.cap_q_start[b, k], touch.half[k], touch.radius[k])
             lever = -tree.radius[j] * gap0.normal
             w.lever[new, b, place] = lever
@@ -129,8 +136,9 @@ def enlist(tree: Trees, touch: Touches, w: Work, at: Here, i: int, k: int, margi
 
 @wp.func
 def gather(tree: Trees, touch: Touches, w: Work, at: Here, margin: real, old: int, new: int):
-    """Lists all pairs of sample and capsule nearer than ``margin``, in the order of their keys; those of the list ``old`` keep their anchors. ``w.clear``: how far each segment is from all
-    capsules, a lower bound. The number of pairs, or -1 if there is no room."""
+    """Lists all pairs of sample and capsule nearer than ``margin``, in the order of their keys; those of the list
+    ``old`` keep their anchors. ``w.clear``: how far each segment is from all capsules, a lower bound. The number of
+    pairs, or -1 if there is no room."""
     b = at.b
     for i in range(1 + at.lane, at.n, at.lanes):
         w.many[b, i] = capsules_near(tree, touch, w, at, i, margin)
@@ -161,7 +169,8 @@ def gather(tree: Trees, touch: Touches, w: Work, at: Here, margin: real, old: in
 
 @wp.func
 def activate(tree: Trees, w: Work, at: Here, weighs: int):
-    """Marks the nodes between the root and whatever is near a capsule, strained, or heavy; lists them level by level. How many, and how many levels."""
+    """Marks the nodes between the root and whatever is near a capsule, strained, or heavy; lists them level by level.
+    How many, and how many levels."""
     b = at.b
     o = at.o
     for back in range(1, at.high + 1):

@@ -4,18 +4,21 @@
     phi = log(Rp^T Rc)  (in the segment's frame F),   d = (Rm F)^T (xc - xp) - L e1,   Rm = Rp exp(phi / 2)
     Kd = diag(E A, S2, S3) / L,  Kphi = diag(G J, E I2, E I3) / L,  1/S = 1/(k G A) + L^2 / (12 E I)
 
-The strain measures are Simo's and Reissner's (Reissner 1972; Simo and Vu-Quoc 1986) at the middle of the segment, invariant to rigid motions of any
-size (Crisfield and Jelenic 1999). One point of integration cannot lock in shear; the compliance L^2 / (12 E I) that it leaves out is put into S (MacNeal
-1978), so that at small strain the nodes of a straight beam are exact for loads at nodes, at any slenderness: G A may be infinite (Kirchhoff's rod).
+The strain measures are Simo's and Reissner's (Reissner 1972; Simo and Vu-Quoc 1986) at the middle of the segment,
+invariant to rigid motions of any size (Crisfield and Jelenic 1999). One point of integration cannot lock in shear; the
+compliance L^2 / (12 E I) that it leaves out is put into S (MacNeal 1978), so that at small strain the nodes of a
+straight beam are exact for loads at nodes, at any slenderness: G A may be infinite (Kirchhoff's rod).
 
-Node rotations are the identity at rest, so a joint of several segments is rigid by itself. Spins are spatial: R <- exp(spin) R. In the middle frame
-a and b are the spins of the two ends, e = b - a, psi = phi / 2, tau = tan(|psi| / 2) / |psi|, g = tau psi, and
+Node rotations are the identity at rest, so a joint of several segments is rigid by itself. Spins are spatial: R <-
+exp(spin) R. In the middle frame a and b are the spins of the two ends, e = b - a, psi = phi / 2, tau = tan(|psi| / 2) /
+|psi|, g = tau psi, and
 
     phi' = C e,  C = c I + k psi psi^T,  c = |psi| / sin |psi|,  k = (1 - c) / |psi|^2
     w = (a + b) / 2 - g x e / 2        the spin of the middle frame
     d' = v' - w x D,                   D = d + L e1
 
-The second derivative along a path of constant spins follows by differentiating these once more; it is a form in (v', w, e).
+The second derivative along a path of constant spins follows by differentiating these once more; it is a form in (v', w,
+e).
 """
 
 import warp as wp
@@ -105,7 +108,8 @@ def times_c(s: Strain, mu: vec3):
 
 @wp.func(inline=False)
 def gradient(s: Strain, kd: vec3, kphi: vec3):
-    """Force on the child's node, and moments on the child's and the parent's, in the world; the force on the parent's is minus the first."""
+    """Force on the child's node, and moments on the child's and the parent's, in the world; the force on the parent's
+    is minus the first."""
     q = wp.cw_mul(kd, s.d)
     cmu = times_c(s, wp.cw_mul(kphi, s.phi))
     m = wp.cross(q, s.D)

@@ -3,11 +3,12 @@
     Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
     Pi_t = Huber(k |u_t|; tau): k u^2/2 while k u <= tau, else tau u - tau^2 / (2 k)
 
-y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch around it. The penalty k hardens at h = 1 mm, so that soft
-leaves may have a soft one, which Newton's method wants, and are still not gone through. Friction acts
-on the surface, y_s = y - r n with the n of the step's start carried along by the nodes, so a branch may roll. tau = mu dPi_n/dp is renewed in every Newton iteration and
-is a constant for its line search (a sequence of Tresca problems). u_t is the way of y_s over the capsule from where it stuck; a point that
-comes into contact within the step sticks where its straight way met the surface, as the first iterate inside has it.
+y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch
+around it. The penalty k hardens at h = 1 mm, so that soft leaves may have a soft one, which Newton's method wants, and
+are still not gone through. Friction acts on the surface, y_s = y - r n with the n of the step's start carried along by
+the nodes, so a branch may roll. tau = mu dPi_n/dp is renewed in every Newton iteration and is a constant for its line
+search (a sequence of Tresca problems). u_t is the way of y_s over the capsule from where it stuck; a point that comes
+into contact within the step sticks where its straight way met the surface, as the first iterate inside has it.
 """
 
 import warp as wp
@@ -23,7 +24,8 @@ HARD = wp.constant(wp.float64(1e-3))
 
 @wp.struct
 class Gap:
-    """value: [m]. normal: from the capsule to the point, world. away: distance from the capsule's axis [m]. axis: its direction, or 0 at a cap."""
+    """value: [m]. normal: from the capsule to the point, world. away: distance from the capsule's axis [m]. axis: its
+    direction, or 0 at a cap."""
 
     value: wp.float64
     normal: wp.vec3d
@@ -140,8 +142,10 @@ def turn_hessian(f: vec3, lever: vec3):
     }
     return out;
 """)
-def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.vec3d, weight: wp.float64) -> wp.spatial_matrixd:
-    """``to`` and J_r^T h J_c for points that move with nodes by the levers ``row`` and ``column``: four 3 x 3 blocks as a 6 x 6, times ``weight``."""
+def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.vec3d,
+               weight: wp.float64) -> wp.spatial_matrixd:
+    """``to`` and J_r^T h J_c for points that move with nodes by the levers ``row`` and ``column``: four 3 x 3 blocks as
+    a 6 x 6, times ``weight``."""
     ...
 
 

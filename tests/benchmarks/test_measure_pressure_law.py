@@ -19,7 +19,8 @@ TURN = np.diag([1.0, -1.0, -1.0])  # the dome looks down, as the press goes
 
 
 def bubble_view(index, *, nodes=True, per_newton=165.0):
-    """A mock view whose sensor reads ``per_newton`` Pa for each N of all its nodes' forces added up: two nodes of 0.8 and 0.2 of the force, one slanted."""
+    """A mock view whose sensor reads ``per_newton`` Pa for each N of all its nodes' forces added up: two nodes of 0.8
+    and 0.2 of the force, one slanted."""
     touches = []
     for touch in mock_view(index, split="test", touches=5).touches:
         pose = touch.mount_pose.copy()
@@ -31,13 +32,15 @@ def bubble_view(index, *, nodes=True, per_newton=165.0):
         position = np.stack([pose[:, :3, 3] + [0.01, 0.0, 0.02], pose[:, :3, 3] + [0.02, 0.0, 0.02]], axis=1)
         change = per_newton * np.linalg.norm(force, axis=2).sum(axis=1)
         more = {"node_force": force.astype(np.float32), "node_position": position.astype(np.float32)} if nodes else {}
-        touches.append(dataclasses.replace(touch, mount_pose=pose, pressure=7000.0 + change, rest_pressure=7000.0, **more))
+        touches.append(dataclasses.replace(touch, mount_pose=pose, pressure=7000.0 + change, rest_pressure=7000.0,
+                                           **more))
     return dataclasses.replace(mock_view(index, split="test", touches=5), touches=tuple(touches))
 
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=5, splits={"test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=5, splits={"test": 2},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
     views = [bubble_view(i) for i in range(2)]
     with DatasetWriter(tmp_path_factory.mktemp("law") / "bubble", recipe, [v.name for v in views]) as writer:
         for view in views:
@@ -53,7 +56,9 @@ def test_a_law_by_hand():
     assert x.bias == pytest.approx((600 - 620) / 620)
     assert x.rms == pytest.approx(np.sqrt((100 + 100 + 400) / 3))
     left = best * force - change
-    assert x.scatter == pytest.approx(left.std()) and x.relative == pytest.approx(left.std() / np.sqrt((110**2 + 190**2 + 320**2) / 3))
+    assert x.scatter == pytest.approx(left.std()) and x.relative == pytest.approx(left.std()
+                                                                                  / np.sqrt((110**2 + 190**2 + 320**2)
+                                                                                            / 3))
 
 
 def test_the_true_law_has_no_scatter_and_the_other_is_told_apart(dataset, tmp_path):
@@ -91,7 +96,8 @@ def test_frames_without_contact_or_equilibrium_do_not_count():
     before = len(readings([dataclasses.replace(view, touches=(touch,))]).change)
     assert before == len(used) < len(converged)
     converged[used[0]] = False
-    assert len(readings([dataclasses.replace(view, touches=(dataclasses.replace(touch, converged=converged),))]).change) == before - 1
+    assert len(readings([dataclasses.replace(view, touches=(dataclasses.replace(touch, converged=converged),
+                                                            ))]).change) == before - 1
 
 
 def test_a_rigid_probe_is_refused():
@@ -100,7 +106,8 @@ def test_a_rigid_probe_is_refused():
 
 
 def test_the_command(dataset, tmp_path):
-    done = CliRunner().invoke(app, ["bench", "pressure-law", str(dataset.path), "--plot", str(tmp_path / "x.png"), "--json", str(tmp_path / "x.json")])
+    done = CliRunner().invoke(app, ["bench", "pressure-law", str(dataset.path), "--plot", str(tmp_path / "x.png"),
+                                    "--json", str(tmp_path / "x.json")])
     assert done.exit_code == 0, done.output
     assert "F_n / A_base" in done.output and (tmp_path / "x.png").stat().st_size > 1000
     assert json.loads((tmp_path / "x.json").read_text())["touches"] > 5

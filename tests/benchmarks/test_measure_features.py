@@ -15,7 +15,8 @@ from vsfsim.data.writer import DatasetWriter
 
 def made(folder, train, test=1):
     views = [mock_view(i, split="train" if i < train else "test", touches=6) for i in range(train + test)]
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=train + test, views=1, touches=6, splits={"train": train, "test": test},
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=train + test, views=1, touches=6,
+                    splits={"train": train, "test": test},
                     device="cpu", tier="vsf", precision="float64", renderer="warp")
     with DatasetWriter(folder, recipe, [v.name for v in views]) as writer:
         for view in views:
@@ -38,8 +39,10 @@ def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tm
 
 def test_the_one_look_at_the_test_objects(tmp_path):
     dataset, task = made(tmp_path / "toy", 2, 2), load_task("fewshot-shoes-mini-v1")
-    first, second, third = choose(task, dataset, features=("xyzrgb", "local"), noises=(1.0,), folds=2, settings={"epochs": 2}, on_test=True)
-    assert second.difference == (0.0, 0.0) and third.difference == pytest.approx((third.zero - second.zero, third.half - second.half))
+    first, second, third = choose(task, dataset, features=("xyzrgb", "local"), noises=(1.0,), folds=2,
+                                  settings={"epochs": 2}, on_test=True)
+    assert second.difference == (0.0, 0.0) and third.difference == pytest.approx((third.zero - second.zero,
+                                                                                  third.half - second.half))
     method = GaussianAverage()
     views = [dataset.blind().load(name) for name in dataset.names("train")]
     method.meta_fit([specimen(view, task) for view in views])
@@ -50,7 +53,8 @@ def test_the_one_look_at_the_test_objects(tmp_path):
         method.adapt(view.view, [])
         answers = method.predict([r.action for r in recording.readings])
         errors += [np.sqrt(np.mean((a - c) ** 2)) for a, c in zip(answers, recording.clean)]
-    assert first.zero == pytest.approx(np.mean(errors)), "all training objects, no touch, every touch of both test objects"
+    assert first.zero == pytest.approx(np.mean(errors)), ("all training objects, no touch, every touch of both "
+                                                          "test objects")
     assert "error on test objects" in table([first, second], "N", on_test=True)
     with pytest.raises(MethodError, match="1 test object"):
         choose(task, made(tmp_path / "small", 2, 1), features=("xyzrgb",), noises=(1.0,), folds=2, on_test=True)
@@ -58,4 +62,5 @@ def test_the_one_look_at_the_test_objects(tmp_path):
 
 def test_one_object_is_too_few(tmp_path):
     with pytest.raises(MethodError, match="1 training objects and 1 folds"):
-        choose(load_task("fewshot-shoes-mini-v1"), made(tmp_path / "toy", 1), features=("xyzrgb",), noises=(3.0,), folds=4)
+        choose(load_task("fewshot-shoes-mini-v1"), made(tmp_path / "toy", 1), features=("xyzrgb",), noises=(3.0,),
+               folds=4)

@@ -17,17 +17,23 @@ from vsfsim.vsf.dynamics import VsfError
 
 def test_equal_answers():
     load = side_by_side.Workload.of(150, 3, 4)
-    for ours, theirs in ((side_by_side.epoch, side_by_side.epoch_literal), (side_by_side.batch, side_by_side.batch_literal),
-                         (side_by_side.batch_dense, side_by_side.batch_dense_literal), (side_by_side.online, side_by_side.online_literal)):
+    for ours, theirs in ((side_by_side.epoch, side_by_side.epoch_literal),
+                         (side_by_side.batch, side_by_side.batch_literal),
+                         (side_by_side.batch_dense, side_by_side.batch_dense_literal),
+                         (side_by_side.online, side_by_side.online_literal)):
         (taken, answer), (_, expected) = ours(load), theirs(load)
-        assert taken.clock > 0.0 and taken.busy > 0.0 and answer.shape == expected.shape and abs(answer - expected).max() < 1e-8 * abs(expected).max(), ours.__name__
+        assert taken.clock > 0.0 and taken.busy > 0.0 and answer.shape == expected.shape and abs(answer
+                                                                                                 - expected).max() < 1e-8 * abs(expected).max(), ours.__name__
 
 
 def test_what_does_not_fit_is_measured_on_fewer_touches_and_said(monkeypatch):
     load = side_by_side.Workload.of(60, 8, 3)
     monkeypatch.setattr(side_by_side, "MOST_BYTES", side_by_side.ESTIMATORS[2].cost(load.first(3))[0])
     asked = []
-    monkeypatch.setattr(side_by_side, "_apart", lambda work, part, device: (asked.append((work.__name__, part.touches)), (side_by_side.Times(0.5, 2.0 if 'literal' in work.__name__ else 0.1), 10.0, np.ones(3)))[1])
+    monkeypatch.setattr(side_by_side, "_apart", lambda work, part,
+                        device: (asked.append((work.__name__, part.touches)),
+                                 (side_by_side.Times(0.5, 2.0 if 'literal' in work.__name__ else 0.1), 10.0,
+                                  np.ones(3)))[1])
     rows = side_by_side.compare(load)
     small = rows[2]
     assert small.part == 2
@@ -42,11 +48,13 @@ def test_what_does_not_fit_is_measured_on_fewer_touches_and_said(monkeypatch):
 def test_a_part_is_the_first_touches():
     load = side_by_side.Workload.of(150, 3, 4)
     part = load.first(2)
-    assert part.touches == 2 and part.pressure.shape[0] == 8 and part.dense.shape[0] == 8 * load.frame and part.touch.tolist() == [0] * 4 + [1] * 4
+    assert (part.touches == 2 and part.pressure.shape[0] == 8 and part.dense.shape[0] == 8 * load.frame
+            and part.touch.tolist() == [0] * 4 + [1] * 4)
 
 
 def _pages(count):
-    """``count`` doubles on pages of their own: malloc may answer from what earlier tests have freed, and a peak would not move."""
+    """``count`` doubles on pages of their own: malloc may answer from what earlier tests have freed, and a peak would
+    not move."""
     out = np.frombuffer(mmap.mmap(-1, 8 * count), dtype=np.float64)
     out[:] = 1.0
     return out
@@ -97,7 +105,9 @@ def test_an_exported_workload_gives_an_outsider_the_same_answer(tmp_path):
     for name, mine in (("pressure", batch), ("dense", batch_dense)):
         w = sparse.load_npz(tmp_path / "new" / "folder" / f"{name}.npz").toarray()
         a = np.concatenate([w / told["noise_std_N"], np.eye(w.shape[1]) / told["prior_std_N_per_m"]])
-        b = np.concatenate([z[name] / told["noise_std_N"], np.full(w.shape[1], told["prior_mean_N_per_m"] / told["prior_std_N_per_m"])])
+        b = np.concatenate([z[name] / told["noise_std_N"], np.full(w.shape[1],
+                                                                   told["prior_mean_N_per_m"]
+                                                                   / told["prior_std_N_per_m"])])
         np.testing.assert_allclose(optimize.nnls(a, b)[0], mine(load)[1], rtol=1e-6, atol=1e-6)
     assert w.shape[0] == len(z["touch"]) * told["rows_of_a_frame"] == 6 * told["rows_of_a_frame"]
     (tmp_path / "file").write_text("")

@@ -13,7 +13,8 @@ from vsfsim.core.errors import VsfsimError
 
 
 def command(*words, cwd):
-    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "bench", "bubble", *map(str, words)], capture_output=True, text=True, cwd=cwd,
+    return subprocess.run([sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "bench", "bubble",
+                           *map(str, words)], capture_output=True, text=True, cwd=cwd,
                           env={**os.environ, "OMP_NUM_THREADS": "1"})
 
 
@@ -29,12 +30,15 @@ def test_a_wrong_option_is_refused():
 
 @pytest.mark.slow
 def test_a_small_run(tmp_path):
-    out = command("--tier", "fem-coarse", "--resolution", 0.02, "--nodes", 100, "--touches", 2, "--frames", 5, "--json", "numbers.json", cwd=tmp_path)
+    out = command("--tier", "fem-coarse", "--resolution", 0.02, "--nodes", 100, "--touches", 2, "--frames", 5, "--json",
+                  "numbers.json", cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     result = json.loads((tmp_path / "numbers.json").read_text())
     assert out.stdout.strip() == table(result)
     poke, batch = result["poke"], result["batch"]
-    assert poke["frames"] == batch["frames"] == 5 and poke["nodes"] == 100 and poke["in_contact"] >= 3 and poke["force"] > 0.0 and poke["pressure"] > 0.0
-    assert 0.0 < poke["cpu_seconds"] and poke["seconds"] <= poke["worst_seconds"] and batch["per_minute"] == pytest.approx(60.0 * 2 / batch["seconds"])
+    assert (poke["frames"] == batch["frames"] == 5 and poke["nodes"] == 100 and poke["in_contact"] >= 3
+            and poke["force"] > 0.0 and poke["pressure"] > 0.0)
+    assert (0.0 < poke["cpu_seconds"] and poke["seconds"] <= poke["worst_seconds"]
+            and batch["per_minute"] == pytest.approx(60.0 * 2 / batch["seconds"]))
     # told as it goes, so that a run that is cut off has shown something
     assert "second touch: frame 5" in out.stderr and "touches a minute so far" in out.stderr

@@ -36,17 +36,21 @@ def test_rows_and_table(monkeypatch):
     field = bench.contenders(calibration, [press(toy, "other", (-0.01, 0.0), 3.0)])
     assert [c.label for c in field] == ["residual", "released", "paper", "taut", "membrane", "membrane, E h +10 %"]
     rows = bench.compare(field, presses, noise=(0.0, 5e-5))
-    assert len(rows) == 6 * 2 * 2 and all(r.frames == 2 for r in rows)  # contenders, noises, the two bins that hold a frame
+    # contenders, noises, the two bins that hold a frame
+    assert len(rows) == 6 * 2 * 2 and all(r.frames == 2 for r in rows)
     by = {(r.label, r.noise, r.low): r for r in rows}
     shallow = by["membrane", 0.0, 0.0]
-    assert shallow.net_size == pytest.approx(0.3 * np.sqrt((9 + 4) / 2)) and shallow.node_rms < 0.2 * shallow.node_size and shallow.converged == 1.0
+    assert shallow.net_size == pytest.approx(0.3 * np.sqrt((9 + 4)
+                                                           / 2)) and shallow.node_rms < 0.2 * shallow.node_size and shallow.converged == 1.0
     for low in (0.0, 3e-3):
         assert by["membrane", 5e-5, low].node_rms < by["paper", 5e-5, low].node_rms < by["residual", 5e-5, low].node_rms
         assert by["membrane", 0.0, low].node_rms < by["membrane, E h +10 %", 0.0, low].node_rms
     text = bench.table(rows, field, presses)
     assert "2 presses (middle, aside), 4 frames" in text and "calibrated to E h" in text and "noise 0.05 mm" in text
     assert f"{shallow.node_rms:.4f}" in text
-    assert len(bench.tables(rows, field)["rows"]) == len(rows) and set(bench.tables(rows, field)["calibrated"]) == {"paper", "taut"}
+    assert len(bench.tables(rows, field)["rows"]) == len(rows) and set(bench.tables(rows,
+                                                                                    field)["calibrated"]) == {"paper",
+                                                                                                              "taut"}
 
 
 @pytest.mark.slow
@@ -62,6 +66,7 @@ def test_a_real_press(tmp_path):
     assert (np.diff(one.pressure) > 0).all()
     calibration = bench.calibration_of(model)
     assert calibration.rest[:, 2].max() == pytest.approx(0.0305, abs=0.0005)
-    found = {m: bench.DenseForceEstimator(calibration, method=m).estimate(one.position, one.pressure).force for m in ("paper", "membrane")}
+    found = {m: bench.DenseForceEstimator(calibration, method=m).estimate(one.position, one.pressure).force
+             for m in ("paper", "membrane")}
     error = {m: np.linalg.norm(f - one.force) for m, f in found.items()}
     assert error["membrane"] < 0.5 * error["paper"]

@@ -21,7 +21,8 @@ def test_an_object_is_closed_and_lies_where_it_is_said_to(which):
 
 
 def test_three_starts_tell_an_object_from_itself_turned_over():
-    """From a stiffness as it is, the search ends at the truth although a turned over object covers the sheet of stiff points nearly as well."""
+    """From a stiffness as it is, the search ends at the truth although a turned over object covers the sheet of stiff
+    points nearly as well."""
     buried = Buried.of(0, scale=0.04)
     axes = [np.arange(-0.08, 0.08, 0.004), np.arange(-0.08, 0.08, 0.004), np.arange(-0.0115, 0.0, 0.002)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -35,7 +36,8 @@ def test_three_starts_tell_an_object_from_itself_turned_over():
 def test_the_table_has_the_mean_over_objects_and_no_search_for_contact_points():
     none = np.full((2, 2), np.nan)
     rows = [BlindRow("contact points", np.array([0.01, 0.03]), np.radians([10.0, 30.0]), none, 0.0),
-            BlindRow("point VSF", np.array([0.002, 0.004]), np.radians([1.0, 3.0]), np.array([[0.001, np.radians(1.0)]] * 2), 5.0)]
+            BlindRow("point VSF", np.array([0.002, 0.004]), np.radians([1.0, 3.0]),
+                     np.array([[0.001, np.radians(1.0)]] * 2), 5.0)]
     lines = table(rows).splitlines()
     assert lines[1].split()[-3:] == ["20.0", "20", "0.0"]
     assert lines[2].split()[-5:] == ["3.0", "2", "1.0", "1", "5.0"]

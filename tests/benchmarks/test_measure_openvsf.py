@@ -1,4 +1,5 @@
-"""The export for openvsf, read back as ../shared/openvsf_format.md says that openvsf reads it, and asked for its own law of force."""
+"""The export for openvsf, read back as ../shared/openvsf_format.md says that openvsf reads it, and asked for its own
+law of force."""
 
 import json
 import re
@@ -38,7 +39,8 @@ def mesh(folder):
     head, _, body = (folder / "assets" / "punyo.ply").read_text().partition("end_header\n")
     count = int(re.search(r"element vertex (\d+)", head)[1])
     rows = body.split("\n")
-    return np.array([row.split() for row in rows[:count]], float), np.array([row.split()[1:] for row in rows[count:] if row], int)
+    return np.array([row.split() for row in rows[:count]], float), np.array([row.split()[1:] for row in rows[count:]
+                                                                             if row], int)
 
 
 def mount(folder):
@@ -52,10 +54,12 @@ def test_every_key_has_the_shape_and_type_that_openvsf_asserts(made):
     for path in sequences(folder):
         found = keys(path)
         assert {key: value.shape for key, value in found.items()} == {
-            "kinova_state": (FRAMES, 7), "punyo_state": (FRAMES, 390, 3), "punyo_force": (FRAMES, 390, 3), "punyo_pressure": (FRAMES, 1)}
+            "kinova_state": (FRAMES, 7), "punyo_state": (FRAMES, 390, 3), "punyo_force": (FRAMES, 390, 3),
+                                                                      "punyo_pressure": (FRAMES, 1)}
         assert all(value.dtype == np.float64 and np.isfinite(value).all() for value in found.values())
     with np.load(folder / "object" / "vsf_empty.npz", allow_pickle=True) as vsf:
-        assert vsf["points"].dtype == np.float64 and vsf["points"].shape == (len(vsf["K"]), 3) and vsf["K"].dtype == np.float64 and not vsf["K"].any()
+        assert vsf["points"].dtype == np.float64 and vsf["points"].shape == (len(vsf["K"]),
+                                                                             3) and vsf["K"].dtype == np.float64 and not vsf["K"].any()
         assert str(vsf["axis_mode"]) == "isotropic" and vsf["features"].item() == {}
         points = vsf["points"]
     with np.load(folder / "ground_truth" / "vsf.npz", allow_pickle=True) as vsf:
@@ -71,10 +75,13 @@ def test_the_bubble_is_closed_and_lies_where_a_punyo_does(made):
     volume = np.einsum("fi,fi->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6.0
     # bubble.md: 125 to 131 mL of a free dome; 390 nodes are chords of it, so a little less
     assert 1.20e-4 < volume < 1.31e-4, "and positive: wound outwards"
-    # openvsf_format.md, section 3: the box of the published mesh to a millimetre, and its area seen along z to half a per cent
-    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)], [[-0.037, -0.040, 0.043], [0.068, 0.040, 0.099]], atol=1.1e-3)
+    # openvsf_format.md, section 3: the box of the published mesh to a millimetre, and its area seen along z to half a
+    # per cent
+    np.testing.assert_allclose([vertices.min(axis=0), vertices.max(axis=0)],
+                               [[-0.037, -0.040, 0.043], [0.068, 0.040, 0.099]], atol=1.1e-3)
     assert json.loads((made[0] / "manifest.json").read_text())["A_m2"] == pytest.approx(0.0066019, rel=5e-3)
-    np.testing.assert_allclose(mount(made[0]), [[0, -1, 0, 0], [0.34202014, 0, -0.93969262, 0.02111], [0.93969262, 0, 0.34202014, 0.096142], [0, 0, 0, 1]], atol=2e-6)
+    np.testing.assert_allclose(mount(made[0]), [[0, -1, 0, 0], [0.34202014, 0, -0.93969262, 0.02111],
+                                                [0.93969262, 0, 0.34202014, 0.096142], [0, 0, 0, 1]], atol=2e-6)
 
 
 def world(folder, path):
@@ -98,7 +105,8 @@ def test_the_first_frames_touch_nothing(made):
 
 
 def test_the_readings_follow_from_the_files_alone(made):
-    """f = -K u, from the joint angles, the mount, the mesh, the points and the true K that were written, in the bubble's frame; the pressure is their sum along z over the area."""
+    """f = -K u, from the joint angles, the mount, the mesh, the points and the true K that were written, in the
+    bubble's frame; the pressure is their sum along z over the area."""
     folder, _, _ = made
     vertices, triangles = mesh(folder)
     with np.load(folder / "ground_truth" / "vsf.npz", allow_pickle=True) as vsf:
@@ -124,7 +132,8 @@ def test_the_readings_follow_from_the_files_alone(made):
         noise.append(read["punyo_force"] - true["punyo_force"])
         felt.append(read["punyo_pressure"] - true["punyo_pressure"])
     # 31,590 numbers: their std is known to 0.4 %; of 27 pressures to 14 %
-    assert np.std(np.concatenate(noise)) == pytest.approx(told["noise_std"]["punyo_force_N"], rel=0.02) == pytest.approx(NOISE, rel=0.02)
+    assert np.std(np.concatenate(noise)) == pytest.approx(told["noise_std"]["punyo_force_N"],
+                                                          rel=0.02) == pytest.approx(NOISE, rel=0.02)
     assert np.std(np.concatenate(felt)) == pytest.approx(told["noise_std"]["punyo_pressure_Pa"], rel=0.45)
 
 
@@ -135,18 +144,21 @@ def test_our_estimator_sees_the_same_readings(made):
     for path in sequences(folder):
         read, turn = keys(path), world(folder, path)[:, :3, :3]
         count = read["punyo_force"].size
-        np.testing.assert_allclose(load.dense_z[at:at + count], np.einsum("tij,tnj->tni", turn, read["punyo_force"]).ravel(), atol=1e-12)
+        np.testing.assert_allclose(load.dense_z[at:at + count],
+                                   np.einsum("tij,tnj->tni", turn, read["punyo_force"]).ravel(), atol=1e-12)
         at += count
     with np.load(folder / "ground_truth" / "vsf.npz", allow_pickle=True) as vsf:
         stiffness = vsf["K"]
-    told = np.asarray(load.dense.power(2).sum(axis=0)).ravel() > (3.0 * NOISE / STD) ** 2  # the readings say three times what the prior does
+    # the readings say three times what the prior does
+    told = np.asarray(load.dense.power(2).sum(axis=0)).ravel() > (3.0 * NOISE / STD) ** 2
     error, before = (np.median(np.abs(k - stiffness)[told]) for k in (batch_dense(load)[1], MEAN))
     assert np.count_nonzero(told) > 50 and error < 0.5 * before, "and comes nearer to what made them"
 
 
 def test_the_configurations_name_what_is_there(made):
     folder, _, to_do = made
-    for name, key, calibrated in (("openvsf.yaml", "punyo_force", False), ("openvsf-pressure.yaml", "punyo_pressure", True)):
+    for name, key, calibrated in (("openvsf.yaml", "punyo_force", False),
+                                  ("openvsf-pressure.yaml", "punyo_pressure", True)):
         text = (folder / name).read_text()
         assert (f"num_samples: {TARE}" in text) == calibrated
         assert f"sensor_keys: {{{key}: {key}}}" in text and "sim_slide: False" in text
@@ -160,7 +172,8 @@ def test_the_configurations_name_what_is_there(made):
 
 
 def test_a_urdf_of_the_user_s_is_named(tmp_path):
-    links = ("Base_Link", "Shoulder_Link", "HalfArm1_Link", "HalfArm2_Link", "ForeArm_Link", "SphericalWrist1_Link", "SphericalWrist2_Link", "Bracelet_Link", "EndEffector_Link")
+    links = ("Base_Link", "Shoulder_Link", "HalfArm1_Link", "HalfArm2_Link", "ForeArm_Link", "SphericalWrist1_Link",
+             "SphericalWrist2_Link", "Bracelet_Link", "EndEffector_Link")
     (tmp_path / "arm.urdf").write_text("".join(f'<link name="{link}"/>' for link in links))
     _, to_do = export(tmp_path / "out", 200, 1, 5, urdf=tmp_path / "arm.urdf")
     assert not any("URDF" in sentence or "urdf" in sentence for sentence in to_do)
