@@ -8,6 +8,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from field_docs import docs_of
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.data import records
@@ -58,23 +59,26 @@ def test_records_and_schema_have_the_same_fields(record, group):
     assert {f.name for f in dataclasses.fields(record)} == names
 
 
-@pytest.mark.parametrize("record", [records.View, records.Touch, records.Truth])
-def test_docstrings_of_records_name_shape_and_unit(record):
-    group = {records.View: "view", records.Touch: "touches/*", records.Truth: "truth"}[record]
-    text = " ".join(record.__doc__.split())
+@pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
+                                               (records.Truth, "truth")])
+def test_records_document_shape_and_unit_of_each_field(record, group):
+    docs, paragraph = docs_of(record), " ".join(record.__doc__.split())
     for field in fields_of(group):
-        if "/" in field.name:
-            column = field.name.split("/")[1]
+        name, _, column = field.name.partition("/")
+        text = docs[name]
+        if not text:
+            entry = re.search(rf"(?:^|[ .]){name}: (.*?)(?= [a-z_]+: |$)", paragraph)
+            assert entry, f"{record.__name__}.{name} is not documented"
+            text = entry[1]
+        if column:
             entry = re.search(rf"{column} = [^;]*", text)
             assert entry, field.path
-            assert f"[{'-' if field.unit == '1' else field.unit}]" in entry[0], f"{field.path}: {entry[0]}"
-            continue
-        entry = re.search(rf"(?:^|[ .]){field.name}: (.*?)(?= [a-z_]+: |$)", text)
-        assert entry, f"{record.__name__}.{field.name} is not in the docstring"
-        if field.unit not in UNITLESS:
-            assert f"[{field.unit}]" in entry[1], f"{record.__name__}.{field.name}: {entry[1]}"
-        if field.dims and field.dtype != TEXT:
-            assert f"({', '.join(field.dims)}{',' if len(field.dims) == 1 else ''})" in entry[1], f"{record.__name__}.{field.name}: {entry[1]}"
+            text = entry[0]
+        if column or field.unit not in UNITLESS:
+            assert f"[{'-' if field.unit == '1' else field.unit}]" in text, f"{field.path}: {text}"
+        if field.dims and field.dtype != TEXT and not column:
+            shape = f"({', '.join(field.dims)}{',' if len(field.dims) == 1 else ''})"
+            assert shape in text, f"{field.path}: {text}"
 
 
 def test_docs_page_lists_every_field():
