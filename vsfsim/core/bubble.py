@@ -9,9 +9,9 @@ from typing import Any
 
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.rigid import MAX_FRICTION
+from vsfsim.core.shelf import effectors
 from vsfsim.core.table import Table
 
-KINDS = ("bubble",)
 NODES = 1493  # the read-out mesh of 390 nodes with every triangle cut in four
 ATMOSPHERE = 101325.0  # [Pa]
 CAMERA = (640, 480)  # the real one's picture [px]
@@ -64,21 +64,31 @@ class Bubble:
         return self.young_modulus * self.thickness**3 / 9.0
 
 
-def parse_sensor(node: Any, path: Path) -> Bubble:
-    """The bubble that ``[sensor]`` describes.
+def sensor_kind(node: Any, path: Path) -> str:
+    """``kind`` of the table ``[sensor]``, the name of an effector; "bubble" if the table does not say.
 
     Raises:
-        SceneError: another kind, an unknown key, or a value that is not allowed.
+        SceneError: there is no effector of that name.
+    """
+    kind = node.get("kind", "bubble") if isinstance(node, Mapping) else "bubble"
+    allowed = [name for name in effectors() if name not in ("probe", "arm")]  # those have tables of their own
+    if kind not in allowed:
+        raise SceneError(f"{path} [sensor]: kind is {kind!r}. {did_you_mean(str(kind), allowed)}")
+    return kind
+
+
+def parse_sensor(node: Any, path: Path) -> Bubble:
+    """The bubble that ``[sensor] kind = "bubble"`` describes.
+
+    Raises:
+        SceneError: an unknown key, or a value that is not allowed.
     """
     where = f"{path} [sensor]"
-    known = ("kind", *Bubble.__dataclass_fields__)
     if not isinstance(node, Mapping):
         raise SceneError(f"{where} is {node!r}; it must be a table, e.g. kind = \"bubble\".")
-    t = Table(node, where, known)
+    t = Table(node, where, ("kind", *Bubble.__dataclass_fields__))
     if "kind" not in t.table:
         raise SceneError(f"{where}: kind is missing; write kind = \"bubble\".")
-    if t.table["kind"] not in KINDS:
-        raise SceneError(f"{where}: kind is {t.table['kind']!r}. {did_you_mean(str(t.table['kind']), KINDS)}")
     real = Bubble()
     long, short = t.vector("semi_axes", real.semi_axes, 2)
     if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:

@@ -9,14 +9,14 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vsfsim.core.arm_spec import ArmSpec, parse_arm
-from vsfsim.core.bubble import Bubble, parse_sensor
+from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import (
@@ -134,6 +134,12 @@ class Scene:
     given: frozenset[str] = frozenset()
     sensor: Bubble | None = None
     arm: ArmSpec | None = None
+    effector: str = "probe"
+    """Name of what touches: "arm" with an [arm], the kind of the [sensor], or else "probe"; one of
+    `vsfsim.core.shelf.effectors`."""
+    effector_table: Mapping[str, Any] = field(default_factory=dict)
+    """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
+    `vsfsim.core` reads its settings from it."""
 
     @property
     def bodies(self) -> tuple[ProbeShape, ...]:
@@ -271,7 +277,11 @@ def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     top = Table(tree, str(path), ("name", "description", "needs", "gravity", "object", "probe", "sensor",
                                   "obstacles", "press", "touches", "camera", "dataset", "arm"))
-    sensor = parse_sensor(tree["sensor"], path) if "sensor" in tree else None
+    if "sensor" in tree and "arm" in tree:
+        raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
+                         f"along straight lines, or by an arm without one. Take one of them out.")
+    effector = "arm" if "arm" in tree else sensor_kind(tree["sensor"], path) if "sensor" in tree else "probe"
+    sensor = parse_sensor(tree["sensor"], path) if effector == "bubble" else None
     if sensor is not None and "probe" in tree:
         raise SceneError(f"{path}: there is a [sensor] and a [probe]; one of them moves along the path. What a bubble "
                          f"is to touch goes into [object] or [[obstacles]].")
@@ -285,9 +295,6 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
-    if sensor is not None and "arm" in tree:
-        raise SceneError(f"{path}: there is a [sensor] and an [arm]; a dataset is made by a bubble whose mount is led "
-                         f"along straight lines, or by an arm without one. Take one of them out.")
     needs = tree.get("needs", ["normal-force"])
     if not isinstance(needs, list):
         raise SceneError(f"{path}: needs is {needs!r}; it must be a list of words from {', '.join(NEEDS)}.")
@@ -319,6 +326,8 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         given=frozenset(tree),
         sensor=sensor,
         arm=parse_arm(tree["arm"], path) if "arm" in tree else None,
+        effector=effector,
+        effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean
 
 METHOD_GROUP = "vsfsim.methods"
+EFFECTOR_GROUP = "vsfsim.effectors"
 
 
 def folder(name: str) -> Path:
@@ -87,3 +88,11 @@ def find_task(given: str) -> Path:
 def methods() -> dict[str, importlib.metadata.EntryPoint]:
     """Installed methods by name: entry points of the group ``vsfsim.methods``."""
     return {ep.name: ep for ep in importlib.metadata.entry_points(group=METHOD_GROUP)}
+
+
+def effectors() -> list[str]:
+    """Names of the effectors, of what can touch an object: the files of ``vsfsim/generate/effectors/`` (a ``_`` stands
+    for a ``-`` of the name), and the entry points of the group ``vsfsim.effectors``."""
+    files = (Path(__file__).parents[1] / "generate" / "effectors").glob("*.py")
+    shipped = {path.stem.replace("_", "-") for path in files if not path.stem.startswith("_")}
+    return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=EFFECTOR_GROUP)})

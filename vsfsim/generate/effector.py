@@ -1,0 +1,130 @@
+"""The seam between what touches and everything else.
+
+An *effector* is what touches an object: a rigid probe, an air-filled bubble, an arm. Each is one file of
+``vsfsim/generate/effectors/`` (or an entry point of the group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has
+the methods of `Effector`. `generate`, `press` and `inspect` know this protocol and no effector by name: a scene's
+``effector`` says which one it needs, and `effector_of` loads it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError, did_you_mean
+from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
+from vsfsim.data.records import ObjectView
+from vsfsim.generate.job import Job
+from vsfsim.generate.press_result import PressRequest, PressResult
+from vsfsim.sensing.camera import Surface
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """What `vsfsim inspect` shows of a scene."""
+
+    surface: Surface
+    """The surface to draw."""
+    young_modulus: np.ndarray | None
+    """Young's modulus of each triangle (f,) [Pa], or None to leave the colours of stiffness out."""
+    subtitle: str
+    """Follows the scene's name in the picture's title."""
+    lines: tuple[str, ...]
+    """What is printed; the scene's name is put before the first line."""
+
+
+class Effector(Protocol):
+    """What touches: how it is checked, how it makes touches, what it records."""
+
+    table: str
+    """The scene's table that describes it: "probe", "sensor" or "arm"."""
+    options: tuple[str, ...]
+    """Names of the options of `vsfsim generate` that only this effector takes, e.g. ("arm",)."""
+
+    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
+        """Refuse at once a dataset that could not be made.
+
+        Args:
+            scene: concrete, with ``[touches]``.
+            tier: fidelity asked for, or None for the scene's own.
+            precision: of the solver, "float32" or "float64".
+
+        Returns:
+            The tier at which the object is simulated.
+
+        Raises:
+            SceneError: what is wrong, and what to do.
+        """
+        ...
+
+    def channels(self, scene: Scene) -> tuple[str, ...]:
+        """Names of the optional rows of `vsfsim.data.schema` that every touch of this scene fills."""
+        ...
+
+    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+        """The Warp kernels that its touches launch, to be compiled before the workers start."""
+        ...
+
+    def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
+        """Make one object view: build the object, take its picture, aim, touch, and record the truth.
+
+        Args:
+            job: which view of which recipe.
+            device: Warp device.
+            progress: called with the number of frames newly done.
+
+        Raises:
+            SceneError, MeshError: the object cannot be built, or no touch can be aimed.
+        """
+        ...
+
+    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+        """Make and write the views of some jobs; yields (frames newly done, name of the view) as they come.
+
+        Args:
+            jobs: what to make.
+            device: Warp device.
+            workers: processes, or None for what suits the device.
+        """
+        ...
+
+    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+        """Carry out the ``[press]`` of a scene, or the press that stands for it.
+
+        Raises:
+            SceneError, MeshError: the press cannot be made.
+        """
+        ...
+
+    def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
+        """What `vsfsim inspect` shows of a scene.
+
+        Args:
+            scene: concrete.
+            seed: of what a family draws.
+        """
+        ...
+
+
+def effector_of(scene: Scene) -> Effector:
+    """The effector that a scene asks for."""
+    return find_effector(scene.effector)
+
+
+def find_effector(name: str) -> Effector:
+    """The effector called ``name``.
+
+    Raises:
+        SceneError: there is none.
+    """
+    if name not in effectors():
+        raise SceneError(f"there is no effector '{name}'. {did_you_mean(name, effectors())}")
+    for entry in importlib.metadata.entry_points(group=EFFECTOR_GROUP, name=name):
+        return entry.load()
+    return importlib.import_module(f"vsfsim.generate.effectors.{name.replace('-', '_')}").EFFECTOR

@@ -1,0 +1,72 @@
+"""One object view to make, and the random streams behind it."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import IntEnum
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.core.scene import Scene, parse_scene
+from vsfsim.data.recipe import Recipe
+
+
+class Stream(IntEnum):
+    """First key of a dataset's random streams, whose keys are (kind, object, view, touch)."""
+
+    SCENE = 0
+    """The scene's distributions, of an object."""
+    BODY = 1
+    """What a family of objects draws, of an object."""
+    AIM = 2
+    """The target of a touch."""
+    DEPTH = 3
+    """The depth camera's noise, of a view."""
+
+
+def stream(seed: int, *key: int) -> np.random.SeedSequence:
+    """The random stream ``key`` = (kind, object, view, touch) of a dataset; `Stream` lists the kinds."""
+    return np.random.SeedSequence(seed, spawn_key=tuple(int(k) for k in key))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One object view to make."""
+
+    recipe: Recipe
+    """Recipe of the dataset."""
+    path: Path
+    """Path of the scene file; mesh paths are relative to it."""
+    name: str
+    """Name of the view."""
+    split: str
+    """Split of its object."""
+    object_index: int
+    """Number of the object, from 0."""
+    view_index: int
+    """Number of the view of that object, from 0."""
+    file: Path
+    """The file that the view is written to."""
+    cache: Path | None
+    """Folder of meshes that were made before, or None for the user's own cache."""
+
+    def scene(self) -> Scene:
+        """The scene of this object, with the recipe's own number of touches."""
+        scene = parse_scene(self.recipe.scene_text, self.path).sample(self.stream(Stream.SCENE))
+        assert scene.touches is not None
+        return dataclasses.replace(scene, touches=dataclasses.replace(scene.touches, count=self.recipe.touches))
+
+    def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
+        """The random stream of a kind for this object, view, or touch of it."""
+        key = {Stream.SCENE: (), Stream.BODY: (), Stream.DEPTH: (self.view_index,),
+               Stream.AIM: (self.view_index, touch)}[kind]
+        return stream(self.recipe.seed, kind, self.object_index, *key)
+
+
+def jobs_of(recipe: Recipe, path: Path, folder: Path, cache: Path | None) -> list[Job]:
+    """One job for every object view, in order; their files lie in ``folder``."""
+    split_of = [name for name, n in recipe.splits.items() for _ in range(n)]
+    names = [(o, v, f"{recipe.scene}-{o:04d}-v{v}") for o in range(recipe.objects) for v in range(recipe.views)]
+    return [Job(recipe, path, name, split_of[o], o, v, folder / f"{name}.h5", cache) for o, v, name in names]
