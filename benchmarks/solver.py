@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+import references
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.physics import clock, tiers
@@ -25,9 +26,8 @@ from vsfsim.physics.solve.touches import Solver
 from vsfsim.press.probe import direction, tip
 from vsfsim.robot.path import press_path, touch_path
 
-REFERENCES = {"indent-homogeneous": ("S1", 9.70, 0.004), "indent": ("S2", 14.48, 0.01)}
-"""Scene: case, force at full depth [N] and its relative error (hexahedra and conforming quadratic tetrahedra,
-extrapolated)."""
+CASES = {"indent-homogeneous": "S1", "indent": "S2"}
+"""Scene: name of its reference (`references/s1.json`, `s2.json`)."""
 
 TIERS = tuple(tiers.TIERS)
 """Names that `--tier` takes."""
@@ -113,7 +113,8 @@ def _solver(scene: Scene, model: Model, tier: str, device: str, precision: str) 
 def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "float64") -> OneTouch:
     """Press scene ``name`` twice at ``tier`` and report on the second time."""
     scene = _scene(name)
-    case, reference, _ = REFERENCES[name]
+    case = CASES[name]
+    reference = references.load(case.lower())["force_N"][-1]
     model = _model(scene, tier)
     poses = press_path(scene.press, scene.probe)
     compile_kernels(solver_kernels(precision), device)
@@ -197,7 +198,7 @@ def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, to
     """
     chosen = tiers_asked or ("linear", "fem-coarse", "fem", "fem-fine")
     singles, batches = [], []
-    for name in REFERENCES:
+    for name in CASES:
         for tier in chosen:
             for precision in ("float64", "float32") if tiers.TIERS[tier].nonlinear else ("float64",):
                 progress(f"{name} at {tier}, {precision}")

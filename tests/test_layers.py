@@ -11,7 +11,9 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SHIPPED = ("vsfsim", "baselines", "scenes", "benchmarks")  # folders with code that lands in the wheel
+SHIPPED = ("vsfsim", "baselines", "scenes", "benchmarks", "references")
+"""Folders with code; the last two stay in the checkout."""
+CHECKOUT = ("benchmarks", "references")
 
 MAY_IMPORT = {
     "core": set(),
@@ -28,7 +30,9 @@ MAY_IMPORT = {
     "tasks": set(),
     "leaderboard": set(),
     "cli": {"core"},  # at the top of the file; see LAZILY
-    "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "baselines"},
+    "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "baselines",
+                   "references"},
+    "references": set(),
     "top": set(),  # vsfsim/__init__.py
 }
 """Layers that a layer may import, besides itself."""
@@ -49,6 +53,7 @@ HEAVY = {
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "press": {"numpy", "scipy", "warp", "matplotlib"},
     "benchmarks": {"numpy", "scipy", "warp", "torch", "matplotlib"},
+    "references": {"numpy", "scipy"},
     "bench": {"numpy", "h5py"},
     "baselines": {"numpy", "scipy", "torch"},
     "scenes": {"numpy"},
@@ -114,13 +119,13 @@ def imports(tree: ast.Module, module: str):
 def violations(text: str, path: Path) -> list[str]:
     """What the file ``path`` with this text imports and may not."""
     layer = layer_of(path)
-    module = ".".join((path if path.parts[0] in ("vsfsim", "benchmarks")
+    module = ".".join((path if path.parts[0] in ("vsfsim", *CHECKOUT)
                        else Path("vsfsim") / path).with_suffix("").parts)
     out = []
     for line, imported, in_function in imports(ast.parse(text), module):
         top = imported.split(".")[0]
-        if top in ("vsfsim", "benchmarks"):
-            target = layer_of_module(imported) if top == "vsfsim" else "benchmarks"
+        if top in ("vsfsim", *CHECKOUT):
+            target = layer_of_module(imported) if top == "vsfsim" else top
             if target == "top" or target.startswith("__"):
                 continue
             allowed = MAY_IMPORT[layer] | {layer} | (BY_NAME.get(layer, set()) if imported.endswith("*")

@@ -1,7 +1,6 @@
 """Indentation by a sphere: the reference cases S1 and S2, and Hertz on a bonded layer.
 
-References: shared/physics.md, "Reference cases". S1 is extrapolated from 27-node hexahedra at 4 and 2 mm (own error 0.4
-%), S2 from conforming quadratic tetrahedra at 4, 2.5 and 1.8 mm (1 %); both by a solver that is not ours.
+The reference values, how they were computed and their errors are in `references/` (s1, s1_deep, s2, hertz_layer).
 """
 
 import dataclasses
@@ -9,6 +8,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+import references
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
@@ -16,8 +16,8 @@ from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.press.probe import press
 
-S1, S2 = 9.70, 14.48
-S1_CURVE = np.array([0.281, 0.803, 1.489, 2.332, 3.314, 4.383, 5.574, 6.865, 8.229, 9.704])  # every 0.5 mm
+S1, S2, S1_DEEP, HERTZ = (references.load(name)["force_N"][-1] for name in ("s1", "s2", "s1_deep", "hertz_layer"))
+S1_CURVE = np.array(references.load("s1")["force_N"])  # every 0.5 mm
 
 
 def run(name, tier, device, frames=10):
@@ -57,7 +57,7 @@ def test_block_with_a_stiff_inclusion(device, tier, tolerance, frames):
 @pytest.mark.slow
 def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     """0.1 mm into a block of 0.2 x 0.2 x 0.1 m: 0.02399 N, Hertz's law with the correction of a bonded layer
-    (physics.md).
+    (references/hertz_layer.json).
 
     Hertz alone: 4/3 E / (1 - nu^2) sqrt(R) d^1.5 = 0.02364 N. A quarter of the block between rollers, on a mesh that
     grows from 0.22 mm under the contact (radius sqrt(R d) = 1.41 mm) to the walls.
@@ -74,20 +74,17 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
     frames = Solver(model, Sphere(0.02), device=device).run(poses)
     assert frames.converged.all()
     force = 4.0 * frames.force[-1, 0, 2]
-    print(f"Hertz: {force:.5f} N, {force / 0.02399 - 1:+.2%}; {len(model.mesh.tets)} tets, "
+    print(f"Hertz: {force:.5f} N, {force / HERTZ - 1:+.2%}; {len(model.mesh.tets)} tets, "
           f"{frames.seconds.mean():.1f} s a frame")
     # observed +0.84 %: cells that grow 1.8-fold are stiff by about that much; the law differs from the linear one by a
     # fraction of the strain d / a = 7 %, and the correction is a truncated series
-    assert force == pytest.approx(0.02399, rel=0.02)
+    assert force == pytest.approx(HERTZ, rel=0.02)
 
 
 # ------------------------------------------------------------------------------------------ 15 mm deep
 
-# S1 pressed on to 15 mm, three quarters of the probe's radius: this solver on a quarter of the block between rollers,
-# cells of 10, 7.5, 5, 3.5 and 2.8 mm that coarsen to 3x away from the contact: 52.84, 53.19, 52.97, 52.86, 52.90 N. The
-# last three differ by 0.2 %. Not an independent reference: it holds the default meshes to their own limit, and the
-# element and law are held by the other tests
-S1_DEEP = 52.9
+# S1 pressed on to 15 mm, three quarters of the probe's radius. The reference is this solver's own mesh limit
+# (references/s1_deep.json): it holds the default meshes to that limit, and the other tests hold the element and the law.
 
 
 @pytest.mark.parametrize(("tier", "tolerance"), [

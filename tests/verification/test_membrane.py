@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+import references
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.errors import SceneError
 from vsfsim.core.shape import Plane
@@ -54,7 +55,7 @@ def order(sizes, errors):
 
 # ------------------------------------------------------------------------------------------ 1: Hencky
 
-HENCKY = {0.3: (0.65344, 0.52138), 0.4: (0.62626, 0.51900), 0.5: (0.59488, 0.51644)}
+HENCKY = {float(nu): (row["C"], row["c_V"]) for nu, row in references.load("hencky")["coefficients"].items()}
 
 
 def hencky(nodes, nu):
@@ -106,11 +107,9 @@ def test_taut_elliptical_drum():
 
 # ------------------------------------------------------------------------------------------ 3: Adkins and Rivlin
 
-# pole stretch: p a/(mu h), w0/a, V/a^3; Adkins and Rivlin 1952, integrated by shooting. The dome of the last row leans
-# 12.7 degrees over its rim, so it must be integrated by arc length; in radius alone the slope is cut off at the
-# vertical, which gives 1.89997, 1.08847, 2.42619
-BLOWN = {1.10: (0.52778, 0.38347, 0.65711), 1.20: (0.99925, 0.53098, 0.95315), 1.30: (1.30987, 0.63796, 1.19182),
-         1.50: (1.64358, 0.79879, 1.59520), 2.0: (1.86955, 1.08307, 2.46651)}
+BLOWN = {row["pole_stretch"]: (row["pressure"], row["height"], row["volume"])
+         for row in references.load("blown_disc")["rows"]}
+"""Pole stretch: p a/(mu h), w0/a, V/a^3."""
 
 
 def blown(nodes):
@@ -198,7 +197,7 @@ def test_sphere_passes_its_limit_point_under_volume_control():
 
 def test_sphere_under_pressure_control_stops_at_its_limit_point():
     sheet, mesh = ball(3)
-    top = 1.23946 * MU_H / R0
+    top = references.load("gas_sphere")["limit_pressure_over_mu_h_per_R0"] * MU_H / R0
     found = inflation.inflate(sheet, swollen(mesh, sheet.free, 1.05), 0.9 * top, where="test")
     s = (found.volume / float(mesh.volume[0])) ** (1 / 3)
     # 642 nodes: 0.4 %
@@ -210,8 +209,8 @@ def test_sphere_under_pressure_control_stops_at_its_limit_point():
     assert named == pytest.approx(top, rel=5e-3)
 
 
-SEALED = {(0.95, 1.0): (1.218946, 5702.8), (0.95, 1.4): (1.213621, 5661.0), (1.05, 1.0): (1.182255, 5360.8),
-          (1.05, 1.4): (1.187163, 5414.4)}
+SEALED = {(row["ambient_ratio"], row["gamma"]): (row["stretch"], row["gauge_pressure_Pa"])
+          for row in references.load("gas_sphere")["rows"]}
 
 
 @pytest.fixture(scope="module")
@@ -265,10 +264,8 @@ def sealed(sheet, mesh, start, ambient, gamma, device):
 # ------------------------------------------------------------------------------------------ 5: the plate
 
 
-# load [Pa]: deflection of the middle [m]. Foeppl's and von Karman's equations of the clamped disc, integrated over the
-# radius as a boundary value problem. The handbook's w0 + 0.488 w0^3/h^2 = q a^4/(64 D) gives 0.04364, 0.4045, 1.244 and
-# 2.356 mm: its cubic term is too soft, by 6 % in the last
-PLATE = {0.1: 0.043635e-3, 1.0: 0.40136e-3, 5.0: 1.20154e-3, 20.0: 2.21751e-3}
+PLATE = dict(zip(references.load("plate")["load_Pa"], references.load("plate")["deflection_m"], strict=True))
+"""Load [Pa]: deflection of the middle [m]."""
 
 
 def plate(nodes):
