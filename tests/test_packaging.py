@@ -6,13 +6,19 @@ The wheel is built from a copy of the tree, so that no `build/` is left in it, a
 import importlib.metadata
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+
+from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
 FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py"), "baselines": ("*.py",),
@@ -32,7 +38,8 @@ print(json.dumps({
     "scenes": [load_scene(path).name for path in shelf.scenes().values()],
     "tasks": [load_task(name).name for name in shelf.tasks()],
     "families": shelf.families(),
-    "methods": {name: find_method(name).__module__ for name in shelf.methods() if shelf.methods()[name].value.startswith("vsfsim.")},
+    "methods": {name: find_method(name).__module__ for name, entry in shelf.methods().items()
+                if entry.value.startswith("vsfsim.")},
     "leaderboard": sorted(p.name for p in shelf.folder("leaderboard").glob("*/*.json")),
     "schema": __import__("vsfsim.data.schema", fromlist=["x"]).SCHEMA_VERSION,
 }))
@@ -129,8 +136,115 @@ def test_an_editable_install_sees_the_live_folders(tmp_path):
 
 def test_every_package_folder_is_declared():
     """An undeclared sub-package works in an editable install and is missing from the wheel."""
-    import tomllib
-
     declared = set(tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"])
     found = {".".join(p.parent.relative_to(ROOT).parts) for p in (ROOT / "vsfsim").rglob("__init__.py")}
     assert declared == found | {f"vsfsim.{folder}" for folder in FOLDERS}
+
+
+# ------------------------------------------------------------------------------------------------- weight
+
+
+BASE = {"numpy", "scipy", "h5py", "typer", "rich"}
+IMPORTED_AS = {"warp-lang": "warp", "pillow": "PIL"}
+"""Distributions whose package has another name."""
+
+TASK = """
+name = "toy-v1"
+description = "A toy."
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
+protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 2, query = 4, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+"""
+
+TOY = """
+import sys
+import numpy as np
+from pathlib import Path
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.predictions import questions
+from vsfsim.bench.task import load_task
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
+                splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+with DatasetWriter("toy", recipe, [v.name for v in views]) as writer:
+    for view in views:
+        writer.add(view)
+    dataset = writer.finish()
+answers = {key: np.zeros((len(action.poses), 1)) for question in questions(load_task("toy-v1.toml"), dataset)
+           for key, action in zip(question.keys, question.actions)}
+np.savez("predictions.npz", **answers)
+"""
+
+
+@pytest.fixture(scope="module")
+def bare(wheel, tmp_path_factory) -> Path:
+    """The interpreter of a venv with the wheel and what it asks for without an extra: links to the installed packages,
+    since a download takes minutes and the network."""
+    folder = tmp_path_factory.mktemp("bare")
+    venv.create(folder, with_pip=False)
+    (site,) = folder.glob("lib/python*/site-packages")
+    zipfile.ZipFile(wheel).extractall(site)
+    (itself,) = importlib.metadata.distributions(path=[str(site)])
+    waiting, linked = list(itself.requires), set()
+    while waiting:
+        requirement = Requirement(waiting.pop())
+        if requirement.name in linked or (requirement.marker and not requirement.marker.evaluate({"extra": ""})):
+            continue
+        linked.add(requirement.name)
+        found = importlib.metadata.distribution(requirement.name)
+        waiting += found.requires or []
+        for top in {path.parts[0] for path in found.files if path.parts[0] not in ("..", "__pycache__")}:
+            (site / top).symlink_to(found.locate_file(top))
+    return folder / "bin" / "python"
+
+
+def in_bare(python: Path, *words: str, cwd: Path) -> subprocess.CompletedProcess:
+    env = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+    return subprocess.run([str(python), "-P", *words], capture_output=True, text=True, cwd=cwd, env=env)
+
+
+def test_five_packages_score_predictions_and_print_a_leaderboard(bare, tmp_path):
+    def vsfsim(*words):
+        return in_bare(bare, "-c", "from vsfsim.cli.main import main; main()", *words, cwd=tmp_path)
+
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    made = in_bare(bare, "-c", TOY, cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    scored = vsfsim("score", "predictions.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros")
+    assert scored.returncode == 0 and "all-shot" in scored.stdout, scored.stderr
+    board = vsfsim("leaderboard", "--task", "toy-v1.toml")
+    assert board.returncode == 0 and "zeros" in board.stdout, board.stderr
+    shipped = vsfsim("leaderboard", "--task", "fewshot-shoes-mini-v1")
+    assert shipped.returncode == 0 and "imaml-vision" in shipped.stdout, shipped.stderr
+    assert vsfsim("verify", "toy").returncode == 0
+    for words, extra in ((("press", "indent"), "sim"), (("check", "gaussian"), "methods"),
+                         (("inspect", "toy"), "render")):
+        out = vsfsim(*words)
+        assert out.returncode == 2 and f'pip install "vsfsim[{extra}]"' in out.stderr, (words, out.stderr)
+        assert "Traceback" not in out.stderr
+
+
+def test_the_extras_bring_what_the_messages_promise():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    names = {extra: {Requirement(line).name for line in lines}
+             for extra, lines in project["optional-dependencies"].items()}
+    assert {Requirement(line).name for line in project["dependencies"]} == BASE
+    (everything,) = project["optional-dependencies"]["all"]
+    assert Requirement(everything).extras == {"sim", "methods", "render"}
+    for package, extra in EXTRA_OF.items():
+        assert package in {IMPORTED_AS.get(name, name) for name in names[extra]}
+    assert {IMPORTED_AS.get(name, name) for extra in ("sim", "methods", "render") for name in names[extra]} == set(EXTRA_OF)
+
+
+def test_every_requirement_is_pinned_in_the_constraints():
+    pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower()
+              for line in (ROOT / "constraints.txt").read_text().splitlines() if line and line[0] != "#"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = {Requirement(line).name for lines in (project["dependencies"], *project["optional-dependencies"].values())
+             for line in lines}
+    assert asked - {"vsfsim"} <= pinned

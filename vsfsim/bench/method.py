@@ -17,6 +17,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.core.extras import MissingPackage
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.shelf import METHOD_GROUP, methods
 from vsfsim.data.records import View
@@ -128,6 +129,8 @@ def find_method(name: str) -> type:
             sys.path.insert(0, os.getcwd())  # a method under work lies here, and the console script does not look here
         try:
             return getattr(importlib.import_module(module), attribute)
+        except MissingPackage:
+            raise
         except Exception as error:  # an outsider's module may raise anything while it is imported
             raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give "
                               f"module:attribute of something importable from here.") from error
@@ -137,6 +140,8 @@ def find_method(name: str) -> type:
                           f"module:attribute works too.")
     try:
         return shelf[name].load()
+    except MissingPackage:
+        raise
     except Exception as error:
         raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: "
                           f"{type(error).__name__}: {error}. Install what it needs, or its package again.") from error

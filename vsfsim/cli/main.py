@@ -18,6 +18,7 @@ import typer
 from vsfsim.cli.measure import app as measure_app
 from vsfsim.core.arm_spec import ARM_MODELS
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
+from vsfsim.core.extras import missing
 
 app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None,
                   pretty_exceptions_enable=False,
@@ -59,10 +60,13 @@ def main() -> None:
         if word is not None and word == sys.argv[1] and word not in commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, commands)}")
         app()
-    except VsfsimError as error:
+    except (VsfsimError, ModuleNotFoundError) as error:
+        found = error if isinstance(error, VsfsimError) else missing(error)
+        if found is None:
+            _report_bug()
         if debug:
             traceback.print_exc()
-        print(f"error: {error}", file=sys.stderr)
+        print(f"error: {found}", file=sys.stderr)
         sys.exit(2)
     except BrokenPipeError:
         sys.stderr.close()  # the reader of a pipe left; nothing is wrong

@@ -1,0 +1,49 @@
+"""Optional dependencies: which extra of `pip install "vsfsim[...]"` brings a package that is not installed.
+
+Scores, datasets and leaderboards need numpy, scipy, h5py, typer and rich alone; everything else is in an extra.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+
+from vsfsim.core.errors import VsfsimError
+
+EXTRA_OF = {
+    "warp": "sim", "mujoco": "sim", "trimesh": "sim", "cholespy": "sim", "pytetwild": "sim", "pyvista": "sim",
+    "torch": "methods",
+    "matplotlib": "render", "PIL": "render", "pyrender": "render",
+}
+"""The extra that a message names, by the name that is imported. `pyproject.toml` may list a package in several."""
+
+
+class MissingPackage(VsfsimError, ModuleNotFoundError):
+    """A package of an extra is not installed; the message names the extra."""
+
+
+def missing(error: ModuleNotFoundError, extra: str | None = None) -> MissingPackage | None:
+    """The error that a user can act on; None if the module that is missing belongs to no extra.
+
+    Args:
+        error: what an import raised.
+        extra: the extra to name; default: the one in `EXTRA_OF`.
+    """
+    if isinstance(error, MissingPackage):
+        return error
+    package = (error.name or "").partition(".")[0]
+    if package not in EXTRA_OF:
+        return None
+    extra = extra or EXTRA_OF[package]
+    return MissingPackage(f"this needs the package '{package}', which is not installed. Install the extra '{extra}': "
+                          f"pip install \"vsfsim[{extra}]\", or \"vsfsim[all]\" for everything.", name=package)
+
+
+def require(extra: str, *packages: str) -> None:
+    """Called by a layer that cannot be imported without ``packages``.
+
+    Raises:
+        MissingPackage: one of them is not installed.
+    """
+    for package in packages:
+        if importlib.util.find_spec(package) is None:
+            raise missing(ModuleNotFoundError(name=package), extra)
