@@ -47,8 +47,8 @@ def test_weights_interpolate_what_is_linear(fine, coarse):
     assert np.linalg.norm(np.einsum("ka,kai->ki", weight, coarse.points[nodes]) - fine.points,
                           axis=1).max() < 0.05725 * (1 - np.cos(np.pi / 36))
     own, weight = locate(fine.points, fine)
-    assert own[np.arange(len(own)),
-               weight.argmax(axis=1)].tolist() == list(range(len(fine.points))) and weight.max(axis=1) == pytest.approx(1.0)
+    assert own[np.arange(len(own)), weight.argmax(axis=1)].tolist() == list(range(len(fine.points)))
+    assert weight.max(axis=1) == pytest.approx(1.0)
 
 
 def test_positions_follow_the_skin(fine, coarse):
@@ -131,8 +131,8 @@ def test_the_real_sensor_is_read_on_its_390_nodes(model):
     # and a force on any node keeps its moment
     force = np.zeros((1, len(model.mesh.points), 3))
     force[0, ::7] = np.random.default_rng(0).standard_normal((len(force[0, ::7]), 3))
-    before, after = wrench(model.mesh.points[None], force), wrench(nodes[None],
-                                                                   readout.forces(model.mesh.points[None], force))
+    before = wrench(model.mesh.points[None], force)
+    after = wrench(nodes[None], readout.forces(model.mesh.points[None], force))
     assert after[0] == pytest.approx(before[0], abs=1e-12) and after[1] == pytest.approx(before[1], abs=1e-13)
 
 
@@ -150,8 +150,8 @@ def test_the_pressure_is_that_of_the_solvers_gas(model):
                    wp.array(u.reshape(-1, 1), dtype=wp.float64, device="cpu"))
     found = gauge_pressure(model, np.stack([model.mesh.points, model.mesh.points + u]))
     assert found[0] == pytest.approx(model.pressure, rel=1e-9)
-    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]),
-                                     rel=1e-9) and found[1] > model.pressure + 1000.0
+    assert found[1] == pytest.approx(float(elastic.pressure.numpy()[0]), rel=1e-9)
+    assert found[1] > model.pressure + 1000.0
 
 
 def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
@@ -179,9 +179,8 @@ def test_a_touch_with_a_bubble_goes_into_a_dataset_and_back(model, tmp_path):
     world[5] = np.nan
     more = touch_fields(model, world, force, pressure, pose, converged=converged,
                         camera=BubbleCamera(width=64, height=48, focal=43.0))
-    write_view(tmp_path / "x.h5",
-               dataclasses.replace(view, touches=(dataclasses.replace(touch, mount_pose=pose, converged=converged,
-                                                                      **more),)))
+    touched = dataclasses.replace(touch, mount_pose=pose, converged=converged, **more)
+    write_view(tmp_path / "x.h5", dataclasses.replace(view, touches=(touched,)))
     back = read_view(tmp_path / "x.h5").touches[0]
     assert (back.rest_pressure == model.pressure and np.isnan(back.pressure[5])
             and np.isfinite(np.delete(back.pressure, 5)).all())

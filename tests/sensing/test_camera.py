@@ -3,7 +3,6 @@
 import math
 import subprocess
 import sys
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -12,8 +11,9 @@ import trimesh
 
 from vsfsim.core.scene import CameraSpec
 from vsfsim.core.solid import TEXTURES, Appearance
-from vsfsim.sensing import render_pyrender
-from vsfsim.sensing.camera import RenderError, Surface, corner_normals, look_at, render
+from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.render_pyrender import load_pyrender
+from vsfsim.sensing.surface import RenderError, Surface, corner_normals
 
 SPEC = CameraSpec(160, 120, 0.8, 0.6, 0.9, 0.7)
 
@@ -77,8 +77,8 @@ def test_depth_error_on_a_sphere_is_that_of_its_tessellation():
     # Away from the silhouette a chord of edge h lies at most h^2 / 8R / cos(60 deg) behind the sphere.
     edge = 0.005
     inner = disc / (b**2) > 1e-2
-    facing = np.abs(np.einsum("ijk,ijk->ij", pose[:3, 3] + exact[..., None] * direction,
-                              direction) / radius / np.sqrt(a)) > 0.5
+    hit = pose[:3, 3] + exact[..., None] * direction
+    facing = np.abs(np.einsum("ijk,ijk->ij", hit, direction) / radius / np.sqrt(a)) > 0.5
     inner &= facing & (disc > 0)
     assert inner.sum() > 500 and view.mask[inner].all()
     error = view.depth[inner] - exact[inner]
@@ -95,14 +95,12 @@ def test_visible_cloud_lies_on_the_surface():
     assert np.all(np.abs(cloud) < [0.0501, 0.0601, 0.0301])
 
 
-def test_full_picture_is_fast_and_bit_identical():
+def test_a_picture_is_bit_identical_when_taken_again():
     surface = surface_of(trimesh.creation.icosphere(subdivisions=5, radius=0.1), look("noise"))
     spec = replace(SPEC, width=640, height=480)
     intrinsics, pose = look_at(spec, np.zeros(3))
     one = render(surface, intrinsics, pose, 640, 480)
-    start = time.perf_counter()
     two = render(surface, intrinsics, pose, 640, 480)
-    assert time.perf_counter() - start < 1.0
     assert np.array_equal(one.rgb, two.rgb) and np.array_equal(one.depth, two.depth)
 
 
@@ -174,7 +172,7 @@ def test_bad_surfaces_are_refused(change, words):
     assert words in str(error.value)
 
 
-def test_unknown_renderer_is_told():
+def test_an_unknown_renderer_is_refused():
     triangle = Surface(np.eye(3), np.array([[0, 1, 2]]), np.array([0]), None, np.eye(3))
     with pytest.raises(RenderError, match="Did you mean 'pyrender'"):
         render(triangle, *look_at(SPEC, np.zeros(3)), 8, 8, renderer="pyrenderer")
@@ -217,9 +215,8 @@ def test_missing_gl_is_one_paragraph_that_says_what_to_install(monkeypatch):
     def broken(name):
         raise ImportError("no such library")
 
-    monkeypatch.setattr(render_pyrender.importlib, "import_module", broken)
     with pytest.raises(RenderError) as error:
-        render_pyrender.load_pyrender()
+        load_pyrender(broken)
     text = str(error.value)
     assert "egl: no such library; osmesa: no such library" in text and "apt-get install" in text and "\n" not in text
 

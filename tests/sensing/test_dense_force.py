@@ -148,7 +148,7 @@ def test_one_node_is_shrunk_and_put_on_its_cone():
 
 @pytest.mark.parametrize(("lasso", "ridge", "smooth", "friction"), [
     (0.0, 3.0, 0.0, None), (0.0, 1.0, 2.0, None), (4.0, 0.0, 0.0, None), (4.0, 1.0, 0.0, 0.6), (4.0, 0.0, 3.0, 0.6),
-                                                                    (2.0, 0.0, 0.0, np.inf)])
+    (2.0, 0.0, 0.0, np.inf)])
 def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, ridge, smooth, friction):
     rng = np.random.default_rng(3)
     root = rng.standard_normal((12, 12))
@@ -174,10 +174,9 @@ def test_four_nodes_meet_the_optimality_conditions_and_a_general_solver(lasso, r
         assert again.iterations <= 20 and again.force == pytest.approx(found.force, abs=1e-6)
 
     def cost(x):
-        return 0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c)
-                                 - d) ** 2) + lasso * np.linalg.norm(x.reshape(4, 3),
-                                                                     axis=1).sum() + 0.5 * ridge * x @ x \
-            + 0.5 * smooth * sum(np.sum((x[3 * i:3 * i + 3] - x[3 * j:3 * j + 3]) ** 2) for i, j in edges)
+        rough = sum(np.sum((x[3 * i:3 * i + 3] - x[3 * j:3 * j + 3]) ** 2) for i, j in edges)
+        return (0.5 * w * np.sum((np.linalg.solve(k, x[:, None] - c) - d) ** 2)
+                + lasso * np.linalg.norm(x.reshape(4, 3), axis=1).sum() + 0.5 * ridge * x @ x + 0.5 * smooth * rough)
 
     constraint = [] if friction is None else [{"type": "ineq", "fun": lambda x: np.concatenate([
         np.einsum("ni,ni->n", x.reshape(4, 3), inward[:, 0]),
@@ -216,8 +215,8 @@ def test_columns_together_and_apart_are_the_same():
     assert together.converged.all() and (together.residual < 1e-8).all()
     for t in range(3):
         alone = solve(k, c[:, t:t + 1], d[:, t:t + 1], program, inward=inward[:, t:t + 1])
-        assert together.force[:, t] == pytest.approx(alone.force[:, 0],
-                                                     abs=1e-6) and alone.iterations <= together.iterations
+        assert together.force[:, t] == pytest.approx(alone.force[:, 0], abs=1e-6)
+        assert alone.iterations <= together.iterations
     none = solve(k, c[:, :0], d[:, :0], program, inward=inward[:, :0])
     assert none.force.shape == (30, 0) and none.iterations == 0
 
@@ -227,9 +226,8 @@ def test_columns_together_and_apart_are_the_same():
 
 def test_exact_readings_give_back_the_pushes(calibration, presses):
     position, pressure, true = presses
-    found = DenseForceEstimator(calibration, method="membrane",
-                                options=EstimatorOptions(force_scale=1.0,
-                                                         neighbour_scale=np.inf)).estimate(position, pressure)
+    options = EstimatorOptions(force_scale=1.0, neighbour_scale=np.inf)
+    found = DenseForceEstimator(calibration, method="membrane", options=options).estimate(position, pressure)
     size = np.sqrt((true**2).sum(axis=2).mean(axis=1))
     error = np.sqrt(((found.force - true) ** 2).sum(axis=2).mean(axis=1))
     # what is left is the lasso's pull, lambda K^2 / w, far under a thousandth of the push
@@ -243,14 +241,12 @@ def test_a_small_push_is_found_by_the_linear_tangent_and_missed_without_tension(
     x, p = toy.push(true)
     # exact readings: next to no shrinkage
     options = EstimatorOptions(displacement_std=1e-6, model_std=1e-6, force_scale=1.0)
-    error = {m: np.linalg.norm(DenseForceEstimator(calibration, method=m,
-                                                   options=options).estimate(x[None], np.array([p])).force[0] - true)
-             / np.linalg.norm(true)
+    found = {m: DenseForceEstimator(calibration, method=m, options=options).estimate(x[None], np.array([p]))
              for m in METHODS}
-
+    error = {m: np.linalg.norm(estimate.force[0] - true) / np.linalg.norm(true) for m, estimate in found.items()}
     assert error["membrane"] < 0.02
-    # deterministic: 0.68 and 0.98 of the push; a soap film's even tension is not a rubber dome's, so `taut` is a
-    # half-way house
+    # deterministic: 0.68 and 0.98 of the push; the uniform tension of a soap film is not that of a rubber dome, so
+    # `taut` lies between
     assert error["taut"] < 0.8 < 0.9 < min(error["residual"], error["paper"], error["released"])
 
 

@@ -9,8 +9,9 @@ from vsfsim.core.scene import CameraSpec
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Appearance
 from vsfsim.data.records import ObjectView, Touch
-from vsfsim.sensing.camera import RenderError, Surface, look_at, render
+from vsfsim.sensing.camera import look_at, render
 from vsfsim.sensing.contact_sheet import contact_sheet
+from vsfsim.sensing.surface import RenderError, Surface
 from vsfsim.sensing.turntable import turntable
 
 RED = Appearance(np.array([[0.6, 0.02, 0.02]]), ("plain",), np.ones(1), np.zeros(1))

@@ -73,7 +73,7 @@ def _sensor(scene: Scene, name: str, path: Path, *, device: str) -> list[str]:
     from vsfsim.physics.bubble import sensor as bubble
     from vsfsim.physics.bubble.shape import punyo_rms, stretches
     from vsfsim.physics.elements import gas
-    from vsfsim.sensing.camera import Surface
+    from vsfsim.sensing.surface import Surface
     from vsfsim.sensing.turntable import turntable
 
     spec = scene.sensor

@@ -167,9 +167,9 @@ def make_view(job: Job, *, device: str, progress: Callable[[int], None] | None =
 
 
 def surface_of(solid: Solid, scene: Scene) -> Any:
-    """The body's boundary at rest as the cameras take it: a `sensing.camera.Surface`."""
+    """The body's boundary at rest as the cameras take it: a `sensing.surface.Surface`."""
     from vsfsim.physics.tiers import placement
-    from vsfsim.sensing.camera import Surface
+    from vsfsim.sensing.surface import Surface
 
     turn, shift = placement(scene.object)
     triangles, owner = solid.surface()

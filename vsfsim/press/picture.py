@@ -14,7 +14,8 @@ from vsfsim.core.solid import Appearance
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 from vsfsim.press.probe import PressResult
-from vsfsim.sensing.camera import Surface, look_at, render
+from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.surface import Surface
 
 SIZE, TALL = 640, 512  # of one view [px]
 ROUND = 48  # sides of a round probe

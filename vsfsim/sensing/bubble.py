@@ -1,9 +1,7 @@
-"""What a bubble shows of itself in every frame: chamber pressure, nodes of the read-out mesh, forces on them, and the
-wrench at the mount.
+"""Read-outs of a bubble in every frame: chamber pressure, nodes of the read-out mesh, forces on them, mount wrench.
 
-The solver's mesh may be finer than the read-out mesh, and another one. Both are meshes of one flat skin, so a node of
-one lies in a triangle of the
-other by its material coordinates: the flat ellipse before the air is let in.
+The solver's mesh and the read-out mesh may differ. Both are meshes of the same flat skin, so each node of one lies in a
+triangle of the other by its material coordinates: those of the flat ellipse before inflation.
 """
 
 from __future__ import annotations
@@ -21,18 +19,20 @@ from vsfsim.sensing.membrane_fe import SensorError, checked_mesh
 if TYPE_CHECKING:
     from vsfsim.physics.bubble.sensor import BubbleModel
 
-_CHUNK = 2_000_000  # pairs of point and triangle looked at together
-_SLACK = 1e-9  # of a barycentric weight: on an edge
+_CHUNK = 2_000_000  # pairs of point and triangle tested together
+_SLACK = 1e-9  # a barycentric weight below this size is treated as zero: the point lies on an edge
 
 
 @dataclass(frozen=True)
 class FlatMesh:
-    """A mesh of the flat skin. points: material coordinates (n, 2) [m]. triangles: counter-clockwise (m, 3). rim: True
-    where it is clamped (n,)."""
+    """A mesh of the flat skin."""
 
     points: np.ndarray
+    """Material coordinates (n, 2) [m]."""
     triangles: np.ndarray
+    """Node indices, counter-clockwise (m, 3)."""
     rim: np.ndarray
+    """True at the clamped nodes (n,)."""
 
     def __post_init__(self) -> None:
         checked_mesh(np.column_stack([self.points, np.zeros(len(self.points))]), self.triangles, "bubble mesh")
@@ -43,26 +43,28 @@ class FlatMesh:
 
 @dataclass(frozen=True)
 class BubbleFrames:
-    """Read-outs of T frames, in the frame that the positions were given in.
-
-    pressure_change: of the chamber against the free dome (T,) [Pa]. node_position: of the read-out mesh (T, N, 3) [m].
-    node_force: true contact force on each of its nodes (T, N, 3) [N]. force, moment: of all contact on the sensor,
-    moment about ``origin`` (T, 3) [N], (T, 3) [N m].
-    """
+    """Read-outs of T frames, in the frame that the positions were given in."""
 
     pressure_change: np.ndarray
+    """Gauge pressure less that of the free dome (T,) [Pa]."""
     node_position: np.ndarray
+    """Nodes of the read-out mesh (T, N, 3) [m]."""
     node_force: np.ndarray
+    """True contact force on each of these nodes (T, N, 3) [N]."""
     force: np.ndarray
+    """Net contact force on the sensor (T, 3) [N]."""
     moment: np.ndarray
+    """Net contact moment about ``origin`` (T, 3) [N m]."""
 
 
 def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (k, 3) of the triangle of ``mesh`` that holds each of the flat ``points`` (k, 2) [m], and the point's
-    barycentric weights there (k, 3).
+    """The triangle of ``mesh`` that contains each of the flat ``points`` (k, 2) [m].
 
-    A point outside (rims are polygons, and a finer one bulges further) takes the nearest point of the triangle that it
-    is least outside of.
+    A point outside the mesh takes the nearest point of the triangle whose smallest weight is largest. Such points exist
+    because the rims are polygons, and a finer polygon bulges further.
+
+    Returns:
+        Nodes of the triangles (k, 3), and barycentric weights of the points in them (k, 3).
     """
     corner = mesh.points[mesh.triangles]
     inverse = np.linalg.inv(np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2))
@@ -82,13 +84,13 @@ def locate(points: np.ndarray, mesh: FlatMesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def weights(nodes: np.ndarray, weight: np.ndarray, count: int) -> sparse.csr_matrix:
-    """What `locate` found as a matrix (k, count): times nodal values it interpolates, transposed it spreads."""
+    """The result of `locate` as a matrix (k, count): it interpolates values, and its transpose distributes forces."""
     return sparse.csr_matrix((weight.ravel(), (np.repeat(np.arange(len(nodes)), 3), nodes.ravel())),
                              shape=(len(nodes), count))
 
 
 def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
-    """Barycentric weights (3,) of the point of a triangle (3, 2) nearest to ``point`` (2,), which is outside."""
+    """Barycentric weights (3,) of the point of a triangle (3, 2) nearest to ``point`` (2,) outside it."""
     best, weight = np.inf, np.zeros(3)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         edge = corner[j] - corner[i]
@@ -101,14 +103,11 @@ def _nearest(point: np.ndarray, corner: np.ndarray) -> np.ndarray:
 
 
 class BubbleReadout:
-    """From the state of the solver's mesh to the read-out mesh.
+    """Transfer of positions and forces from the solver's mesh to the read-out mesh.
 
     Args:
-        solver: flat mesh of the solver. readout: flat mesh of the read-out; the same object gives the solver's own
-        nodes back.
-
-    Attributes:
-        readout: as given. solver_triangles: of the solver's mesh (m, 3).
+        solver: flat mesh of the solver.
+        readout: flat mesh of the read-out; if it equals ``solver``, nodes and forces pass unchanged.
     """
 
     def __init__(self, solver: FlatMesh, readout: FlatMesh):
@@ -116,7 +115,7 @@ class BubbleReadout:
         same = solver is readout or (solver.points.shape == readout.points.shape
                                      and np.array_equal(solver.points, readout.points)
                                      and np.array_equal(solver.triangles, readout.triangles))
-        self._corners, share = locate(solver.points, readout)  # of each solver node: its triangle on the read-out mesh
+        self._corners, share = locate(solver.points, readout)
         self._up = weights(self._corners, share, len(readout.points))
         self._down = weights(*locate(readout.points, solver), len(solver.points))
         self._same = same
@@ -129,12 +128,16 @@ class BubbleReadout:
     def forces(self, points: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Forces on the read-out nodes (T, N, 3) [N] that are equivalent to nodal forces on the solver's mesh.
 
-        Each force goes to the three corners of the triangle it lies in, by its barycentric weights. It acts beside
-        their plane, though, where the skin is curved; a couple of forces within the triangle makes up for that moment.
-        So net force and net moment are kept, force by force.
+        Each force is distributed to the three corners of its triangle by its barycentric weights. Where the skin is
+        curved, the force acts outside the triangle's plane; a couple within the triangle restores its moment. Net
+        force and net moment of every nodal force are therefore conserved.
 
         Args:
-            points: solver nodes (T, n, 3) [m]. force: on them (T, n, 3) [N].
+            points: solver nodes (T, n, 3) [m].
+            force: on these nodes (T, n, 3) [N].
+
+        Raises:
+            SensorError: shapes that do not match.
         """
         points, force = self._checked(points, "positions"), self._checked(force, "forces")
         if len(points) != len(force):
@@ -160,13 +163,14 @@ class BubbleReadout:
         """All read-outs of T frames.
 
         Args:
-            points: solver nodes (T, n, 3) [m], mount or world frame. force: contact force on each (T, n, 3) [N], the
-            same frame. pressure: gauge (T,) [Pa].
-            rest_pressure: of the free dome [Pa]. origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0,
-            0).
+            points: solver nodes (T, n, 3) [m], mount or world frame.
+            force: contact force on each node in the same frame (T, n, 3) [N].
+            pressure: gauge (T,) [Pa].
+            rest_pressure: gauge pressure of the free dome [Pa].
+            origin: of the mount in that frame (T, 3) or (3,) [m]; None for (0, 0, 0).
 
         Raises:
-            SensorError: shapes that do not fit.
+            SensorError: shapes that do not match.
         """
         points, force = self._checked(points, "positions"), self._checked(force, "forces")
         pressure = np.asarray(pressure, np.float64)
@@ -184,8 +188,7 @@ class BubbleReadout:
 
 
 def readout_of(model: BubbleModel) -> BubbleReadout:
-    """The read-out of a bubble that `vsfsim.physics.bubble.sensor.build_bubble` made: the solver's mesh and the 390
-    nodes."""
+    """The read-out of a bubble from `vsfsim.physics.bubble.sensor.build_bubble` on the published mesh of 390 nodes."""
     def flat(points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> FlatMesh:
         held = np.zeros(len(points), bool)
         held[rim] = True
@@ -196,8 +199,10 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
 
 
 def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:
-    """Gauge pressure (T,) [Pa] of the model's air when its nodes are at ``points`` (T, n, 3) [m]: p V^gamma, or the
-    supply's if it is open."""
+    """Gauge pressure (T,) [Pa] of the gas when the model's nodes are at ``points`` (T, n, 3) [m].
+
+    A sealed gas keeps p V^gamma constant; an open one has the pressure of its supply.
+    """
     spec = model.spec
     if not spec.sealed:
         return np.full(len(points), model.pressure)

@@ -1,10 +1,9 @@
-"""The camera inside the bubble: depth and colour of the skin from within, as an RGB-D camera under the rim sees it.
+"""The RGB-D camera inside the bubble: depth and colour of the skin as seen from below the rim.
 
-Of the real sensor are known (bubble.md): 640 x 480 pixels, a focal length of about 430 px, a tilt of 25 degrees, the
-rim plane about 54 mm away. The public mesh, which is in the camera's frame, puts the camera 40 mm off the dome's axis
-along the long semi-axis, so that the tilt turns it to the middle.
-The look is ours: a pale skin with a hashed pattern of dark dots, and two lamps beside the lens; no photograph was
-measured.
+These values of the real sensor are known (docs/sensing.md): 640 x 480 pixels, a focal length of about 430 px, a tilt
+of 25 degrees, and the rim plane at about 54 mm. The public mesh is given in the camera's frame and places the camera
+40 mm off the dome's axis along the long semi-axis, so that the tilt turns it to the middle. The appearance is an
+assumption, not measured from photographs: a pale skin with a pattern of dark dots, and two lamps beside the lens.
 """
 
 from __future__ import annotations
@@ -15,25 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.sensing.membrane_fe import SensorError, checked_mesh, nodal_normals
+from vsfsim.sensing.surface import srgb
 
 
 @dataclass(frozen=True)
 class BubbleCamera:
-    """A pinhole camera in the chamber, looking at the skin from below.
-
-    width, height: of the picture [px]. focal: length [px]. tilt: between its axis and the dome's, towards +x [rad].
-    distance: of the rim plane, along the dome's axis [m]. offset: of the camera along -x, the long semi-axis [m].
-    dot_spacing, dot_radius: of the print, on the stress-free skin [m].
-    """
+    """A pinhole camera in the chamber that looks at the skin from below."""
 
     width: int = 640
+    """Of the picture [px]."""
     height: int = 480
+    """Of the picture [px]."""
     focal: float = 430.0
+    """Focal length [px]."""
     tilt: float = math.radians(25.0)
+    """Angle between the optical axis and the dome's axis, towards +x [rad]."""
     distance: float = 0.054
+    """From the camera to the rim plane, along the dome's axis [m]."""
     offset: float = 0.040
+    """Of the camera along -x, the long semi-axis [m]."""
     dot_spacing: float = 0.0022
+    """Of the printed dots, on the stress-free skin [m]."""
     dot_radius: float = 0.00055
+    """Of a printed dot, on the stress-free skin [m]."""
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not self.focal > 0.0:
@@ -65,11 +68,12 @@ class BubbleCamera:
 
 @dataclass(frozen=True)
 class InsideView:
-    """T pictures from inside. depth: along the optical axis, 0 where no skin is seen (T, H, W) float32 [m]. rgb: sRGB
-    (T, H, W, 3) uint8."""
+    """T pictures from inside."""
 
     depth: np.ndarray
+    """Along the optical axis, 0 where no skin is visible (T, H, W) float32 [m]."""
     rgb: np.ndarray
+    """sRGB (T, H, W, 3) uint8."""
 
 
 def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray, camera: BubbleCamera, *,
@@ -77,17 +81,19 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     """Depth and colour of the skin in T frames.
 
     Args:
-        points: node positions, mount frame (T, n, 3) [m]. triangles: wound outwards (m, 3). material: coordinates of
-        the nodes on the stress-free
-            skin (n, 2) [m]; the dots are printed there. camera: where it stands. device: Warp device.
+        points: node positions, mount frame (T, n, 3) [m].
+        triangles: wound outwards (m, 3).
+        material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the dots are printed there.
+        camera: its pose and intrinsics.
+        device: Warp device.
 
     Raises:
-        SensorError: shapes that do not fit, a node that is not finite, or a node behind the camera.
+        SensorError: a shape that does not match, a node that is not finite, or a skin behind the camera.
     """
     points, material = np.asarray(points, np.float64), np.asarray(material, np.float64)
     if points.ndim != 3 or len(points) == 0:
-        raise SensorError(f"bubble camera: points have shape {points.shape}; give frames of positions (T, n, "
-                          f"3), T >= 1.")
+        raise SensorError(f"bubble camera: points have shape {points.shape}; give frames of positions "
+                          f"(T, n, 3), T >= 1.")
     if not np.isfinite(points).all():
         raise SensorError("bubble camera: a node is not finite; leave out frames that did not converge.")
     _, triangles = checked_mesh(points[0], triangles, "bubble camera")
@@ -102,12 +108,9 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
 
     normals = np.stack([nodal_normals(x, triangles) for x in points])
     lamps = pose[:3, 3] + np.array([[0.0, 0.02, 0.0], [0.0, -0.02, 0.0]])
-    # full light where the optical axis meets the rim plane, straight before the lamps
+    # The light is full where the optical axis meets the rim plane, straight in front of the lamps.
     power = 0.5 * (camera.distance / math.cos(camera.tilt)) ** 2
     depth, light = cast_inside(points, triangles.astype(np.int32), normals, material, camera.intrinsics, pose,
                                camera.width, camera.height, lamps=lamps, power=power,
                                dots=(camera.dot_spacing, camera.dot_radius), albedo=(0.62, 0.05), device=device)
-    tint = np.array([1.0, 0.96, 0.9])
-    linear = np.clip(light[..., None] * tint, 0.0, 1.0)
-    coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
-    return InsideView(depth, np.rint(255.0 * coded).astype(np.uint8))
+    return InsideView(depth, srgb(light[..., None] * np.array([1.0, 0.96, 0.9])))

@@ -1,5 +1,4 @@
-"""The bubble's part of a dataset's touch: from the solver's state to the fields of `vsfsim.data.records.Touch`, and
-from these to estimated forces."""
+"""A bubble's fields of `vsfsim.data.records.Touch` from the solver's state, and estimated forces from these fields."""
 
 from __future__ import annotations
 
@@ -18,33 +17,33 @@ if TYPE_CHECKING:
 
 
 def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pressure: np.ndarray,
-                 mount_pose: np.ndarray, *,
-                 converged: np.ndarray | None = None, camera: BubbleCamera | None = None,
+                 mount_pose: np.ndarray, *, converged: np.ndarray | None = None, camera: BubbleCamera | None = None,
                  device: str = "cpu") -> dict[str, Any]:
-    """Keyword arguments for a `Touch` made with a bubble: everything that a rigid probe does not have.
+    """Keyword arguments for a `Touch` by a bubble: the fields that a rigid probe does not have.
 
     Args:
-        model: the bubble. position: its nodes, world (T, m, 3) [m]. force: contact force on each, world (T, m, 3) [N].
+        model: the bubble; ``model.spec.fine`` says whether the solver's own mesh is recorded, too.
+        position: of its nodes, world (T, m, 3) [m].
+        force: contact force on each node, world (T, m, 3) [N].
         pressure: gauge (T,) [Pa].
-        mount_pose: mount to world (T, 4, 4). converged: (T,) bool; the readings of other frames are NaN, and their
-        pictures black. None for all.
-        camera: also take pictures from inside. device: Warp device of the ray caster. Whether the solved mesh itself is
-        kept, too, is ``model.spec.fine``.
+        mount_pose: mount to world (T, 4, 4) [m].
+        converged: (T,) bool, None for all; the readings of other frames are NaN, and their pictures black.
+        camera: takes pictures from inside; None for none.
+        device: Warp device of the ray caster.
 
     Returns:
         pressure, rest_pressure, moment, node_position, node_force, node_rest, node_reference, node_triangles;
-        fine_position, fine_force, fine_rest and fine_triangles if they are asked for; and inside_depth and inside_rgb
-        if there is a camera.
+        fine_position, fine_force, fine_rest and fine_triangles with ``model.spec.fine``; inside_depth and inside_rgb
+        with a camera.
 
     Raises:
-        SensorError: shapes that do not fit, or a converged frame that is not finite.
+        SensorError: shapes that do not match, or a converged frame that is not finite.
     """
     position, force, pressure, mount_pose = (np.asarray(x, np.float64) for x in (position, force, pressure, mount_pose))
     frames = len(position)
     good = np.ones(frames, bool) if converged is None else np.asarray(converged, bool)
-    if mount_pose.shape != (frames, 4, 4) or pressure.shape != (frames,
-                                                                ) or good.shape != (frames,
-                                                                                    ) or force.shape != position.shape:
+    if (mount_pose.shape, pressure.shape, good.shape, force.shape) != ((frames, 4, 4), (frames,), (frames,),
+                                                                       position.shape):
         raise SensorError(f"bubble: positions {position.shape}, forces {force.shape}, pressure {pressure.shape}, mount "
                           f"poses {mount_pose.shape} and converged {good.shape} "
                           "must be (T, m, 3) twice, (T,), (T, 4, 4) and (T,).")
@@ -58,13 +57,13 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
         return np.full((frames, *shape), np.nan)
 
     out: dict[str, Any] = {"pressure": np.where(good, pressure, np.nan), "rest_pressure": float(model.pressure),
-                           "moment": nan(3),
-                           "node_position": nan(nodes, 3), "node_force": nan(nodes, 3)}
+                           "moment": nan(3), "node_position": nan(nodes, 3),
+                           "node_force": nan(nodes, 3)}
     if good.any():
-        seen = readout.frames(position[good], force[good], pressure[good], rest_pressure=model.pressure,
-                              origin=mount_pose[good, :3, 3])
-        out["moment"][good], out["node_position"][good], out["node_force"][good] = (seen.moment, seen.node_position,
-                                                                                    seen.node_force)
+        found = readout.frames(position[good], force[good], pressure[good], rest_pressure=model.pressure,
+                               origin=mount_pose[good, :3, 3])
+        for name in ("moment", "node_position", "node_force"):
+            out[name][good] = getattr(found, name)
     for name in ("node_position", "node_force"):
         out[name] = out[name].astype(np.float32)
     out["node_rest"] = readout.positions(model.mesh.points[None])[0]
@@ -87,19 +86,21 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
 def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
                     options: EstimatorOptions | None = None, position: np.ndarray | None = None,
                     pressure: np.ndarray | None = None) -> DenseForce:
-    """Contact forces on the nodes of a touch of a dataset, as `DenseForceEstimator` finds them, in the world.
+    """Contact forces on the nodes of a dataset's touch, estimated by `DenseForceEstimator`, in the world.
 
     Args:
-        touch: made with a bubble. stiffness: E h of its skin [N/m]. method, options: of the estimator.
-        position: measured nodes, world (T, N, 3) [m], e.g. those of `vsfsim.bench.noise_bubble.noisy_nodes`; None for
-        the true ones.
+        touch: made by a bubble.
+        stiffness: E h of its skin [N/m].
+        method, options: of the estimator.
+        position: measured nodes, world (T, N, 3) [m], e.g. of `vsfsim.bench.noise_bubble.noisy_nodes`; None for the
+            true ones.
         pressure: measured gauge pressure (T,) [Pa]; None for the true one.
 
     Returns:
-        Forces and positions in the world, NaN in frames that did not converge, whose ``converged`` is False too.
+        Forces and positions in the world; NaN in frames that did not converge, whose ``converged`` is False.
 
     Raises:
-        SensorError: the touch was made with a rigid probe, or readings that do not fit it.
+        SensorError: the touch was made by a rigid probe, or the readings have other shapes than the touch.
     """
     if (touch.node_position is None or touch.node_rest is None or touch.node_triangles is None
         or touch.pressure is None or touch.rest_pressure is None):
@@ -127,7 +128,7 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
 
 
 def rim_of(triangles: np.ndarray, nodes: int) -> np.ndarray:
-    """True (n,) at the nodes of edges that belong to one triangle (m, 3) alone: where an open mesh ends."""
+    """True (n,) at the boundary nodes of an open mesh: those on edges that belong to only one triangle (m, 3)."""
     edges, count = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0,
                              return_counts=True)
     out = np.zeros(nodes, bool)

@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.data.records import ObjectView, Touch, View
-from vsfsim.sensing.camera import RenderError
+from vsfsim.sensing.surface import RenderError
 
 
 def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: str = "") -> None:
     """Draw one row an object view: RGB, depth, where it was touched, and force over travel.
 
-    Touches are coloured alike in both panels on the right: a dot at the target with the last 20 mm of the way to it,
-    and its curve. One that met nothing is a cross without a curve; a frame that did not converge is a black cross.
-    Of a bubble also its pressure over travel, its skin at the hardest frame (dent and contact forces on its nodes, seen
-    from outside along the mount's axis), and what the camera in it sees, if it is kept.
+    A touch has the same colour in both panels on the right: a dot at the target with the last 20 mm of the approach,
+    and its curve. A touch without contact is a cross without a curve; a frame that did not converge is a black cross.
+    For a bubble the sheet also shows pressure over travel, the skin in the frame of largest force (dent and contact
+    forces on its nodes, along the mount's axis), and the picture of the camera inside, if it is recorded.
 
     Args:
         views: one or more.
@@ -136,7 +136,7 @@ def _pressure_change(touch: Touch) -> np.ndarray:
 
 
 def _hardest(seen: ObjectView) -> tuple[int, int]:
-    """The touch and its converged frame with the largest force."""
+    """Number of the touch and of its converged frame with the largest force."""
     size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0)
             for touch in seen.touches]
     number = int(np.argmax([values.max(initial=-1.0) for values in size])) if size else 0

@@ -1,27 +1,25 @@
-"""Contact forces on the nodes of an air-filled bubble from their noisy displacements and the pressure: what a real
-Punyo's user computes.
+"""Contact forces on the nodes of an air-filled bubble, estimated from noisy displacements and the pressure.
 
 Neural VSF, section III-A, says this much: the contact forces are what is left of the equilibrium of air and skin; the
 air's force is "the internal pressure reading multiplied by the triangle area"; "a calibrated linear FEM model" gives
 the skin's, f_elastic = K u; and "a Quadratic Programming (QP) formulation is used to regularize the estimated forces".
-It gives no objective, no constraint and no weight. They are in its reference [31] (Peng, Yao and Hauser, ICRA 2024) and
-that paper's public code: K is plane stress about the inflated dome without tension, E h 737.1 N/m, nu 0.5;
-the air's force is the pressure *change* times the measured area; the rim is held; and
+It gives no objective, no constraint and no weight. Its reference [31] (Peng, Yao and Hauser, ICRA 2024) and the public
+code of [31] give them: K is plane stress about the inflated dome without tension, E h 737.1 N/m, nu 0.5; the air's
+force is the pressure *change* times the measured area; the rim is held; and
 
     min_u  sum_i k_disp |u_i - d_i|^2  +  k_force sum_i |f_i|      (or k_force sum_i |f_i|^2: the quadratic program),
     f = K u - dp a(x)
 
-with d the tracked displacements: no inward push, no cone of friction. Methods here:
+with d the tracked displacements. There is no constraint on the forces. The methods are:
 
-    residual   f = K d - dp a, nothing more
+    residual   f = K d - dp a
     paper      the quadratic program (squared forces)
-    released   the default of the public code (sum of norms, which makes most nodes exactly free), its weights
-    taut       ours, for a bubble of which no more is known than for `paper`: K also holds the skin's tension (a soap
-    film's under the calibrated
-               pressure) and the turning of the full pressure with the skin; sum of norms, neighbours alike, forces in a
-               cone of friction about the inward normal
-    membrane   ours, where the stress-free shape is known: neo-Hookean skin at the measured shape, then as `taut`;
-    linearised anew about its own answer
+    released   the default of the public code with its weights: the sum of norms, which makes most nodes exactly free
+    taut       ours, from the same data as `paper`: K also contains the skin's tension (that of a soap film under the
+               calibrated pressure) and the rotation of the full pressure with the skin; the objective is the sum of
+               norms with smoothing between neighbours, and forces lie in a friction cone about the inward normal
+    membrane   ours, if the stress-free shape is known: a neo-Hookean skin at the measured shape, otherwise as `taut`;
+               relinearised about its own solution
 
 `vsfsim measure dense-force` compares all five with the simulator's true contact forces.
 """
@@ -56,47 +54,47 @@ nodes)^2."""
 
 @dataclass(frozen=True)
 class BubbleCalibration:
-    """What the owner of a bubble knows about it.
-
-    rest: read-out nodes of the free dome, mount frame (n, 3) [m]. triangles: wound outwards (m, 3). rim: True where the
-    skin is clamped (n,).
-    stiffness: E h of the skin [N/m]. pressure: gauge pressure of the free dome [Pa]. poisson_ratio: of the linear model
-    [-].
-    reference: stress-free material coordinates (n, 2) [m], None if unknown; `membrane` needs them. shear: mu h there
-    [N/m], one number or (m,);
-    None for E h / 3.
-    """
+    """Calibration data of one bubble."""
 
     rest: np.ndarray
+    """Read-out nodes of the free dome, mount frame (n, 3) [m]."""
     triangles: np.ndarray
+    """Of the read-out mesh, wound outwards (m, 3)."""
     rim: np.ndarray
+    """True at the clamped nodes (n,)."""
     stiffness: float
+    """E h of the skin [N/m]."""
     pressure: float
+    """Gauge pressure of the free dome [Pa]."""
     poisson_ratio: float = 0.5
+    """Of the linear model [-]."""
     reference: np.ndarray | None = None
+    """Stress-free material coordinates (n, 2) [m]; None if unknown. Method `membrane` needs them."""
     shear: float | np.ndarray | None = None
+    """mu h of the skin [N/m], one number or (m,); None for E h / 3."""
 
 
 @dataclass(frozen=True)
 class EstimatorOptions:
-    """Weights of an estimate.
-
-    displacement_std: noise of a node's displacement, per component [m]. model_std: what a linear model adds to it in a
-    large press, as a displacement [m]; `taut` only. force_scale: size of a node's force that is worth explaining [N];
-    the lasso's weight is 1 / force_scale and the ridge's 1 / force_scale^2. neighbour_scale: how far the forces of
-    neighbouring nodes in contact differ [N], `taut` and `membrane` only; infinity for any. friction: of the cone,
-    `taut` and `membrane` only [-]. rounds: linearisations, `membrane` only.
-    tolerance: of the program's optimality conditions [-]. iterations: of the program, at most.
-    """
+    """Weights of an estimate."""
 
     displacement_std: float = 5e-5
+    """Noise of a node's displacement, per component [m]."""
     model_std: float = 5e-4
+    """Model error of a linear model in a large press, as a displacement [m]; `taut` only."""
     force_scale: float = 0.05
+    """Scale of a node's force [N]; the lasso's weight is its inverse and the ridge's weight its inverse square."""
     neighbour_scale: float = 0.2
+    """Expected difference of the forces on neighbouring nodes in contact [N], infinity for no smoothing; `taut` and
+    `membrane` only."""
     friction: float = 1.0
+    """Coefficient of the friction cone [-]; `taut` and `membrane` only."""
     rounds: int = 2
+    """Number of linearisations; `membrane` only."""
     tolerance: float = 1e-4
+    """Of the program's optimality conditions, relative [-]."""
     iterations: int = 4000
+    """Largest number of iterations of the program."""
 
     def __post_init__(self) -> None:
         for name in ("displacement_std", "model_std", "force_scale", "neighbour_scale", "friction", "tolerance"):
@@ -109,21 +107,20 @@ class EstimatorOptions:
 
 @dataclass(frozen=True)
 class DenseForce:
-    """The estimate of T frames.
-
-    force: of the object on each node, mount frame (T, n, 3) [N]; 0 on the rim. position: the shape that goes with it
-    (T, n, 3) [m].
-    residual: of the program's optimality conditions (T,) [-], 0 for `residual`. converged: it is under 1e-3 (T,).
-    """
+    """The estimate of T frames."""
 
     force: np.ndarray
+    """Contact force on each node, mount frame (T, n, 3) [N]; 0 on the rim."""
     position: np.ndarray
+    """Node positions of the estimate (T, n, 3) [m]."""
     residual: np.ndarray
+    """Of the program's optimality conditions (T,) [-]; 0 for method `residual`."""
     converged: np.ndarray
+    """True where the residual is below 1e-3 (T,)."""
 
 
 def inner_edges(triangles: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Edges (e, 2) between nodes that are free, numbered among the free ones alone; triangles (m, 3), rim (n,) bool."""
+    """Edges (e, 2) between free nodes, indexed among the free nodes; triangles (m, 3), rim (n,) bool."""
     pairs = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
     return (np.cumsum(~rim) - 1)[pairs[~rim[pairs].any(axis=1)]]
 
@@ -132,11 +129,12 @@ class DenseForceEstimator:
     """Forces on the nodes of one bubble.
 
     Args:
-        calibration: of the bubble. method: one of `METHODS`. options: weights; `released` takes its own, and its own
-        stiffness, and only tolerance and iterations from here.
+        calibration: of the bubble.
+        method: one of `METHODS`.
+        options: weights. `released` has its own weights and stiffness, and takes tolerance and iterations from here.
 
     Raises:
-        SensorError: unknown method, a calibration that does not fit, or `membrane` without stress-free coordinates.
+        SensorError: an unknown method, an invalid calibration, or `membrane` without stress-free coordinates.
     """
 
     def __init__(self, calibration: BubbleCalibration, *, method: str = "paper",
@@ -162,8 +160,7 @@ class DenseForceEstimator:
                                   "(reference); give them, or use 'paper'.")
             shear = calibration.stiffness / 3.0 if calibration.shear is None else calibration.shear
             self._membrane = NeoHookeanMembrane(calibration.reference, self.triangles, shear)
-            # what the model finds unbalanced on the free dome, from its own coarseness or a modulus that is a little
-            # off: tared
+            # The unbalanced force of the free dome (discretisation, error of the modulus) is subtracted.
             self._tare = (self._membrane.forces(self.rest) - calibration.pressure
                           * nodal_areas(self.rest, self.triangles)).ravel()[self.free][:, None]
         else:
@@ -171,9 +168,8 @@ class DenseForceEstimator:
             full = plane_stress_stiffness(self.rest, self.triangles, modulus, poisson_ratio=calibration.poisson_ratio)
             if method == "taut":
                 tension = uniform_tension(self.rest, self.triangles, calibration.pressure, self.inner)
-                full = full + tension_stiffness(self.rest, self.triangles,
-                                                tension) - calibration.pressure * pressure_stiffness(self.rest,
-                                                                                                     self.triangles)
+                full = (full + tension_stiffness(self.rest, self.triangles, tension)
+                        - calibration.pressure * pressure_stiffness(self.rest, self.triangles))
             self._stiffness = self._cut(full)
         self._program = self._weights()
 
@@ -181,11 +177,11 @@ class DenseForceEstimator:
         """Forces of T frames.
 
         Args:
-            position: measured node positions, mount frame (T, n, 3) [m]; the rim's are taken as clamped. pressure:
-            gauge pressure (T,) [Pa].
+            position: measured node positions, mount frame (T, n, 3) [m]; the rim is taken as clamped.
+            pressure: gauge pressure (T,) [Pa].
 
         Raises:
-            SensorError: shapes that do not fit, or a number that is not finite.
+            SensorError: shapes that do not match, or a number that is not finite.
         """
         position, pressure = np.asarray(position, np.float64), np.asarray(pressure, np.float64)
         if position.ndim != 3 or position.shape[1:] != self.rest.shape or pressure.shape != position.shape[:1]:
@@ -194,22 +190,22 @@ class DenseForceEstimator:
         if not (np.isfinite(position).all() and np.isfinite(pressure).all()):
             raise SensorError("dense force: a measured position or pressure is not finite; leave out frames that "
                               "were not read.")
-        if not len(position):  # no frame was read
+        if not len(position):
             return DenseForce(np.zeros(position.shape), position.copy(), np.zeros(0), np.zeros(0, bool))
-        seen = np.broadcast_to(self.rest, position.shape).copy()
-        seen[:, self.inner] = position[:, self.inner]
-        measured = (seen - self.rest).reshape(len(seen), -1)[:, self.free].T  # (3 n, T)
+        clamped = np.broadcast_to(self.rest, position.shape).copy()
+        clamped[:, self.inner] = position[:, self.inner]
+        measured = (clamped - self.rest).reshape(len(clamped), -1)[:, self.free].T  # (3 n, T)
         if self.method == "membrane":
-            return self._nonlinear(seen, pressure, measured)
-        offset = -self._air(seen, pressure - self.calibration.pressure)
+            return self._nonlinear(clamped, pressure, measured)
+        offset = -self._air(clamped, pressure - self.calibration.pressure)
         if self.method == "residual":
-            return self._result(measured, self._stiffness @ measured + offset, np.zeros(len(seen)),
-                                np.ones(len(seen), bool))
-        inward = np.stack([-nodal_normals(x, self.triangles)[self.inner] for x in seen], axis=1)
+            return self._result(measured, self._stiffness @ measured + offset, np.zeros(len(clamped)),
+                                np.ones(len(clamped), bool))
+        inward = np.stack([-nodal_normals(x, self.triangles)[self.inner] for x in clamped], axis=1)
         found = solve(self._stiffness, offset, measured, self._program, inward=inward, edges=self._edges)
         if self.method == "taut":
             return self._result(found.displacement, found.force, found.residual, found.converged)
-        # as the public code: the forces that the found displacements mean, not their sparse twin
+        # The public code evaluates the forces at the optimal displacements, not the sparse split variable.
         return self._result(found.displacement, self._stiffness @ found.displacement + offset, found.residual,
                             found.converged)
 
@@ -220,13 +216,11 @@ class DenseForceEstimator:
         if self.method == "paper":
             return replace(program, ridge=o.force_scale**-2)
         if self.method == "released":
-            # |.|^2 k = w/2 |.|^2
-            return replace(program,
-                           weight=2.0 * RELEASED_DISPLACEMENT
-                           * (np.asarray(self.calibration.rim).sum() / len(self.rest)) ** 2, lasso=RELEASED_FORCE)
+            rim_share = np.asarray(self.calibration.rim).sum() / len(self.rest)
+            return replace(program, weight=2.0 * RELEASED_DISPLACEMENT * rim_share ** 2,  # k |.|^2 = w/2 |.|^2
+                           lasso=RELEASED_FORCE)
         if self.method == "taut":
-            # spikes come from the noise of the nodes; the model's own error is as smooth as the press, so it calls for
-            # no more smoothing
+            # Noise of the nodes causes spikes; the model error is as smooth as the press and needs no smoothing.
             share = o.displacement_std**2 / (o.displacement_std**2 + o.model_std**2)
             return replace(program, weight=share * precision, lasso=1.0 / o.force_scale,
                            smooth=share * o.neighbour_scale**-2, friction=o.friction)
@@ -237,23 +231,22 @@ class DenseForceEstimator:
 
     def _air(self, points: np.ndarray, pressure: np.ndarray) -> np.ndarray:
         """Force of the air on the free degrees of freedom (3 n, T) [N]; points (T, n, 3), pressure (T,) [Pa]."""
-        return np.stack([(p * nodal_areas(x, self.triangles)).ravel()[self.free] for x,
-                         p in zip(points, pressure, strict=True)], axis=1)
+        return np.stack([(p * nodal_areas(x, self.triangles)).ravel()[self.free]
+                         for x, p in zip(points, pressure, strict=True)], axis=1)
 
-    def _nonlinear(self, seen: np.ndarray, pressure: np.ndarray, measured: np.ndarray) -> DenseForce:
-        """Gauss-Newton: every round linearises the skin and the air about the last answer, at first the measured
+    def _nonlinear(self, position: np.ndarray, pressure: np.ndarray, measured: np.ndarray) -> DenseForce:
+        """Gauss-Newton: every round linearises skin and air about the last solution, the first about the measured
         shape."""
-        force, residual = np.zeros_like(measured), np.zeros(len(seen))
+        force, residual = np.zeros_like(measured), np.zeros(len(position))
         displacement = measured.copy()
-        converged = np.ones(len(seen), bool)
-        for t in range(len(seen)):
-            x, found = seen[t], None
+        converged = np.ones(len(position), bool)
+        for t in range(len(position)):
+            x, found = position[t], None
             for _ in range(self.options.rounds):
                 tangent = self._cut(self._membrane.tangent(x) - pressure[t] * pressure_stiffness(x, self.triangles))
                 here = (x - self.rest).ravel()[self.free][:, None]
-                out = (self._membrane.forces(x) - pressure[t] * nodal_areas(x,
-                                                                            self.triangles)).ravel()[self.free][:,
-                                                                                                                None] - self._tare
+                unbalanced = self._membrane.forces(x) - pressure[t] * nodal_areas(x, self.triangles)
+                out = unbalanced.ravel()[self.free][:, None] - self._tare
                 inward = -nodal_normals(x, self.triangles)[self.inner][:, None]
                 found = solve(tangent, out - tangent @ here, measured[:, t:t + 1], self._program, inward=inward,
                               edges=self._edges, start=None if found is None else found.start)

@@ -1,4 +1,4 @@
-"""How far estimated contact forces are from the true ones: figures that no real set-up can give."""
+"""Errors of estimated contact forces against the simulator's true ones, and calibration of an estimator."""
 
 from __future__ import annotations
 
@@ -10,47 +10,49 @@ from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, E
 from vsfsim.sensing.membrane_fe import SensorError
 
 REGION = 0.1
-"""A node is in the contact region if its force is over this share of the frame's largest; the same for truth and
-estimate."""
+"""A node belongs to the contact region if its force exceeds this share of the frame's largest force [-]."""
 
 
 @dataclass(frozen=True)
 class PressRecord:
-    """One press as simulated, on the read-out mesh, mount frame.
-
-    name: of the press. depth: past first contact (T,) [m]. position: of the nodes (T, n, 3) [m]. pressure: gauge (T,)
-    [Pa]. force: true contact force on each node (T, n, 3) [N].
-    """
+    """One simulated press on the read-out mesh, in the mount frame."""
 
     name: str
     depth: np.ndarray
+    """Past first contact (T,) [m]."""
     position: np.ndarray
+    """Of the nodes (T, n, 3) [m]."""
     pressure: np.ndarray
+    """Gauge (T,) [Pa]."""
     force: np.ndarray
+    """True contact force on each node (T, n, 3) [N]."""
 
 
 @dataclass(frozen=True)
 class ForceScore:
-    """Errors in each of T frames.
-
-    node_rms: root mean square over the nodes of the error's length (T,) [N]. node_size: the same of the true forces
-    (T,) [N]. net: length of the error of the net force (T,) [N]. net_size: length of the true net force (T,) [N]. iou:
-    of the contact regions, intersection over union (T,) [-];
-    NaN without contact.
-    """
+    """Errors in each of T frames."""
 
     node_rms: np.ndarray
+    """Root mean square over the nodes of the error's length (T,) [N]."""
     node_size: np.ndarray
+    """Root mean square over the nodes of the true force's length (T,) [N]."""
     net: np.ndarray
+    """Length of the error of the net force (T,) [N]."""
     net_size: np.ndarray
+    """Length of the true net force (T,) [N]."""
     iou: np.ndarray
+    """Intersection over union of the contact regions (T,) [-]; NaN without contact."""
 
 
 def score(estimate: np.ndarray, true: np.ndarray) -> ForceScore:
-    """Compare estimated with true forces, both (T, n, 3) [N]."""
+    """Compare estimated with true forces, both (T, n, 3) [N].
+
+    Raises:
+        SensorError: shapes that do not match.
+    """
     if estimate.shape != true.shape or true.ndim != 3:
-        raise SensorError(f"dense force score: estimate {estimate.shape} and truth {true.shape}; both must "
-                          f"be (T, n, 3).")
+        raise SensorError(f"dense force score: estimate {estimate.shape} and truth {true.shape}; "
+                          f"both must be (T, n, 3).")
     error = estimate - true
     regions = []
     for force in (estimate, true):
@@ -71,19 +73,21 @@ def noisy(press: PressRecord, rng: np.random.Generator, *, displacement_std: flo
 STIFFNESSES = (0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.0, 5.0)
 FORCE_SCALES = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5)
 STARTS = (0.002, 0.02, 0.2)
-"""What `calibrate` tries: E h over its nominal value [-], the force scale [N], and where the latter starts."""
+"""Grids of `calibrate`: E h over its nominal value [-], the force scale [N], and starting values of the latter [N]."""
 
 
 def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, method: str,
               options: EstimatorOptions) -> tuple[BubbleCalibration, EstimatorOptions, float]:
-    """Choose E h and the force scale by the *net* force, which is all that the owner of a force-torque sensor has; [31]
-    calibrates the same way.
+    """Choose E h and the force scale that minimise the error of the *net* force.
 
-    One after the other, until neither changes, from several starts.
+    A real force-torque sensor measures the net force alone; Peng, Yao and Hauser (ICRA 2024) calibrate the same way.
+    The two are searched in turn until neither changes, from several starting values.
 
     Args:
-        calibration: its E h is the nominal one. presses: noisy, for calibration only. method: of the estimator.
-        options: all but the force scale.
+        calibration: with the nominal E h.
+        presses: noisy, for calibration only.
+        method: of the estimator.
+        options: of the estimator; the force scale is replaced.
 
     Returns:
         The calibration and options with the smallest RMS error of the net force, and that error [N].
@@ -96,9 +100,8 @@ def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, met
         if (share, scale) not in known:
             estimator = DenseForceEstimator(replace(calibration, stiffness=share * calibration.stiffness),
                                             method=method, options=replace(options, force_scale=scale))
-            known[share, scale] = float(np.sqrt(np.mean(np.sum((estimator.estimate(position,
-                                                                                   pressure).force.sum(axis=1)
-                                                                - true) ** 2, axis=1))))
+            net = estimator.estimate(position, pressure).force.sum(axis=1)
+            known[share, scale] = float(np.sqrt(np.mean(np.sum((net - true) ** 2, axis=1))))
         return known[share, scale]
 
     for scale in STARTS:
@@ -108,6 +111,5 @@ def calibrate(calibration: BubbleCalibration, presses: list[PressRecord], *, met
             share = min(STIFFNESSES, key=lambda value: error(value, before[1]))
             scale = min(FORCE_SCALES, key=lambda value: error(share, value))
     share, scale = min(known, key=known.__getitem__)
-    return replace(calibration, stiffness=share * calibration.stiffness), replace(options,
-                                                                                  force_scale=scale), known[share,
-                                                                                                            scale]
+    return (replace(calibration, stiffness=share * calibration.stiffness), replace(options, force_scale=scale),
+            known[share, scale])

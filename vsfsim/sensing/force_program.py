@@ -1,16 +1,16 @@
-"""The convex program behind the force estimator: displacements near the measured ones whose forces are few, small and
-push inwards.
+"""The convex program of the force estimator: displacements near the measured ones with few, small, inward forces.
 
     min_u  1/2 w |u - d|^2 + sum_i ( lambda |f_i| + kappa/2 |f_i|^2 ) + s/2 sum_ij |f_i - f_j|^2   with  f = K u + c,
     f_i in C_i
 
-d the measured displacements, K and c a linear model of the forces, C_i all of space or the cone of Coulomb friction
-about the inward normal, ij the edges of the mesh. lambda makes nodes without contact exactly free of force (a group
-lasso), kappa alone makes it a quadratic program (ridge), and s says that a contact presses alike on neighbours: without
-it the noise, which K makes large between neighbours, leaves spikes.
-Solved by the alternating direction method of multipliers (Boyd et al. 2011): f is split off, its step is a projection
-onto the cone and a shrinkage, and the step of u has one sparse factor for all columns. At the end the optimality
-conditions are measured, not assumed.
+Here d are the measured displacements, K and c are a linear model of the forces, C_i is all of space or the Coulomb
+friction cone about the inward normal, and ij are the edges of the mesh. The group lasso lambda makes nodes without
+contact exactly free of force. kappa alone (ridge) gives a quadratic program. s smooths the forces between neighbours;
+without it noise, which K amplifies between neighbours, leaves spikes.
+
+The alternating direction method of multipliers (Boyd et al. 2011) splits f off: its step is a projection onto the cone
+and a shrinkage, and the step of u has one sparse factor for all columns. The optimality conditions are measured at the
+end.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ _BALANCE = 5.0  # ratio of the residuals from which the penalty is changed
 
 @dataclass(frozen=True)
 class ForceProgram:
-    """Weights of one program.
-
-    weight: w of the displacements, 1 / variance (one number, or one per degree of freedom) [1/m^2]. lasso: lambda
-    [1/N]. ridge: kappa [1/N^2].
-    smooth: s, see `solve` [1/N^2]. friction: coefficient of the cone; None for no cone at all, infinity for "inwards,
-    however slanted" [-].
-    tolerance: of the optimality conditions, relative [-]. iterations: at most.
-    """
+    """Weights of one program."""
 
     weight: float | np.ndarray
+    """w, one over the variance of a displacement [1/m^2]: one number, or one for each degree of freedom (3 n,)."""
     lasso: float = 0.0
+    """lambda [1/N]."""
     ridge: float = 0.0
+    """kappa [1/N^2]."""
     smooth: float = 0.0
+    """s [1/N^2]."""
     friction: float | None = None
+    """Coefficient of the friction cone [-]; None for no cone, infinity for the half-space of inward forces."""
     tolerance: float = 1e-4
+    """Of the optimality conditions, relative [-]."""
     iterations: int = 4000
+    """Largest number of iterations."""
 
     def __post_init__(self) -> None:
         weight = np.asarray(self.weight, float)
@@ -62,24 +62,23 @@ class ForceProgram:
 
 @dataclass(frozen=True)
 class Solution:
-    """What `solve` found, columns as given.
-
-    displacement: u (3 n, T) [m]. force: f (3 n, T) [N], in the cone and exactly 0 where the lasso says so.
-    residual: of the optimality conditions (T,) [-]: the larger of |f - K u - c| over the raw forces |K d + c|, and of
-    the stationarity in u over its terms. iterations: spent. start: force (3 n, T) [N], scaled multipliers (3 n, T) [N]
-    and penalty from which a similar program can go on; see `solve`.
-    """
+    """Solution of `solve`."""
 
     displacement: np.ndarray
+    """u (3 n, T) [m]."""
     force: np.ndarray
+    """f (3 n, T) [N], in the cone, and exactly 0 where the lasso frees a node."""
     residual: np.ndarray
+    """Of the optimality conditions (T,) [-]: the larger of |f - K u - c| over |K d + c| and of the stationarity in u
+    over the size of its terms."""
     iterations: int
     start: tuple[np.ndarray, np.ndarray, float] | None = None
+    """Warm start for a similar program: forces (3 n, T) [N], scaled multipliers (3 n, T) [N] and penalty [-]; see
+    `solve`."""
 
     @property
     def converged(self) -> np.ndarray:
-        """Columns (T,) bool whose residual is under 1e-3: one part in a thousand of the force, far under a sensor's
-        noise."""
+        """True (T,) where the residual is below 1e-3, far below the noise of a sensor."""
         return self.residual < 1e-3
 
 
@@ -111,14 +110,16 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
     """Solve the program for T right-hand sides that share K.
 
     Args:
-        stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only. offset: c (3 n, T) [N]. measured: d (3 n, T) [m].
-        program: weights. inward: unit normals into the sensor, of every column (n, T, 3); needed with a cone.
-        edges: pairs of neighbours among the n nodes (e, 2); needed with ``smooth``. start: `Solution.start` of a
-        program like this one, to begin from
-            its answer.
+        stiffness: K (3 n, 3 n) [N/m], free degrees of freedom only.
+        offset: c (3 n, T) [N].
+        measured: d (3 n, T) [m].
+        program: weights.
+        inward: unit normals into the sensor for every column (n, T, 3); needed with a cone.
+        edges: pairs of neighbours among the n nodes (e, 2); needed with ``smooth``.
+        start: `Solution.start` of a similar program.
 
     Raises:
-        SensorError: shapes that do not fit, or numbers that are not finite.
+        SensorError: shapes that do not match, or numbers that are not finite.
     """
     size = stiffness.shape[0]
     if offset.shape != measured.shape or len(measured) != size or stiffness.shape != (size, size) or size % 3:
@@ -133,17 +134,16 @@ def solve(stiffness: sparse.spmatrix, offset: np.ndarray, measured: np.ndarray, 
         raise SensorError("force program: smooth needs the edges of the mesh, (e, 2).")
     weight = np.broadcast_to(np.asarray(program.weight, float), (size,))
     stiffness = sparse.csr_matrix(stiffness)
-    rough = program.smooth * roughness(edges,
-                                       size // 3) if program.smooth and edges is not None else sparse.csr_matrix((size,
-                                                                                                                  size))
+    rough = sparse.csr_matrix((size, size))
+    if program.smooth and edges is not None:
+        rough = program.smooth * roughness(edges, size // 3)
     if program.lasso == 0.0 and program.friction is None:
         return _ridge(stiffness, offset, measured, weight, program.ridge * sparse.identity(size, format="csr") + rough)
     return _admm(stiffness, offset, measured, weight, program, inward, rough, start)
 
 
 def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
-    """R (3 n, 3 n) with f . R f = sum over the edges (e, 2) of |f_i - f_j|^2: the Laplacian of the graph, in x, y and
-    z."""
+    """Graph Laplacian R (3 n, 3 n) for x, y and z: f . R f = sum over the edges (e, 2) of |f_i - f_j|^2."""
     i, j = np.asarray(edges).T
     one = np.ones(len(i))
     graph = sparse.csr_matrix((np.concatenate([one, one, -one, -one]),
@@ -153,7 +153,7 @@ def roughness(edges: np.ndarray, nodes: int) -> sparse.csr_matrix:
 
 def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray,
            quadratic: sparse.csr_matrix) -> Solution:
-    """The quadratic program without cone, f . quadratic f / 2: its normal equations, at once."""
+    """Normal equations of the quadratic program without a cone, whose objective has the term f . quadratic f / 2."""
     pulled = k.T @ quadratic
     factor = splu(sparse.csc_matrix(sparse.diags(weight) + pulled @ k))
     u = factor.solve(weight[:, None] * d - pulled @ c)
@@ -164,22 +164,22 @@ def _ridge(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarra
 
 
 def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray, program: ForceProgram,
-          inward: np.ndarray | None,
-          rough: sparse.csr_matrix, start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
+          inward: np.ndarray | None, rough: sparse.csr_matrix,
+          start: tuple[np.ndarray, np.ndarray, float] | None) -> Solution:
     gram = sparse.csc_matrix(k.T @ k)
     transposed = sparse.csr_matrix(k.T)
     pulled = sparse.csr_matrix(transposed @ rough)
     fixed = sparse.csc_matrix(sparse.diags(weight) + pulled @ k)
-    # weight u + rho K^T K u: the displacements that are neither stiff nor soft decide; 100 is what takes the fewest
-    # steps on bubbles
+    # The penalty balances the weight against the geometric mean of K^T K; the factor 100 takes the fewest iterations
+    # on bubbles.
     rho = 100.0 * float(weight.mean() / np.sqrt(gram.diagonal().mean() * max(gram.diagonal().min(), 1e-12)))
     f = k @ d + c
-    raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # below a nanonewton there is nothing to solve
-    scaled = np.zeros_like(f)  # dual over rho
+    raw = np.maximum(np.linalg.norm(f, axis=0), 1e-9)  # forces below a nanonewton are treated as zero
+    scaled = np.zeros_like(f)  # multipliers over rho
     if start is not None:
         f, scaled, rho = start[0].copy(), start[1].copy(), start[2]
     out_u, out_f, out_dual, done = np.empty_like(f), np.empty_like(f), np.empty_like(f), np.full(d.shape[1], np.inf)
-    open_ = np.arange(d.shape[1])  # columns not solved yet
+    open_ = np.arange(d.shape[1])  # columns that are not solved yet
     factor, iteration = None, 0
     aim = weight[:, None] * d - pulled @ c
     while len(open_):
@@ -208,9 +208,8 @@ def _admm(k: sparse.csr_matrix, c: np.ndarray, d: np.ndarray, weight: np.ndarray
             break
         ratio = float(np.median(primal[left]) / max(np.median(dual[left]), 1e-300))
         if not left.all():
-            open_, c, d, aim, f, scaled, raw = open_[left], c[:, left], d[:,
-                                                                          left], aim[:, left], f[:, left], scaled[:,
-                                                                                                                  left], raw[left]
+            open_, raw = open_[left], raw[left]
+            c, d, aim, f, scaled = (columns[:, left] for columns in (c, d, aim, f, scaled))
             inward = None if inward is None else inward[:, left]
         if (ratio > _BALANCE or ratio < 1.0 / _BALANCE) and iteration % (5 * _CHECK) == 0:
             factor_of = float(np.clip(np.sqrt(ratio), 0.2, 5.0))

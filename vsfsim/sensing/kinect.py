@@ -1,10 +1,11 @@
-"""What a time-of-flight camera like Azure Kinect does to depth: noise that grows with distance, whole millimetres, and
-holes along edges.
+"""Depth noise of a time-of-flight camera such as Azure Kinect.
+
+The noise grows with distance, depth is quantised to whole millimetres, and pixels along depth edges are lost.
 
     z' = 1 mm * round((z + N(0, s(z))) / 1 mm),   s(z) = 0.5 mm + 0.9 mm (z / 1 m)^2
 
 The standard deviation follows measurements of such a camera (Toelgyessy et al. 2021, Sensors 21:413: about 1 mm at 1 m,
-a few millimetres at 3 m); the share of pixels that are lost where near and far mix in one pixel is an assumption.
+a few millimetres at 3 m). The share of pixels lost where a near and a far surface mix in one pixel is an assumption.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 
 from vsfsim.data.records import View
 
-STEP = 0.02  # m: a jump in depth between neighbours that is an edge
-LOST = 0.35  # share of the edge's pixels without a depth
-QUANTUM = 0.001  # m
+STEP = 0.02  # jump in depth between neighbouring pixels that counts as an edge [m]
+LOST = 0.35  # share of the edge pixels without a depth [-]
+QUANTUM = 0.001  # of the stored depth [m]
 
 
 def kinect_depth(view: View, seed: np.random.SeedSequence | int) -> View:
-    """The view as such a camera sees it: noisy ``depth``, and lost pixels are not in ``mask``. The colours stay."""
+    """The view with noisy ``depth`` and without the lost pixels in ``mask``; colours are unchanged."""
     rng = np.random.default_rng(seed)
     z = view.depth.astype(np.float64)
     noise, lost = rng.standard_normal(z.shape), rng.uniform(size=z.shape) < LOST

@@ -1,12 +1,11 @@
-"""Finite elements of a thin membrane over air, in numpy: what the force estimator knows of the sensor.
+"""Finite elements of a thin membrane over air, in NumPy: the force estimator's model of the sensor.
 
-They are the estimator's own, apart from the simulator's elements in `vsfsim.physics`, and work on the read-out mesh of
-linear triangles.
+They are independent of the simulator's elements in `vsfsim.physics`, and work on the read-out mesh of linear triangles.
 
     plane stress   K_e = A B^T D B in the plane of each triangle, D of modulus times thickness E h [N/m] and nu
-    tension        K_e = A N gradN_a . gradN_b I: a taut skin resists being moved across itself (isotropic tension N
-    [N/m]) neo-Hookean    W = mu h / 2 (tr C + 1 / det C - 3) per reference area; incompressible, plane stress (Treloar
-    1943) air            force p a_i on node i, a_i a third of the area vectors of the triangles around it
+    tension        K_e = A N gradN_a . gradN_b I across the skin, isotropic tension N [N/m]
+    neo-Hookean    W = mu h / 2 (tr C + 1 / det C - 3) per reference area; incompressible, plane stress (Treloar 1943)
+    air            force p a_i on node i, a_i a third of the area vectors of the triangles around it
 """
 
 from __future__ import annotations
@@ -18,15 +17,14 @@ from vsfsim.core.errors import VsfsimError
 
 
 class SensorError(VsfsimError):
-    """A bubble's mesh, state or parameter that a read-out or an estimator cannot work with."""
+    """An invalid mesh, state or parameter of a bubble."""
 
 
 def checked_mesh(points: np.ndarray, triangles: np.ndarray, where: str) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) [m] and triangles (m, 3) as float64 and int64.
 
     Raises:
-        SensorError: shapes that do not fit, a point that is not finite, an index out of range, or a triangle without
-        area.
+        SensorError: a wrong shape, a point that is not finite, an index out of range, or a triangle without area.
     """
     points, triangles = np.asarray(points, np.float64), np.asarray(triangles)
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -88,8 +86,8 @@ def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness:
     """Linear stiffness (3 n, 3 n) [N/m] of a membrane about ``points`` (n, 3) [m].
 
     Args:
-        stiffness: Young's modulus times thickness, E h [N/m]. poisson_ratio: nu, -1 < nu < 1; 0.5 is incompressible,
-        and fine in plane stress.
+        stiffness: Young's modulus times thickness, E h [N/m].
+        poisson_ratio: nu, -1 < nu < 1; 0.5 is incompressible, which plane stress allows [-].
     """
     axes, gradient, area = _gradients(points, triangles)
     d = stiffness / (1.0 - poisson_ratio**2) * np.array([[1.0, poisson_ratio, 0.0], [poisson_ratio, 1.0, 0.0],
@@ -105,8 +103,8 @@ def plane_stress_stiffness(points: np.ndarray, triangles: np.ndarray, stiffness:
 def tension_stiffness(points: np.ndarray, triangles: np.ndarray, tension: float) -> sparse.csr_matrix:
     """Geometric stiffness (3 n, 3 n) [N/m] of a uniform tension [N/m] at ``points`` (n, 3) [m].
 
-    Only the part across the skin; what a tension does to a stretch in the plane belongs to the elastic part, which was
-    calibrated as a whole.
+    It has only the part across the skin; the part in the plane belongs to the elastic stiffness, which is calibrated as
+    a whole.
     """
     axes, gradient, area = _gradients(points, triangles)
     normal = np.cross(axes[:, 0], axes[:, 1])
@@ -116,8 +114,8 @@ def tension_stiffness(points: np.ndarray, triangles: np.ndarray, tension: float)
 
 
 def uniform_tension(points: np.ndarray, triangles: np.ndarray, pressure: float, inner: np.ndarray) -> float:
-    """The uniform tension [N/m] that comes closest to balancing the air's pressure [Pa] on the nodes ``inner`` (k,): a
-    soap film's.
+    """The uniform tension [N/m], as of a soap film, that best balances the air's pressure [Pa] on the nodes ``inner``
+    (k,), in least squares.
 
     Raises:
         SensorError: the mesh is flat, so that no tension balances a pressure.
@@ -135,7 +133,7 @@ def uniform_tension(points: np.ndarray, triangles: np.ndarray, pressure: float, 
 def pressure_stiffness(points: np.ndarray, triangles: np.ndarray) -> sparse.csr_matrix:
     """Change of `nodal_areas` with the positions (3 n, 3 n) [m]: times -p it is the air's part of the tangent."""
     a, b, c = (points[triangles[:, k]] for k in range(3))
-    # area vector = (a x b + b x c + c x a) / 2; its change with corner a is da x (b - c) / 2, and so on round
+    # area vector = (a x b + b x c + c x a) / 2; its change with corner a is da x (b - c) / 2, cyclic in a, b, c
     opposite = np.stack([b - c, c - a, a - b], axis=1)  # (m, 3 corners, 3)
     cross = np.zeros((len(triangles), 3, 3, 3))  # [corner, out, in] of v -> v x opposite
     for corner in range(3):
@@ -152,9 +150,9 @@ class NeoHookeanMembrane:
     """An incompressible neo-Hookean membrane whose stress-free state is flat.
 
     Args:
-        reference: material coordinates of the nodes, stress-free (n, 2) [m]. triangles: (m, 3). shear: mu times the
-        stress-free thickness,
-            mu h = E h / 3 (one number or (m,)) [N/m].
+        reference: stress-free material coordinates of the nodes (n, 2) [m].
+        triangles: (m, 3).
+        shear: mu times the stress-free thickness, mu h = E h / 3 [N/m], one number or (m,).
 
     Raises:
         SensorError: a triangle that is flat or wound the other way in the reference, or a shear that is not positive.
@@ -207,10 +205,8 @@ class NeoHookeanMembrane:
         half = np.einsum("mbi,myj->mbyij", self.gradient, f)
         dc = half + np.swapaxes(half, 3, 4)
         trace = np.einsum("mij,mbyij->mby", inverse, dc)
-        ds = (scale / det)[:, None, None, None, None] * (trace[..., None,
-                                                               None] * inverse[:, None,
-                                                                               None] + np.einsum("mik,mbykl,mlj->mbyij",
-                                                                                                 inverse, dc, inverse))
+        ds = (scale / det)[:, None, None, None, None] * (trace[..., None, None] * inverse[:, None, None]
+                                                         + np.einsum("mik,mbykl,mlj->mbyij", inverse, dc, inverse))
         element = np.einsum("mxi,mbyij,maj->maxby", f, ds, self.gradient)
         element += np.einsum("mab,xy->maxby", geometric, np.eye(3))
         return assemble(self.triangles, element.reshape(len(self.triangles), 9, 9), self.nodes)

@@ -1,32 +1,26 @@
-"""The ray caster inside the bubble: one ray a pixel from the camera in the chamber to the skin, all frames with one
-kernel.
+"""The ray caster inside the bubble: one ray for each pixel from the camera in the chamber to the skin.
 
-As in `render_warp`, the hierarchy works in float32 and the hit triangle is met again in float64, so that depth is exact
-on the triangles.
-Colour is albedo x sum over two lamps of (cos at the skin x cos at the lamp / distance^2), as small diffuse lamps beside
-the camera give. The skin carries dots at fixed places of its material, so that they move and stretch with it; where
-they stand is hashed, the same on every device.
+As in `render_warp`, the hierarchy works in float32 and the hit triangle is intersected again in float64, so that depth
+is exact on the triangles. Colour is albedo x sum over two lamps of (cos at the skin x cos at the lamp / distance^2),
+as of small diffuse lamps beside the camera. The skin carries dots at fixed material points, so that they move and
+stretch with it; their places come from a hash, which is the same on every device.
 """
 
 import numpy as np
 import warp as wp
 
-import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.sensing.cell_hash import cell_hash
 
-if wp.config.log_level == wp.LOG_INFO:
-    wp.config.log_level = wp.LOG_WARNING
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_FAR = 0.5  # m; the chamber is far smaller
+_FAR = 0.5  # length of a ray [m]; the chamber is far smaller
 
 
 def cast_inside(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, material: np.ndarray,
-                intrinsics: np.ndarray, pose: np.ndarray,
-                width: int, height: int, *, lamps: np.ndarray, power: float, dots: tuple[float, float],
-                albedo: tuple[float, float],
-                device: str) -> tuple[np.ndarray, np.ndarray]:
-    """See `vsfsim.sensing.bubble_camera.look_inside`, which has checked the operands; linear RGB (T, H, W, 3) and depth
-    (T, H, W) [m]."""
+                intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *, lamps: np.ndarray, power: float,
+                dots: tuple[float, float], albedo: tuple[float, float], device: str) -> tuple[np.ndarray, np.ndarray]:
+    """Depth (T, H, W) [m] and linear grey light (T, H, W); see `vsfsim.sensing.bubble_camera.look_inside`, which checks
+    the arguments."""
     frames = len(points)
     to_ray = pose[:3, :3] @ np.linalg.inv(intrinsics)
     axis = pose[:3, 2]
@@ -45,8 +39,7 @@ def cast_inside(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, 
             corners.assign(seen.astype(np.float32))
             mesh.refit()
             wp.launch(_inside, dim=(height, width), inputs=[
-                mesh.id, faces, flat, sources, wp.mat33d(to_ray), wp.vec3(*axis.tolist()), power, dots[0], dots[1],
-                                                            albedo[0], albedo[1],
+                mesh.id, faces, flat, sources, wp.mat33d(to_ray), wp.vec3(*axis.tolist()), power, *dots, *albedo,
                 wp.array(seen, dtype=wp.vec3d), wp.array(normals[t].astype(np.float32), dtype=wp.vec3),
             ], outputs=[depth, light])
             depth_out[t], light_out[t] = depth.numpy(), light.numpy()
@@ -54,19 +47,9 @@ def cast_inside(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, 
 
 
 @wp.func
-def _draw(x: int, y: int, salt: int) -> float:
-    """A fixed number in 0..1 for each cell of the skin."""
-    h = wp.uint32(x) * wp.uint32(73856093) ^ wp.uint32(y) * wp.uint32(19349663) ^ wp.uint32(salt) * wp.uint32(83492791)
-    h = (h ^ (h >> wp.uint32(16))) * wp.uint32(2146121005)
-    h = (h ^ (h >> wp.uint32(13))) * wp.uint32(1540483477)
-    h = h ^ (h >> wp.uint32(16))
-    return float(h >> wp.uint32(8)) / 16777216.0
-
-
-@wp.func
 def _ink(p: wp.vec2, spacing: float, radius: float, blur: float) -> float:
-    """How much of the skin at material point ``p`` [m] is ink, 0..1: a dot in each cell, off its middle by up to a
-    third of the spacing."""
+    """Share of ink, 0 to 1, at material point ``p`` [m]: each cell has a dot, up to a third of the spacing off its
+    middle."""
     cx = int(wp.floor(p[0] / spacing))
     cy = int(wp.floor(p[1] / spacing))
     most = wp.float32(0.0)
@@ -74,9 +57,9 @@ def _ink(p: wp.vec2, spacing: float, radius: float, blur: float) -> float:
         for j in range(-1, 2):
             x = cx + i
             y = cy + j
-            at = wp.vec2((float(x) + 0.5 + 0.66 * (_draw(x, y, 1) - 0.5)) * spacing,
-                         (float(y) + 0.5 + 0.66 * (_draw(x, y, 2) - 0.5)) * spacing)
-            size = radius * (0.75 + 0.5 * _draw(x, y, 3))
+            at = wp.vec2((float(x) + 0.5 + 0.66 * (cell_hash(x, y, 1) - 0.5)) * spacing,
+                         (float(y) + 0.5 + 0.66 * (cell_hash(x, y, 2) - 0.5)) * spacing)
+            size = radius * (0.75 + 0.5 * cell_hash(x, y, 3))
             most = wp.max(most, wp.clamp(0.5 + (size - wp.length(p - at)) / blur, 0.0, 1.0))
     return most
 

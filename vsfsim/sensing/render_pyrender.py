@@ -1,4 +1,4 @@
-"""The second renderer: pyrender, OpenGL rasterisation. An independent check of depth, and a look people know.
+"""The second renderer, OpenGL rasterisation by pyrender: an independent check of depth.
 
 It needs a GL library that works without a display, EGL or OSMesa; nothing else in vsfsim does.
 """
@@ -8,11 +8,13 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from collections.abc import Callable
+from types import ModuleType
 
 import numpy as np
 
 from vsfsim.data.records import View
-from vsfsim.sensing.camera import RenderError, Surface
+from vsfsim.sensing.surface import RenderError, Surface
 
 _PLATFORMS = ("egl", "osmesa")
 _MISSING = (
@@ -24,7 +26,7 @@ _MISSING = (
 
 def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
               shading: float, background: tuple[int, int, int]) -> View:
-    """See `vsfsim.sensing.camera.render`, which has checked the operands.
+    """See `vsfsim.sensing.camera.render`, which checks the arguments.
 
     Raises:
         RenderError: no GL library that works off screen.
@@ -55,8 +57,7 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
     node = scene.add(pyrender.Mesh([primitive]))
     # pyrender counts pixels from the corner of the picture, we from the centre of the first pixel.
     camera = pyrender.IntrinsicsCamera(intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 2] + 0.5,
-                                       intrinsics[1, 2] + 0.5,
-                                       znear=near, zfar=far)
+                                       intrinsics[1, 2] + 0.5, znear=near, zfar=far)
     scene.add(camera, pose=np.eye(4))
     light = np.eye(4)
     # The key light of the ray caster, turned from the world into the camera's GL axes; a light shines along its -z.
@@ -82,11 +83,14 @@ def rasterise(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray,
     return View(rgb, depth.astype(np.float32), mask, intrinsics.copy(), camera_pose.copy())
 
 
-def load_pyrender():
+def load_pyrender(load: Callable[[str], ModuleType] = importlib.import_module) -> ModuleType:
     """Import pyrender on the first platform of EGL and OSMesa whose library loads.
 
-    PyOpenGL binds to one platform when first imported, so the variable must be set before; if somebody has set it
-    (or imported OpenGL) already, that choice stands.
+    PyOpenGL binds to one platform when it is first imported, so PYOPENGL_PLATFORM must be set before. A platform that
+    the user has set is kept.
+
+    Args:
+        load: imports a module by its name.
 
     Raises:
         RenderError: neither loads.
@@ -99,7 +103,7 @@ def load_pyrender():
         before = set(sys.modules)
         os.environ["PYOPENGL_PLATFORM"] = platform
         try:
-            return importlib.import_module("pyrender")
+            return load("pyrender")
         except (ImportError, OSError, AttributeError) as error:
             tried.append(f"{platform}: {error}")
             # A half-loaded OpenGL keeps its platform; forget it before the next one.

@@ -1,7 +1,7 @@
-"""The ray caster: one ray a pixel against a bounding volume hierarchy, on the CPU or a GPU.
+"""The ray caster: one ray for each pixel against a bounding volume hierarchy, on the CPU or a GPU.
 
-The hierarchy works in float32, centred on the object; the hit triangle is then met again in float64, so that depth
-is exact on the triangles: z = n.(v0 - o) / n.d with the ray o + z d scaled to one metre along the optical axis.
+The hierarchy works in float32, centred on the object. The hit triangle is then intersected again in float64, so that
+depth is exact on the triangles: z = n.(v0 - o) / n.d with the ray o + z d scaled to one metre along the optical axis.
 Colour is albedo x texture x (ambient + wrapped Lambert) + a soft highlight, from lights fixed in the world.
 """
 
@@ -11,11 +11,9 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.solid import TEXTURES
 from vsfsim.data.records import View
-from vsfsim.sensing.camera import Surface, corner_normals
+from vsfsim.sensing.cell_hash import cell_hash
+from vsfsim.sensing.surface import Surface, corner_normals, srgb
 
-# Compiling is told by whoever shows progress, not by Warp's own chatter.
-if wp.config.log_level == wp.LOG_INFO:
-    wp.config.log_level = wp.LOG_WARNING
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 _PLAIN, _NOISE, _WEAVE, _GRAIN, _STRIPES = range(len(TEXTURES))
@@ -24,7 +22,7 @@ _TURN = 2.0 * np.pi
 
 def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, width: int, height: int, *,
          device: str, shading: float, background: tuple[int, int, int]) -> View:
-    """See `vsfsim.sensing.camera.render`, which has checked the operands."""
+    """See `vsfsim.sensing.camera.render`, which checks the arguments."""
     centre = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
     vertices = surface.vertices - centre
     # A ray through pixel (i, j): camera direction K^-1 (i, j, 1) has z = 1, so the ray parameter is the depth.
@@ -53,25 +51,8 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
         ], outputs=[depth, colour])
         depth, colour = depth.numpy(), colour.numpy()
     mask = depth > 0.0
-    rgb = np.where(mask[..., None], _srgb(colour), np.asarray(background, np.uint8)).astype(np.uint8)
+    rgb = np.where(mask[..., None], srgb(colour), np.asarray(background, np.uint8)).astype(np.uint8)
     return View(rgb, depth, mask, intrinsics.copy(), camera_pose.copy())
-
-
-def _srgb(linear: np.ndarray) -> np.ndarray:
-    """8-bit sRGB of linear RGB (..., 3)."""
-    x = np.clip(linear, 0.0, 1.0)
-    coded = np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 1e-9) ** (1 / 2.4) - 0.055)
-    return np.rint(255.0 * coded).astype(np.uint8)
-
-
-@wp.func
-def _hash(x: int, y: int, z: int) -> float:
-    """A fixed number in 0..1 for each cell of space: no random state, the same on every device."""
-    h = wp.uint32(x) * wp.uint32(73856093) ^ wp.uint32(y) * wp.uint32(19349663) ^ wp.uint32(z) * wp.uint32(83492791)
-    h = (h ^ (h >> wp.uint32(16))) * wp.uint32(2146121005)
-    h = (h ^ (h >> wp.uint32(13))) * wp.uint32(1540483477)
-    h = h ^ (h >> wp.uint32(16))
-    return float(h >> wp.uint32(8)) / 16777216.0
 
 
 @wp.func
@@ -82,10 +63,10 @@ def _value_noise(p: wp.vec3) -> float:
     z = int(wp.floor(p[2]))
     f = wp.vec3(p[0] - float(x), p[1] - float(y), p[2] - float(z))
     w = wp.vec3(f[0] * f[0] * (3.0 - 2.0 * f[0]), f[1] * f[1] * (3.0 - 2.0 * f[1]), f[2] * f[2] * (3.0 - 2.0 * f[2]))
-    a = wp.lerp(_hash(x, y, z), _hash(x + 1, y, z), w[0])
-    b = wp.lerp(_hash(x, y + 1, z), _hash(x + 1, y + 1, z), w[0])
-    c = wp.lerp(_hash(x, y, z + 1), _hash(x + 1, y, z + 1), w[0])
-    d = wp.lerp(_hash(x, y + 1, z + 1), _hash(x + 1, y + 1, z + 1), w[0])
+    a = wp.lerp(cell_hash(x, y, z), cell_hash(x + 1, y, z), w[0])
+    b = wp.lerp(cell_hash(x, y + 1, z), cell_hash(x + 1, y + 1, z), w[0])
+    c = wp.lerp(cell_hash(x, y, z + 1), cell_hash(x + 1, y, z + 1), w[0])
+    d = wp.lerp(cell_hash(x, y + 1, z + 1), cell_hash(x + 1, y + 1, z + 1), w[0])
     return wp.lerp(wp.lerp(a, b, w[1]), wp.lerp(c, d, w[1]), w[2])
 
 
@@ -94,8 +75,8 @@ def _texture(kind: int, p: wp.vec3) -> float:
     """Brightness of a texture at ``p`` (in wavelengths), -1..1 with mean about 0."""
     turn = float(_TURN)
     if kind == _NOISE:
-        n = _value_noise(p) + 0.5 * _value_noise(2.03 * p
-                                                 + wp.vec3(17.0)) + 0.25 * _value_noise(4.01 * p + wp.vec3(41.0))
+        n = (_value_noise(p) + 0.5 * _value_noise(2.03 * p + wp.vec3(17.0))
+             + 0.25 * _value_noise(4.01 * p + wp.vec3(41.0)))
         return wp.clamp((n / 1.75 - 0.5) * 3.0, -1.0, 1.0)
     if kind == _WEAVE:
         # Two crossing sets of threads over all three axes: cuts in any plane show a weave.

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from vsfsim.core.scene import CameraSpec
-from vsfsim.core.solid import Appearance
-from vsfsim.sensing.camera import RenderError, Surface, look_at, render
+from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.surface import RenderError, Surface, flat_coloured
 
 
 def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns: int = 4, size: int = 320,
@@ -50,7 +50,8 @@ def turntable(surface: Surface, out_png: str | Path, *, frames: int = 8, columns
         low, high = modulus.min() / room, modulus.max() * room
         scale = matplotlib.cm.ScalarMappable(matplotlib.colors.LogNorm(low, high), "viridis")
         # Little shade, so that a colour can be found again on the bar.
-        looks.append((_painted(surface, scale.to_rgba(modulus)[:, :3]), 0.45))
+        looks.append((flat_coloured(surface.vertices, surface.triangles, scale.to_rgba(modulus)[:, :3],
+                                    surface.rest_vertices), 0.45))
     columns = min(columns, frames)
     rows = math.ceil(frames / columns)
     middle = 0.5 * (surface.vertices.min(axis=0) + surface.vertices.max(axis=0))
@@ -100,12 +101,3 @@ def _framing(vertices: np.ndarray, poses: list[np.ndarray], size: int) -> tuple[
     # Room for the angle's label above a flat object, and no picture taller than one and a half times its width.
     tall = max(round(2.0 * focal * reach[1]), 48)
     return np.array([[focal, 0.0, 0.5 * (size - 1)], [0.0, focal, 0.5 * (tall - 1)], [0.0, 0.0, 1.0]]), tall
-
-
-def _painted(surface: Surface, colour: np.ndarray) -> Surface:
-    """The same surface in plain colours (f, 3) sRGB, one a triangle."""
-    shades, region = np.unique(np.rint(colour * 255).astype(int), axis=0, return_inverse=True)
-    linear = (shades / 255.0) ** 2.2  # the renderer works in linear light
-    plain = len(shades)
-    return Surface(surface.vertices, surface.triangles, region.reshape(-1),
-                   Appearance(linear, ("plain",) * plain, np.ones(plain), np.zeros(plain)), surface.rest_vertices)

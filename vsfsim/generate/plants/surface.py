@@ -9,7 +9,8 @@ import numpy as np
 from vsfsim.core.plant import Plant
 from vsfsim.core.solid import Appearance
 from vsfsim.data.records import View
-from vsfsim.sensing.camera import Surface, render
+from vsfsim.sensing.camera import render
+from vsfsim.sensing.surface import Surface
 
 _SIDES, _POT_SIDES = 8, 40
 _POT_COLOUR, _SOIL_COLOUR = (0.42, 0.17, 0.08), (0.06, 0.04, 0.03)
