@@ -12,11 +12,10 @@ import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate
 from vsfsim.bench.method import Action, Reading, Specimen
+from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
-
-FORCES = ("normal-force", "force-magnitude")
 
 
 class ContactPoints:
@@ -68,11 +67,12 @@ class ContactPoints:
         Raises:
             MethodError: the readings are not forces, or the view shows no object.
         """
+        forces = [name for name, row in OBSERVATIONS.items() if row.unit == "N"]
         strange = next((r.action.observation for r in self._support
-                        if r.surface is None and r.action.observation not in FORCES), None)
+                        if r.surface is None and r.action.observation not in forces), None)
         if strange is not None:
             raise MethodError(f"contact-points: a contact is where the force passes a limit, and the readings are "
-                              f"'{strange}'; it knows {' and '.join(FORCES)}, or a sensor's surface.")
+                              f"'{strange}'; it knows {', '.join(forces)}, or a sensor's surface.")
         points, size = self._contacts()
         hard = size > self.share * size.max(initial=0.0)
         # Contact or not is all that is told, as in the paper.

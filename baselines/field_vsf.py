@@ -14,8 +14,9 @@ import numpy as np
 
 from vsfsim.baselines.locating import Locating, locate, touched_points
 from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import noise_unit, skin_touch
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -102,7 +103,8 @@ class NeuralVsf:
         asked = [_surface_of(action, np.zeros(len(action.time))) for action in touches]
         if self._model is None:
             return [np.zeros((len(action.time), 1)) for action in touches]
-        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None] / noise_unit(action)
+        return [predict_totals(self._model, touch, samples=self._fitting.samples)[:, None]
+                / OBSERVATIONS[action.observation].force_per_unit
                 for action, touch in zip(touches, asked, strict=True)]
 
     def stiffness(self, points: np.ndarray) -> Estimate:
@@ -160,18 +162,17 @@ def _surface_of(action: Action, force: np.ndarray):
     from vsfsim.vsf.fields.palpation import dome
     from vsfsim.vsf.fields.swept import TotalTouch
 
-    if isinstance(action.probe, Dome):
-        if action.observation not in ("normal-force", "pressure"):
-            raise MethodError(f"the readings are '{action.observation}'; of a bubble the continuous VSF knows "
-                              f"'normal-force' and 'pressure'.")
-        places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
-        return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force * noise_unit(action))
-    if not isinstance(action.probe, Sphere):
+    if not isinstance(action.probe, (Sphere, Dome)):
         raise MethodError(f"the probe is a {type(action.probe).__name__.lower()}; the continuous VSF knows the surface "
                           f"of a ball and of a bubble's dome, or needs a sensor with contact forces on its vertices.")
-    if action.observation != "normal-force":
+    if action.observation not in OBSERVATIONS or not OBSERVATIONS[action.observation].along_press:
+        known = " or ".join(f"'{name}'" for name, row in OBSERVATIONS.items() if row.along_press)
         raise MethodError(f"the readings are '{action.observation}'; without a sensor's surface the continuous VSF "
-                          f"needs 'normal-force'.")
+                          f"needs {known}.")
+    force = force * OBSERVATIONS[action.observation].force_per_unit
+    if isinstance(action.probe, Dome):
+        places = np.einsum("tij,nj->tni", action.poses[:, :3, :3], action.probe.points) + action.poses[:, None, :3, 3]
+        return TotalTouch(places, np.array(action.probe.faces), np.asarray(action.axis), force)
     shape, triangles = dome(radius=action.probe.radius, height=action.probe.radius, rings=_RINGS)
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])

@@ -5,19 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
-from vsfsim.bench.method import Action, Reading
+from vsfsim.bench.method import Reading
 from vsfsim.core.errors import MethodError
 from vsfsim.vsf.fields.palpation import DenseTouch
-
-BASE_AREA = 7.18e-3
-"""Of a Punyo's rim [m^2]. It turns force into pressure; the stiffness takes up what the gas makes of it besides (SBML
-eq. 8)."""
-
-
-def noise_unit(action: Action) -> float:
-    """Factor from a reading to the unit of a method's noise, and to a force: a pressure becomes a force, all else
-    stays."""
-    return BASE_AREA if action.observation == "pressure" else 1.0
 
 
 def skin_touch(reading: Reading) -> DenseTouch | None:

@@ -16,17 +16,16 @@ from scipy.spatial import cKDTree
 
 from vsfsim.baselines.locating import Locating, locate
 from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import BASE_AREA, noise_unit, skin_touch
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading
-from vsfsim.core.chain import Chain
+from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
-from vsfsim.vsf.arm_rows import arm_torque_rows
-from vsfsim.vsf.dynamics import simulate
+from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, normal_force_rows
+from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.particles import particles_from_view
 from vsfsim.vsf.sticking import stick
 
@@ -92,32 +91,24 @@ class VsfObject:
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:
-        """W (T d, n) of a touch, frame by frame: readings = W K."""
-        if action.observation == "joint-torque":
-            return self._torque_rows(action)
-        key = digest(action.poses, action.axis) + f"{action.probe}{action.observation}".encode()
-        if key not in self.rows:
-            moved = simulate(self.particles, action.probe, action.poses, friction=self.settings.friction,
-                             device=self.settings.device)
-            if action.observation == "normal-force":
-                self.rows[key] = normal_force_rows(moved, len(self.particles), action.axis)
-            elif action.observation == "force-magnitude":
-                self.rows[key] = force_sum_rows(moved, len(self.particles))
-            elif action.observation == "pressure":
-                self.rows[key] = force_sum_rows(moved, len(self.particles)) / BASE_AREA
-            else:
-                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows "
-                                  f"normal-force, force-magnitude, pressure and joint-torque.")
-        return self.rows[key]
+        """W (T d, n) of a touch, frame by frame: readings = W K.
 
-    def _torque_rows(self, action: Action) -> sparse.csr_matrix:
-        """Rows of SBML eq. 7, contact along the whole arm."""
-        if not isinstance(action.probe, Chain) or action.q is None:
-            raise MethodError("joint torques need an arm: a touch with joint angles, and the arm's chain as its probe.")
-        key = digest(action.q, action.axis) + b"joint-torque"
+        Raises:
+            MethodError: the particle model does not predict this observation, or not with this probe.
+        """
+        key = digest(action.poses, action.axis, *(() if action.q is None else (action.q,)))
+        key += f"{action.probe}{action.observation}".encode()
         if key not in self.rows:
-            self.rows[key] = arm_torque_rows(self.particles, action.probe, action.q, friction=self.settings.friction,
-                                             device=self.settings.device)
+            row = OBSERVATIONS.get(action.observation)
+            if row is None:
+                raise MethodError(f"the particle model has no observation rows for '{action.observation}'; it knows "
+                                  f"{', '.join(OBSERVATIONS)}.")
+            try:
+                predicted = row.predictor()(self.particles, action, friction=self.settings.friction,
+                                            device=self.settings.device)
+            except VsfError as error:
+                raise MethodError(str(error)) from error
+            self.rows[key] = predicted / row.force_per_unit
         return self.rows[key]
 
     def stack(self, readings: Sequence[Reading]) -> tuple[sparse.csr_matrix, np.ndarray]:
@@ -142,7 +133,7 @@ class VsfObject:
             else:
                 rows, seen = self.observe(reading.action)[np.flatnonzero(np.repeat(reading.valid,
                                                                                    reading.action.size))], value.ravel()
-                weight = noise_unit(reading.action)
+                weight = OBSERVATIONS[reading.action.observation].force_per_unit
                 weight /= float(self.noise_factor(weight * seen))
             blocks.append(weight * rows)
             values.append(weight * seen)
@@ -220,7 +211,7 @@ class Posterior:
         every = self._reading_std(sparse.vstack(rows))
         out, first = [], 0
         for action, mine in zip(actions, rows):
-            unit = noise_unit(action)
+            unit = OBSERVATIONS[action.observation].force_per_unit
             noise = self.model.settings.noise_std * self.model.noise_factor(unit * (mine @ self.stiffness)) / unit
             out.append(np.hypot(every[first:first + mine.shape[0]], noise).reshape(-1, action.size))
             first += mine.shape[0]

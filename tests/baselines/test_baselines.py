@@ -8,13 +8,13 @@ import pytest
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.point_vsf import PointVsf
+from vsfsim.baselines.vsf_object import ObjectShelf, VsfSettings
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.metrics import spearman
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf import dynamics
 
 
 @pytest.fixture(scope="module")
@@ -94,15 +94,17 @@ def test_stiffness_finds_the_stiff_half(train, subject):
     assert (estimate.std < 1000.0 / 0.005**3).all()
 
 
-def test_a_touch_is_simulated_once_however_many_shots_and_seeds(train, subject, monkeypatch):
+def test_an_object_and_the_rows_of_its_touches_are_made_once(subject):
     view, recording = subject
-    calls = []
-    real = dynamics.simulate
-    monkeypatch.setattr("vsfsim.baselines.vsf_object.simulate", lambda *a, **k: calls.append(1) or real(*a, **k))
-    method = PointVsf()
-    for k in (0, 1, 5, 5, 10):
-        error(method, view, recording, range(k))
-    assert len(calls) == 16  # 10 of the support and 6 of the query
+    shelf = ObjectShelf(VsfSettings(spacing=0.005, friction=0.0, noise_std=1.0, margin=0.01, table_height=0.0,
+                                    device="cpu"))
+    model = shelf.get(view.view)
+    assert shelf.get(dataclasses.replace(view.view, depth=view.view.depth.copy())) is model
+    action, other = (r.action for r in recording.readings[:2])
+    rows = model.observe(action)
+    assert model.observe(dataclasses.replace(action, poses=action.poses.copy())) is rows
+    assert model.observe(dataclasses.replace(action, observation="force-magnitude")) is not rows
+    assert (model.observe(other) != rows).nnz > 0
 
 
 def test_refusals(train, subject):

@@ -11,11 +11,12 @@ from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.locating import Locating, locate
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
-from vsfsim.baselines.skin import BASE_AREA, skin_touch
+from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.check import check
 from vsfsim.bench.hidden import Hidden, pose_scores
 from vsfsim.bench.method import Action, Reading, Surface
 from vsfsim.bench.mock import mock_view
+from vsfsim.bench.observations import PUNYO_RIM_AREA
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task
 from vsfsim.core.dome import Dome
@@ -150,7 +151,7 @@ def test_a_pressure_is_a_force_over_the_base():
     as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action,
                                                                                 observation="force-magnitude"))
                 for r in readings]
-    as_pressure = [dataclasses.replace(r, value=r.value / BASE_AREA,
+    as_pressure = [dataclasses.replace(r, value=r.value / PUNYO_RIM_AREA,
                                        action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
     vertices, triangles = dome(radius=0.03, height=0.015, rings=4)
     bubble = Dome.of(vertices * [1.0, 1.0, -1.0] + [0.0, 0.0, 0.015], triangles[:, ::-1])
@@ -165,7 +166,7 @@ def test_a_pressure_is_a_force_over_the_base():
     np.testing.assert_allclose(force._posterior.stiffness, pressure._posterior.stiffness, rtol=1e-6, atol=1e-9)
     for name in ("predict", "predict_std"):
         np.testing.assert_allclose(getattr(pressure, name)([as_pressure[0].action])[0],
-                                   getattr(force, name)([as_force[0].action])[0] / BASE_AREA, rtol=1e-6)
+                                   getattr(force, name)([as_force[0].action])[0] / PUNYO_RIM_AREA, rtol=1e-6)
 
 
 def test_failures_are_clear_or_have_a_defined_answer(seen):

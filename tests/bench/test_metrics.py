@@ -6,10 +6,8 @@ from scipy.stats import spearmanr
 
 from vsfsim.bench.metrics import best_f1, reading_scores, spearman, stiff_points, stiffness_scores, touch_errors
 from vsfsim.bench.noise import Noise, noisy_force
-from vsfsim.bench.observation import observation
 from vsfsim.bench.reached import distance, reached
 from vsfsim.bench.uncertainty import reading_uncertainty, stiffness_uncertainty, touch_uncertainty
-from vsfsim.core.errors import TaskError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 
 
@@ -94,14 +92,6 @@ def test_noise_is_reproducible_tared_and_per_touch():
     assert np.ptp(out, axis=0) == pytest.approx(0.0) and abs(out[0] - 1.0).max() > 0.01
     drift = noisy_force(force, Noise(0.0, 0.0, 1.0, 0, 0), object_index=0, view_index=0, touch_index=0) - force
     assert drift[0] == pytest.approx(0.0) and np.diff(drift, axis=0) == pytest.approx(np.tile(drift[-1] / 9, (9, 1)))
-
-
-def test_observations():
-    force, axis = np.array([[0.0, 3.0, 4.0], [0.0, 0.0, -1.0]]), np.array([0.0, 0.0, -1.0])
-    assert observation("normal-force", "x").of(force, axis).tolist() == [[4.0], [-1.0]]
-    assert observation("force-magnitude", "x").of(force, axis).tolist() == [[5.0], [1.0]]
-    with pytest.raises(TaskError, match="Did you mean 'normal-force'"):
-        observation("normal_force", "x")
 
 
 @pytest.mark.parametrize(("probe", "point", "want"), [

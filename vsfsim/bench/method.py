@@ -28,7 +28,7 @@ class Action:
     """What the robot does in a touch: all that is known before it is made.
 
     time: (T,) [s]. poses: probe-to-world (T, 4, 4) [m]. axis: unit press direction, world (3,). probe: its shape.
-    observation: name of what will be read, see `vsfsim.bench.observation`. size: numbers in a reading, d.
+    observation: name of what will be read, see `vsfsim.bench.observations`. size: numbers in a reading, d.
     q: joint angles (T, 7) [rad] where an arm touches; its ``probe`` is then a `vsfsim.core.chain.Chain`, and ``poses``
     are those of its tool. None without an arm.
     """

@@ -7,14 +7,14 @@ touches of a seed contain its 1 touch.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, frozen_view
-from vsfsim.bench.noise import noisy_force
-from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure
-from vsfsim.bench.noise_torque import noisy_torque
+from vsfsim.bench.noise import Noise
+from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes
 from vsfsim.bench.task import ALL, Protocol, Task
 from vsfsim.core.errors import TaskError
 from vsfsim.data.records import ObjectView, Touch
@@ -36,47 +36,40 @@ def record(view: ObjectView, task: Task) -> Recording:
     """Reduce the touches of ``view`` to readings, with the task's noise on them.
 
     Raises:
-        TaskError: the task reads the pressure, or the joint torques, and the dataset has none.
+        TaskError: the dataset does not hold what the task reads.
     """
+    row = task.observation
     readings, clean = [], []
     for index, touch in enumerate(view.touches):
-        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe,
-                        task.observation.name, task.observation.size,
-                        None if touch.q is None else frozen(touch.q))
-        force = np.where(touch.converged[:, None], touch.force, np.nan)
         which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": index}
-        if task.observation.source == "pressure":
-            signal = _pressure_change(touch, f"object view '{view.name}' touch {index}", task)
-            noisy = noisy_pressure(signal, touch.time, force, task.noise, **which)
-        elif task.observation.source == "torque":
-            if touch.torque is None or touch.q is None:
-                raise TaskError(f"object view '{view.name}' touch {index} has no joint torques, which task {task.name} "
-                                f"reads; its dataset must be made by an arm, an [arm] in the scene.")
-            signal = np.where(touch.converged[:, None], touch.torque, np.nan)
-            noisy = noisy_torque(signal, touch.time, force, task.noise, **which)
-        else:
-            signal = force
-            noisy = noisy_force(force, task.noise, time=touch.time, **which)
-        surface = None
-        if touch.node_position is not None and touch.node_force is not None:
-            noise = task.noise
-            nodes = touch.node_position
-            if noise.depth_std or noise.depth_quantum or noise.image_lag:
-                nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
-            pushed = noisy_node_force(np.where(touch.converged[:, None, None], touch.node_force, np.nan), touch.time,
-                                      noise, **which)
-            surface = Surface(frozen(nodes), frozen(pushed))
-        readings.append(Reading(action, frozen(task.observation.of(noisy, touch.axis)), frozen(touch.converged),
-                                surface))
-        clean.append(task.observation.of(signal, touch.axis))
+        values = row.channel.clean(touch)
+        if values is None:
+            raise TaskError(f"object view '{view.name}' touch {index} has no {row.channel.name}, which task {task.name} "
+                            f"reads; its dataset must be made with {row.channel.made_with}.")
+        values, force = _where_converged(values, touch), _where_converged(touch.force, touch)
+        noisy = row.channel.noisy(values, touch.time, force, task.noise, **which)
+        action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, row.name,
+                        row.size, None if touch.q is None else frozen(touch.q))
+        readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),
+                                _surface(touch, task.noise, which)))
+        clean.append(row.reading(values, touch.axis))
     return Recording(view.name, tuple(readings), tuple(clean))
 
 
-def _pressure_change(touch: Touch, where: str, task: Task) -> np.ndarray:
-    if touch.pressure is None or touch.rest_pressure is None:
-        raise TaskError(f"{where} has no pressure, which task {task.name} reads; its dataset must be made with a "
-                        f"bubble, a [sensor] in the scene.")
-    return np.where(touch.converged, touch.pressure - touch.rest_pressure, np.nan)
+def _where_converged(values: np.ndarray, touch: Touch) -> np.ndarray:
+    """``values`` (T, ...), NaN in the frames that did not converge."""
+    return np.where(touch.converged.reshape(-1, *[1] * (values.ndim - 1)), values, np.nan)
+
+
+def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | None:
+    """The sensor's surface with the noise of its inside camera; None where the dataset does not hold one."""
+    if touch.node_position is None or touch.node_force is None:
+        return None
+    nodes = touch.node_position
+    if noise.depth_std or noise.depth_quantum or noise.image_lag:
+        nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
+    force = noisy_node_force(_where_converged(touch.node_force, touch), touch.time, noise, **which)
+    return Surface(frozen(nodes), frozen(force))
 
 
 def specimen(view: ObjectView, task: Task) -> Specimen:

@@ -13,7 +13,7 @@ from typing import Any
 from vsfsim.bench.hidden import MASK_METRICS, POSE_METRICS
 from vsfsim.bench.metrics import READING_METRICS
 from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
-from vsfsim.bench.observation import Observation, observation
+from vsfsim.bench.observations import Observation, observation
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean, unknown_key
 from vsfsim.core.shelf import find_task
 from vsfsim.data.dataset import Dataset
