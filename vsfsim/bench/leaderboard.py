@@ -14,6 +14,7 @@ from vsfsim.bench.result import Result, Score, readings_apart
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
+from vsfsim.core.text_table import text_table
 
 _SAME = 1e-3
 """Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds
@@ -122,12 +123,12 @@ def _mark(result: Result, task: Task, apart: float | None) -> str:
 def text(board: Board) -> str:
     """The board for a terminal."""
     head, rows = _cells(board)
-    lines = [_title(board), "", *_aligned([head, *rows])]
+    lines = [_title(board), "", text_table(head, rows)]
     lines += _footnotes(board)
     paper = _paper(board)
     if paper:
         lines += ["", "From the literature (not comparable: other data or another quantity, see the unit):",
-                  *_aligned(paper)]
+                  text_table(paper[0], paper[1:])]
     return "\n".join(lines)
 
 
@@ -153,7 +154,7 @@ def score_table(result: Result, metric: str) -> str:
         unit = (f" [{result.unit}]" if name in READING_METRICS else f" [{HIDDEN_UNITS[name]}]" if name in HIDDEN_UNITS
                 else "")
         rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
-    return "\n".join(_aligned([head, *rows]))
+    return text_table(head, rows)
 
 
 def _title(board: Board) -> str:
@@ -223,12 +224,6 @@ def _pair(value: tuple[float, float | None] | None) -> str:
     if value is None:
         return ""
     return f"{value[0]:.2f}" + ("" if value[1] is None else f" ± {value[1]:.2f}")
-
-
-def _aligned(rows: list[list[str]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip() for row in rows]
-    return [lines[0], "-" * len(lines[0]), *lines[1:]]
 
 
 def _piped(rows: list[list[str]]) -> list[str]:
