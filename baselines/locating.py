@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.baselines.seen import seen_cloud
 from vsfsim.bench.method import Reading
-from vsfsim.bench.reached import reached
+from vsfsim.bench.reached_points import reached
 from vsfsim.data.records import View
 from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.pose.localise import KnownObject

@@ -4,18 +4,26 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from vsfsim.bench.metrics import best_f1, reading_scores, spearman, stiff_points, stiffness_scores, touch_errors
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.leaderboard import collect, text
+from vsfsim.bench.metrics import METRICS, Answer, Metric, record_scores
 from vsfsim.bench.noise import Noise, noisy_force
-from vsfsim.bench.reached import distance, reached
-from vsfsim.bench.uncertainty import reading_uncertainty, stiffness_uncertainty, touch_uncertainty
+from vsfsim.bench.reached_points import distance, reached
+from vsfsim.bench.reading_metrics import touch_errors, touch_uncertainty
+from vsfsim.bench.stiffness_metrics import best_f1, can_be_scored, spearman, stiff_points
+from vsfsim.bench.task import parse_task
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+
+
+def stiffness_scores(mean, truth, std=None):
+    return record_scores(Answer.STIFFNESS, [{"mean": mean, "std": std, "truth": truth}])
 
 
 def test_reading_metrics_by_hand():
     a = touch_errors(np.array([[1.0], [2.0], [9.0]]), np.array([[0.0], [0.0], [np.nan]]), np.array([True, True, False]))
     b = touch_errors(np.array([[3.0]]), np.array([[0.0]]), np.array([True]))
     assert a == {"n": 2, "sse": 5.0, "sae": 3.0}
-    scores = reading_scores([a, b])
+    scores = record_scores(Answer.READINGS, [a, b])
     assert scores["rmse"] == pytest.approx((2.5**0.5 + 3.0) / 2)
     assert scores["rmse_pooled"] == pytest.approx((14.0 / 3.0) ** 0.5)
     assert scores["mae"] == pytest.approx((1.5 + 3.0) / 2)
@@ -31,12 +39,12 @@ def test_spearman_agrees_with_scipy_with_ties():
 
 def test_stiffness_scores_allow_one_scale_and_punish_zero():
     truth = np.array([1.0, 10.0, 100.0, 1000.0, 1000.0])
-    assert stiffness_scores(3.7 * truth, truth) == pytest.approx({"stiffness_spearman": 1.0, "stiffness_log10": 0.0,
-                                                                  "stiffness_f1": 1.0})
+    right = stiffness_scores(3.7 * truth, truth)
+    assert [right[f"stiffness_{name}"] for name in ("spearman", "log10", "f1")] == pytest.approx([1.0, 0.0, 1.0])
     scores = stiffness_scores(np.array([0.0, 10.0, 100.0, 1000.0, 1000.0]), truth)
     assert scores["stiffness_log10"] == pytest.approx(1.0 / 5)  # one point of five is a decade too soft
-    assert stiffness_scores(np.zeros(5), truth) is None
-    assert stiffness_scores(np.ones(2), np.ones(2)) is None
+    assert not can_be_scored(np.zeros(5), truth) and not can_be_scored(np.ones(2), np.ones(2))
+    assert can_be_scored(np.array([0.0, 0.0, 1.0]), np.ones(3))
 
 
 def test_stiff_points_are_the_upper_of_two_classes_and_f1_is_the_best_there_is():
@@ -54,13 +62,13 @@ def test_uncertainty_by_hand():
                             np.array([[0.0], [0.0], [0.0]]), np.array([True, True, False]))
     assert one["n"] == 2 and (one["in50"], one["in90"]) == (1, 1)
     log = np.log(2.0) + 0.5 * np.log(2 * np.pi)
-    assert reading_uncertainty([one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log, "coverage50": 0.5,
+    assert record_scores(Answer.READING_STD, [one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log, "coverage50": 0.5,
                                                         "coverage90": 0.5})
     # A calibrated std: the shares are what they are called, and any other std costs likelihood.
     rng = np.random.default_rng(0)
     std = rng.uniform(0.5, 5.0, (20_000, 1))
     error, valid = std * rng.standard_normal((20_000, 1)), np.ones(20_000, bool)
-    right, bold, timid = (reading_uncertainty([touch_uncertainty(error, f * std, np.zeros_like(error), valid)])
+    right, bold, timid = (record_scores(Answer.READING_STD, [touch_uncertainty(error, f * std, np.zeros_like(error), valid)])
                           for f in (1.0, 0.5, 2.0))
     assert right["coverage50"] == pytest.approx(0.5, abs=0.02) and right["coverage90"] == pytest.approx(0.9, abs=0.01)
     assert right["nll"] < min(bold["nll"], timid["nll"])
@@ -68,13 +76,31 @@ def test_uncertainty_by_hand():
 
 def test_stiffness_uncertainty_allows_the_same_scale_on_mean_and_std():
     truth = np.array([10.0, 20.0, 30.0, 40.0, 50.0])
-    mean = truth + np.array([0.0, 1.0, -2.0, 0.0, 8.0])
-    first, second = (stiffness_uncertainty(f * mean, f * np.array([1.0, 2.0, 2.5, 0.5, 9.0]), truth)
-                     for f in (1.0, 1e6))
+    mean, std = truth + np.array([0.0, 1.0, -2.0, 0.0, 8.0]), np.array([1.0, 2.0, 2.5, 0.5, 9.0])
+    first, second = (stiffness_scores(f * mean, truth, f * std) for f in (1.0, 1e6))
     assert first == pytest.approx(second)
-    assert (first["stiffness_coverage90"] == 1.0 and first["stiffness_coverage50"] == pytest.approx(3 / 5)
-            and first["stiffness_std_spearman"] > 0.5)
-    assert stiffness_uncertainty(mean, np.zeros(5), truth) is None
+    assert first["stiffness_coverage90"] == 1.0 and first["stiffness_coverage50"] == pytest.approx(3 / 5)
+    assert first["stiffness_std_spearman"] > 0.5
+    for none in (None, np.zeros(5)):
+        assert stiffness_scores(mean, truth, none)["stiffness_nll"] is None
+
+
+def test_a_new_metric_is_one_row_and_one_function(task_text, toy_dataset, tmp_path, monkeypatch):
+    def worst(touches):
+        return max((touch["sse"] / touch["n"]) ** 0.5 for touch in touches)
+
+    row = Metric("rmse_worst", Answer.READINGS, worst, "Largest error of a touch.", unit=None, ranks=True)
+    monkeypatch.setitem(METRICS, row.name, row)
+    task = parse_task(task_text.replace('primary = "rmse"', 'primary = "rmse_worst"'), "toy-v1.toml")
+    for value in (1.0, 50.0):
+        result = evaluate("toy_methods:Constant", task, toy_dataset, parameters={"value": value}, seeds=1)
+        score, mean = (result.scores[name]["all"].mean for name in ("rmse_worst", "rmse"))
+        squares = [sse / n for sse, n in zip(result.queries["sse"], result.queries["n"], strict=True)]
+        assert score == pytest.approx(max(squares) ** 0.5) and score > mean
+        result.save(tmp_path / f"{value}.json")
+    board = collect(task, [tmp_path])
+    assert [r.result.parameters["value"] for r in board.rows] == [1.0, 50.0]
+    assert text(board).startswith("rmse_worst of normal-force [N], mean ± std over seeds, lower is better")
 
 
 def test_noise_is_reproducible_tared_and_per_touch():

@@ -8,6 +8,7 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.evaluate import evaluate, scores_of
+from vsfsim.bench.metrics import Answer, metrics_of
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import QUERY_COLUMNS, READING_COLUMNS, Result, readings_apart
 from vsfsim.core.errors import MethodError, TaskError
@@ -23,8 +24,8 @@ def test_result_round_trip_and_raw_values(results, task, tmp_path):
     back = Result.load(tmp_path / "deep" / "r.json")
     assert back == results[0]
     rows = [dict(zip(QUERY_COLUMNS, row)) for row in zip(*(back.queries[c] for c in QUERY_COLUMNS))]
-    assert scores_of(rows, back.shots,
-                     back.seeds)["rmse"] == dict(back.scores["rmse"]), "the scores follow from the raw values"
+    assert scores_of(Answer.READINGS, rows, back.shots, back.seeds) == {
+        metric.name: dict(back.scores[metric.name]) for metric in metrics_of(Answer.READINGS)}, "from the raw values"
     assert back.task_sha256 == task.sha256 and back.made_by["vsfsim"] and back.versions["numpy"] == np.__version__
     assert back.timing["adapts"] == 2 * (1 + 3 + 3 + 1)
 

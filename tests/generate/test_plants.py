@@ -14,7 +14,7 @@ from stems import touch as push
 from benchmarks import arm as bench_arm
 from benchmarks.plants import bench, table
 from vsfsim.bench.protocol import record
-from vsfsim.bench.reached import reached
+from vsfsim.bench.reached_points import reached
 from vsfsim.bench.task import load_task
 from vsfsim.core.chain import read_chain
 from vsfsim.core.errors import SceneError

@@ -4,7 +4,7 @@ touch."""
 import numpy as np
 import pytest
 
-from vsfsim.bench.reached import reached
+from vsfsim.bench.reached_points import reached
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.fields.palpation import dome as cap

@@ -26,9 +26,9 @@ from vsfsim.bench.method import (
     frozen_view,
     parameters_of,
 )
-from vsfsim.bench.metrics import reading_scores, touch_errors
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
+from vsfsim.bench.reading_metrics import rmse, touch_errors
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.data.records import ObjectView, View
@@ -176,7 +176,7 @@ def _run(method: Method, mock: _Mock, support: Sequence[Reading]) -> str:
     answer = _answer(method, mock, support)
     rows = [touch_errors(p, y, r.valid) for p, y, r in zip(answer, mock.clean[5:], mock.readings[5:])]
     zero = [touch_errors(np.zeros_like(y), y, r.valid) for y, r in zip(mock.clean[5:], mock.readings[5:])]
-    return f"rmse {reading_scores(rows)['rmse']:.3f} N (always answering 0: {reading_scores(zero)['rmse']:.3f} N)"
+    return f"rmse {rmse(rows):.3f} N (always answering 0: {rmse(zero):.3f} N)"
 
 
 def _empty(method: Method, mock: _Mock) -> None:

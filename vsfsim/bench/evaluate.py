@@ -4,34 +4,29 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from vsfsim.bench.hidden import MASK_METRICS, POSE_METRICS, Hidden, Mask, pose_scores
+from vsfsim.bench.inclusions import Inclusions, Mask
 from vsfsim.bench.method import (
     Action,
-    Method,
     build_method,
     checked_prediction,
     find_method,
     frozen_view,
     parameters_of,
 )
-from vsfsim.bench.metrics import READING_METRICS, STIFFNESS_METRICS, reading_scores, stiffness_scores, touch_errors
+from vsfsim.bench.metrics import Answer, Record, metrics_of
 from vsfsim.bench.protocol import Draw, Recording, divide, record, specimen, support
-from vsfsim.bench.reached import reached
+from vsfsim.bench.reached_points import reached
+from vsfsim.bench.reading_metrics import touch_errors, touch_uncertainty
 from vsfsim.bench.result import QUERY_COLUMNS, READING_COLUMNS, Result, Score, machine, peak_memory_mib, versions
+from vsfsim.bench.stiffness_metrics import FEWEST_POINTS, can_be_scored
 from vsfsim.bench.task import ALL, Task
-from vsfsim.bench.uncertainty import (
-    STIFFNESS_UNCERTAINTY,
-    reading_uncertainty,
-    stiffness_uncertainty,
-    touch_uncertainty,
-)
 from vsfsim.core.errors import MethodError, VsfsimError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
@@ -59,33 +54,43 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
     values = parameters_of(factory, parameters or {})
     run = _Run(factory, values, task, dataset, tuple(range(task.protocol.seeds if seeds is None else seeds)),
                progress or (lambda *_: None))
-    run.all()
+    run.run()
     notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
     if len(run.seeds) != task.protocol.seeds:
         notes.append(f"{len(run.seeds)} seeds instead of the task's {task.protocol.seeds}")
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-                  method=name,
-        entry=f"{factory.__module__}:{getattr(factory, '__qualname__', factory)}", parameters=values,
-                  observation=task.observation.name,
-        unit=task.observation.unit, shots=task.protocol.labels, seeds=run.seeds, scores=run.scores(),
-                  queries=run.columns(),
-        timing=dict(run.timing), peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(),
-                  versions=versions(), notes=tuple(notes),
-        readings=run.readings)
+        method=name, entry=f"{factory.__module__}:{getattr(factory, '__qualname__', factory)}", parameters=values,
+        observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels, seeds=run.seeds,
+        scores=run.scores(), queries=run.columns(), timing=dict(run.timing),
+        peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(),
+        notes=tuple(notes), readings=run.readings)
 
 
 @dataclass(frozen=True)
 class _Subject:
-    """A test object: the record with its truth, which only the ruler sees, and what the method sees."""
+    """A test object."""
 
     record: ObjectView
+    """With its truth, which only the harness sees."""
+
     view: View
+    """What the method sees."""
+
     recording: Recording
+    """All of its touches as the task shows them."""
+
     draw: Draw
-    reached: np.ndarray  # probe points of the truth that some touch reached
-    mask: Mask | None  # where the task seeks one
-    known: tuple[np.ndarray, np.ndarray, np.ndarray] | None  # vertices, triangles and pose of the object that it seeks
+    """Which touches are queries."""
+
+    reached: np.ndarray
+    """The probe points of the truth that some touch reached (P,) bool."""
+
+    mask: Mask | None
+    """Where the task ranks by a metric of the mask."""
+
+    inclusions: Inclusions | None
+    """Where the task ranks by a metric of the pose."""
 
 
 @dataclass
@@ -96,22 +101,22 @@ class _Run:
     dataset: Dataset
     seeds: tuple[int, ...]
     progress: Progress
-    rows: list[dict[str, Any]] = field(default_factory=list)
-    stiffness: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)
-    # of readings, one row a query touch
-    spread: dict[tuple[str, int], list[dict[str, float]]] = field(default_factory=dict)
-    readings: dict[str, list] = field(default_factory=dict)  # as `Result.readings`
-    # scores of the mask or the pose, one row an object
-    hidden: dict[tuple[str, int], list[dict[str, Any]]] = field(default_factory=dict)
+    records: dict[Answer, list[dict[str, Any]]] = field(default_factory=lambda: {answer: [] for answer in Answer})
+    """The answers so far, each record with its ``object``, ``shot`` and ``seed``."""
+
+    readings: dict[str, list] = field(default_factory=dict)
+    """As `Result.readings`."""
+
     timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0,
                                                               "adapts": 0, "predicts": 0})
+    """As `Result.timing`."""
 
-    def all(self) -> None:
+    def run(self) -> None:
         subjects = [self._subject(name) for name in self.dataset.names(self.task.protocol.test)]
         self.readings = readings_of([(subject.recording, subject.draw.query) for subject in subjects])
         specimens = [specimen(view, self.task) for view in map(self.dataset.blind().load,
                                                                self.dataset.names(self.task.protocol.train))]
-        # A method without a `seed` must be deterministic (`vsfsim check` proves it), so a support set that is the same
+        # A method without a `seed` must be deterministic (`vsfsim check` tests it), so a support set that is the same
         # for every seed needs only one adaptation.
         seeded = "seed" in inspect.signature(self.factory).parameters
         labels = self.task.protocol.labels
@@ -122,7 +127,7 @@ class _Run:
             if method is None or seeded:
                 self.progress(done, total, "meta-fit")
                 method = build_method(self.factory, {**self.parameters, "seed": seed} if seeded else self.parameters)
-                with self._timed("meta_fit_s", f"meta_fit on {len(specimens)} objects"):
+                with self.timed("meta_fit_s", f"meta_fit on {len(specimens)} objects"):
                     method.meta_fit(specimens)
             for subject in subjects:
                 for label in labels:
@@ -130,7 +135,7 @@ class _Run:
                         self._repeat(subject, label, seed)
                         continue
                     self.progress(done, total, f"{subject.record.name}, {label}-shot, seed {seed}")
-                    self._trial(method, subject, label, seed)
+                    _Trial(self, method, subject, label, seed).run()
                     done += 1
         self.progress(total, total, "done")
 
@@ -142,98 +147,20 @@ class _Run:
         for touch in view.touches:
             near |= reached(points, view.probe, touch.mount_pose, q=touch.q)
         near &= view.truth.probe_stiffness > 0.0  # ratios are scored; a cone that met nothing has none
-        hidden = Hidden.of(self.dataset.recipe, view) if self.task.seeks else None
-        mask = Mask.of(hidden, view) if hidden is not None and self.task.seeks == "mask" else None
-        known = hidden.known_object() if hidden is not None and self.task.seeks == "pose" else None
+        ranked = self.task.metric.answer
+        inclusions = Inclusions.of(self.dataset.recipe, view) if ranked in (Answer.MASK, Answer.POSE) else None
+        mask = Mask.of(inclusions, view) if inclusions is not None and ranked is Answer.MASK else None
         return _Subject(view, frozen_view(view.view), record(view, self.task), divide(view, self.task.protocol), near,
-                        mask, known)
-
-    def _trial(self, method: Method, subject: _Subject, label: str, seed: int) -> None:
-        chosen = support(subject.record, subject.draw, label, seed, self.task.protocol)
-        where = f"{subject.record.name}, {label}-shot, seed {seed}"
-        with self._timed("adapt_s", f"adapt to {where}"):
-            method.adapt(subject.view, [subject.recording.readings[i] for i in chosen])
-        actions = [subject.recording.readings[i].action for i in subject.draw.query]
-        with self._timed("predict_s", f"predict for {where}"):
-            answer = method.predict(actions)
-        self.timing["adapts"] += 1
-        self.timing["predicts"] += len(actions)
-        names = [f"touch {i} of {where}" for i in subject.draw.query]
-        answer = checked_prediction(answer, actions, names)
-        self._spread(method, subject, label, seed, actions, answer, names)
-        for index, prediction in zip(subject.draw.query, answer):
-            errors = touch_errors(prediction, subject.recording.clean[index], subject.recording.readings[index].valid)
-            self.rows.append({"object": subject.record.name, "shot": label, "seed": seed, "touch": index, **errors})
-        self._stiffness(method, subject, label, seed, where)
-        self._hidden(method, subject, label, seed, where)
-
-    def _hidden(self, method: Method, subject: _Subject, label: str, seed: int, where: str) -> None:
-        if subject.mask is not None and hasattr(method, "stiffness"):
-            points = subject.mask.points
-            with self._timed("predict_s", f"stiffness for {where}"):
-                stiffness = np.asarray(method.stiffness(points).mean, float)
-            if stiffness.shape != (len(points),) or not np.isfinite(stiffness).all():
-                raise MethodError(f"stiffness for {where} must be a finite mean a point, ({len(points)},); it has "
-                                  f"shape {stiffness.shape}.")
-            scores = subject.mask.scores(stiffness)
-        elif subject.known is not None and hasattr(method, "locate"):
-            vertices, triangles, truth = subject.known
-            with self._timed("predict_s", f"locate for {where}"):
-                pose = np.asarray(method.locate(vertices.copy(), triangles.copy()), float)
-            if pose.shape != (4,
-                              4) or not np.isfinite(pose).all() or not np.allclose(pose[:3, :3] @ pose[:3, :3].T,
-                                                                                   np.eye(3), atol=1e-6):
-                raise MethodError(f"locate for {where} must be a rigid object-to-world transform (4, 4); it is "
-                                  f"{pose.tolist()}.")
-            scores = pose_scores(pose, truth)
-        else:
-            return
-        self.hidden.setdefault((label, seed), []).append({"object": subject.record.name, **scores})
-
-    def _spread(self, method: Method, subject: _Subject, label: str, seed: int, actions: list[Action],
-                answer: list[np.ndarray], names: list[str]) -> None:
-        if not hasattr(method, "predict_std"):
-            return
-        with self._timed("predict_s", f"predict_std for {names[0]}"):
-            spread = method.predict_std(actions)
-        for index, prediction, std in zip(subject.draw.query, answer, checked_prediction(spread, actions, names)):
-            if (std < 0.0).any():
-                raise MethodError(f"predict_std for touch {index} of {subject.record.name} is negative; a standard "
-                                  f"deviation is 0 or greater.")
-            row = touch_uncertainty(prediction, std, subject.recording.clean[index],
-                                    subject.recording.readings[index].valid)
-            self.spread.setdefault((label, seed), []).append({"object": subject.record.name, **row})
-
-    def _stiffness(self, method: Method, subject: _Subject, label: str, seed: int, where: str) -> None:
-        if not hasattr(method, "stiffness") or np.count_nonzero(subject.reached) < 3:
-            return
-        truth = subject.record.truth
-        assert truth is not None
-        with self._timed("predict_s", f"stiffness for {where}"):
-            given = method.stiffness(truth.probe_points[subject.reached])
-        estimate, std = np.asarray(given.mean, float), np.asarray(given.std, float)
-        if estimate.shape != (int(subject.reached.sum()),) or not np.isfinite(estimate).all() or (estimate < 0).any():
-            raise MethodError(f"stiffness for {where} must be a finite, non-negative mean a point, "
-                              f"({int(subject.reached.sum())},); it has shape {estimate.shape}.")
-        scores = stiffness_scores(estimate, truth.probe_stiffness[subject.reached])
-        if scores is not None:
-            sure = stiffness_uncertainty(estimate, std,
-                                         truth.probe_stiffness[subject.reached]) if std.shape == estimate.shape and np.isfinite(std).all() else None
-            self.stiffness.setdefault((label, seed), []).append({**scores, **(sure or {})})
+                        mask, inclusions if ranked is Answer.POSE else None)
 
     def _repeat(self, subject: _Subject, label: str, seed: int) -> None:
-        first = self.seeds[0]
-        self.rows += [{**row, "seed": seed} for row in self.rows
-                      if row["object"] == subject.record.name and row["shot"] == label and row["seed"] == first]
-        if (label, first) in self.stiffness:
-            self.stiffness[label, seed] = self.stiffness[label, first]
-        for table in (self.spread, self.hidden):
-            mine = [row for row in table.get((label, first), []) if row["object"] == subject.record.name]
-            if mine:
-                table.setdefault((label, seed), []).extend(mine)
+        """Take the records of the first seed for ``seed`` as well."""
+        first = (subject.record.name, label, self.seeds[0])
+        for records in self.records.values():
+            records += [{**row, "seed": seed} for row in records if (row["object"], row["shot"], row["seed"]) == first]
 
     @contextmanager
-    def _timed(self, key: str, what: str) -> Iterator[None]:
+    def timed(self, key: str, what: str) -> Iterator[None]:
         start = time.perf_counter()
         try:
             yield
@@ -246,58 +173,130 @@ class _Run:
             self.timing[key] += time.perf_counter() - start
 
     def scores(self) -> dict[str, dict[str, Score]]:
-        return {**scores_of(self.rows, self.task.protocol.labels, self.seeds), **self._spread_scores(),
-                **self._stiffness_scores(), **self._hidden_scores()}
-
-    def _hidden_scores(self) -> dict[str, dict[str, Score]]:
-        out: dict[str, dict[str, Score]] = {}
-        for label in self.task.protocol.labels if self.hidden else ():
-            for metric in MASK_METRICS if self.task.seeks == "mask" else POSE_METRICS:
-                out.setdefault(metric,
-                               {})[label] = Score.of([float(np.mean([row[metric] for row in self.hidden[label, seed]]))
-                                                      for seed in self.seeds])
-        return out
-
-    def _spread_scores(self) -> dict[str, dict[str, Score]]:
-        out: dict[str, dict[str, Score]] = {}
-        for label in self.task.protocol.labels if self.spread else ():
-            seeds = [reading_uncertainty(self.spread[label, seed]) for seed in self.seeds]
-            for metric in seeds[0]:
-                out.setdefault(metric, {})[label] = Score.of([scores[metric] for scores in seeds])
-        return out
-
-    def _stiffness_scores(self) -> dict[str, dict[str, Score]]:
-        out: dict[str, dict[str, Score]] = {}
-        for label in self.task.protocol.labels:
-            parts = [self.stiffness.get((label, seed), []) for seed in self.seeds]
-            if all(parts):
-                # An object without a std (or an estimate that is 0 everywhere) takes a metric from the whole row.
-                for metric in (m for m in (*STIFFNESS_METRICS, *STIFFNESS_UNCERTAINTY)
-                               if all(m in part for parts_ in parts for part in parts_)):
-                    out.setdefault(metric, {})[label] = Score.of([float(np.mean([part[metric] for part in seed_parts]))
-                                                                  for seed_parts in parts])
-        return out
+        labels = self.task.protocol.labels
+        return {metric: by_shot for answer in Answer
+                for metric, by_shot in scores_of(answer, self.records[answer], labels, self.seeds).items()}
 
     def columns(self) -> dict[str, list]:
-        return {name: [row[name] for row in self.rows] for name in QUERY_COLUMNS}
+        return {name: [row[name] for row in self.records[Answer.READINGS]] for name in QUERY_COLUMNS}
+
+
+@dataclass
+class _Trial:
+    """One adaptation of a method, and every answer that is scored after it."""
+
+    of: _Run
+    method: Any
+    """A `Method`; the optional functions are looked for by name."""
+
+    subject: _Subject
+    label: str
+    seed: int
+
+    @property
+    def where(self) -> str:
+        """For messages."""
+        return f"{self.subject.record.name}, {self.label}-shot, seed {self.seed}"
+
+    def run(self) -> None:
+        recording, draw = self.subject.recording, self.subject.draw
+        chosen = support(self.subject.record, draw, self.label, self.seed, self.of.task.protocol)
+        with self.of.timed("adapt_s", f"adapt to {self.where}"):
+            self.method.adapt(self.subject.view, [recording.readings[i] for i in chosen])
+        self.of.timing["adapts"] += 1
+        self._readings([recording.readings[i].action for i in draw.query])
+        if np.count_nonzero(self.subject.reached) >= FEWEST_POINTS and hasattr(self.method, "stiffness"):
+            self._stiffness(self.subject.record.truth)
+        if self.subject.mask is not None and hasattr(self.method, "stiffness"):
+            self._mask(self.subject.mask)
+        if self.subject.inclusions is not None and hasattr(self.method, "locate"):
+            self._pose(self.subject.inclusions)
+
+    def _keep(self, answer: Answer, **record: Any) -> None:
+        self.of.records[answer].append({"object": self.subject.record.name, "shot": self.label, "seed": self.seed,
+                                        **record})
+
+    def _readings(self, actions: list[Action]) -> None:
+        query, recording = self.subject.draw.query, self.subject.recording
+        names = [f"touch {i} of {self.where}" for i in query]
+        with self.of.timed("predict_s", f"predict for {self.where}"):
+            given = self.method.predict(actions)
+        self.of.timing["predicts"] += len(actions)
+        predictions = checked_prediction(given, actions, names)
+        for index, prediction in zip(query, predictions, strict=True):
+            valid = recording.readings[index].valid
+            self._keep(Answer.READINGS, touch=index, **touch_errors(prediction, recording.clean[index], valid))
+        if not hasattr(self.method, "predict_std"):
+            return
+        with self.of.timed("predict_s", f"predict_std for {self.where}"):
+            given = self.method.predict_std(actions)
+        for index, prediction, std in zip(query, predictions, checked_prediction(given, actions, names), strict=True):
+            if (std < 0.0).any():
+                raise MethodError(f"predict_std for touch {index} of {self.where} is negative; a standard deviation is "
+                                  f"0 or greater.")
+            valid = recording.readings[index].valid
+            self._keep(Answer.READING_STD, touch=index,
+                       **touch_uncertainty(prediction, std, recording.clean[index], valid))
+
+    def _stiffness(self, truth: Any) -> None:
+        points, known = truth.probe_points[self.subject.reached], truth.probe_stiffness[self.subject.reached]
+        mean, std = self._estimate(points)
+        if (mean < 0).any():
+            raise MethodError(f"stiffness for {self.where} must be a non-negative mean a point; its smallest is "
+                              f"{mean.min()}.")
+        if can_be_scored(mean, known):
+            given = std.shape == mean.shape and bool(np.isfinite(std).all())
+            self._keep(Answer.STIFFNESS, mean=mean, std=std if given else None, truth=known)
+
+    def _mask(self, mask: Mask) -> None:
+        mean, _ = self._estimate(mask.points)
+        self._keep(Answer.MASK, value=mask.pixel_values(mean), stiff=mask.stiff)
+
+    def _pose(self, inclusions: Inclusions) -> None:
+        vertices, triangles, truth = inclusions.known_object()
+        with self.of.timed("predict_s", f"locate for {self.where}"):
+            pose = np.asarray(self.method.locate(vertices, triangles), float)
+        if (pose.shape != (4, 4) or not np.isfinite(pose).all()
+            or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6)):
+            raise MethodError(f"locate for {self.where} must be a rigid object-to-world transform (4, 4); it is "
+                              f"{pose.tolist()}.")
+        self._keep(Answer.POSE, estimate=pose, truth=truth)
+
+    def _estimate(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and std of the method's stiffness at ``points`` (k, 3) [m]."""
+        with self.of.timed("predict_s", f"stiffness for {self.where}"):
+            given = self.method.stiffness(points)
+        mean, std = np.asarray(given.mean, float), np.asarray(given.std, float)
+        if mean.shape != (len(points),) or not np.isfinite(mean).all():
+            raise MethodError(f"stiffness for {self.where} must be a finite mean a point, ({len(points)},); it has "
+                              f"shape {mean.shape}.")
+        return mean, std
 
 
 def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
     """`Result.readings` of recordings and their query touches."""
-    rows = [(recording.name, index, recording.clean[index][recording.readings[index].valid]) for recording,
-            query in asked for index in query]
+    rows = [(recording.name, index, recording.clean[index][recording.readings[index].valid])
+            for recording, query in asked for index in query]
     columns = ([name for name, _, _ in rows], [int(index) for _, index, _ in rows], [int(v.size) for _, _, v in rows],
                [float(np.sum(v**2)) for _, _, v in rows])
     return dict(zip(READING_COLUMNS, columns, strict=True))
 
 
-def scores_of(rows: list[dict[str, Any]], labels: tuple[str, ...],
+def scores_of(answer: Answer, records: Sequence[Record], labels: tuple[str, ...],
               seeds: tuple[int, ...]) -> dict[str, dict[str, Score]]:
-    """The reading metrics by metric and shot, from the raw rows of `Result.queries`."""
-    out: dict[str, dict[str, Score]] = {metric: {} for metric in READING_METRICS}
+    """The metrics of one kind of answer, by metric and shot.
+
+    A shot at which some seed has no record is left out, and so is a metric that a record lacks something for.
+
+    Args:
+        answer: what was asked. records: with ``shot`` and ``seed`` besides; those of the readings are the rows of
+        `Result.queries`. labels, seeds: of the result.
+    """
+    out: dict[str, dict[str, Score]] = {}
     for label in labels:
-        per_seed = [reading_scores([row for row in rows if row["shot"] == label and row["seed"] == seed])
-                    for seed in seeds]
-        for metric in READING_METRICS:
-            out[metric][label] = Score.of([scores[metric] for scores in per_seed])
+        parts = [[row for row in records if row["shot"] == label and row["seed"] == seed] for seed in seeds]
+        for metric in metrics_of(answer) if all(parts) else ():
+            values = [metric.score(part) for part in parts]
+            if not any(value is None for value in values):
+                out.setdefault(metric.name, {})[label] = Score.of(values)
     return out

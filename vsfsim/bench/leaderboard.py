@@ -8,8 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-from vsfsim.bench.hidden import HIDDEN_UNITS
-from vsfsim.bench.metrics import READING_METRICS
+from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, Score, readings_apart
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import TaskError
@@ -79,7 +78,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         # a shipped result that was made again here, to the same numbers, is one row
         if not any(_again(result, before) for _, before, *_ in (odd if mark else good)):
             (odd if mark else good).append((path, result, mark, apart))
-    sign = -1.0 if task.higher_is_better else 1.0
+    sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda item: (sign * item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
     rows = [Row(i, "", result, path, apart) for i, (path, result, _, apart) in enumerate(good, start=1)]
     rows += [Row(None, mark, result, path, apart) for path, result, mark, apart in odd]
@@ -96,17 +95,18 @@ def _again(result: Result, before: Result) -> bool:
     """Is it the same result? One of the two may be from before a parameter existed, or from a machine that rounds
     otherwise: the numbers tell."""
     known = result.parameters.keys() & before.parameters.keys()
-    if (result.method, result.task_sha256) != (before.method,
-                                               before.task_sha256) or any(result.parameters[key] != before.parameters[key] for key in known):
+    if (result.method, result.task_sha256) != (before.method, before.task_sha256):
+        return False
+    if any(result.parameters[key] != before.parameters[key] for key in known):
         return False
     if result.dataset_sha256 == before.dataset_sha256:
         return repr(result.scores) == repr(before.scores)
     apart = readings_apart(result.readings, before.readings)
-    return apart is not None and apart < _SAME and result.scores.keys() == before.scores.keys() and all(
-        math.isclose(one, other,
-                     rel_tol=_AGAIN) for metric in READING_METRICS if metric in result.scores for shot,
-                                                                                                        score in result.scores[metric].items()
-        for one, other in zip(score.per_seed, before.scores[metric][shot].per_seed, strict=False))
+    if apart is None or not apart < _SAME or result.scores.keys() != before.scores.keys():
+        return False
+    pairs = [pair for metric in metrics_of(Answer.READINGS) for shot, score in result.scores.get(metric.name, {}).items()
+             for pair in zip(score.per_seed, before.scores[metric.name][shot].per_seed, strict=False)]
+    return all(math.isclose(one, other, rel_tol=_AGAIN) for one, other in pairs)
 
 
 def _mark(result: Result, task: Task, apart: float | None) -> str:
@@ -151,17 +151,23 @@ def score_table(result: Result, metric: str) -> str:
     order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
     rows = []
     for name in order:
-        unit = (f" [{result.unit}]" if name in READING_METRICS else f" [{HIDDEN_UNITS[name]}]" if name in HIDDEN_UNITS
-                else "")
-        rows.append([f"{name}{unit}", *(_number(result.scores[name].get(label)) for label in result.shots)])
+        unit = _unit(name, result.unit)
+        rows.append([f"{name} [{unit}]" if unit else name,
+                     *(_number(result.scores[name].get(label)) for label in result.shots)])
     return text_table(head, rows)
+
+
+def _unit(metric: str, of_reading: str) -> str:
+    """Of a metric, "" for a pure number and for one that this version does not know."""
+    unit = METRICS[metric].unit if metric in METRICS else ""
+    return of_reading if unit is None else unit
 
 
 def _title(board: Board) -> str:
     task = board.task
-    unit = HIDDEN_UNITS.get(task.primary, "-" if task.seeks else task.observation.unit)
-    what = f"from {task.observation.name}" if task.seeks else f"of {task.observation.name}"
-    better = "higher" if task.higher_is_better else "lower"
+    unit = _unit(task.primary, task.observation.unit) or "-"
+    what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
+    better = "higher" if task.metric.higher_is_better else "lower"
     return (f"{task.primary} {what} [{unit}], mean ± std over seeds, {better} is better; ranked at "
             f"{task.ranking_shot}-shot")
 

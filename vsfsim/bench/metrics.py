@@ -1,117 +1,142 @@
-"""The ruler. Each score with its formula; y are noise-free readings, p predictions, both in the task's unit.
+"""The table of metrics: what can be scored, of which answer of a method, and by which function.
 
-Only valid (converged) frames of query touches count. A reading of d numbers counts as d readings.
-
-rmse         mean over query touches of sqrt(mean_t (p - y)^2)
-rmse_pooled  sqrt(mean over all readings of all query touches of (p - y)^2)
-mae          mean over query touches of mean_t |p - y|
-mae_pooled   mean over all readings of all query touches of |p - y|
-
-Stiffness, at the probed points that some touch of the object reached; s are a method's means, k the truth (the force of
-a small cone over its displacement, SBML appendix C.4):
-
-stiffness_spearman    rank correlation of s and k, ties sharing their mean rank; 0 if s is the same everywhere
-stiffness_log10       mean |log10 s - log10 k - c|, with the one allowed scale c = median(log10 s - log10 k) over s > 0;
-                      an s at or near 0 counts as a tenth of the softest k times that scale
-stiffness_f1          how well the stiff points are told from the soft ones: k is cut in two where the classes of log10
-k differ most (Otsu
-                      1979), s at the threshold that is best for it (Neural VSF table I chooses one for each method,
-                      too)
+The harness collects one record for each answer of a method to one object, shot and seed, and asks the table. A new
+metric is one row and one function of the records of one seed. Result files name metrics by `Metric.name`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 
-READING_METRICS = ("rmse", "rmse_pooled", "mae", "mae_pooled")
-STIFFNESS_METRICS = ("stiffness_spearman", "stiffness_log10", "stiffness_f1")
+from vsfsim.bench import reading_metrics as readings
+from vsfsim.bench import stiffness_metrics as stiffness
+from vsfsim.bench.inclusions import mask_f1, mask_precision, mask_recall, rotation_error, translation_error
+
+Record = Mapping[str, Any]
 
 
-def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float]:
-    """Raw errors of one query touch, from which every reading metric can be computed.
+class Answer(StrEnum):
+    """What a method answers, and what a record of it holds."""
 
-    Args:
-        prediction: (T, d). truth: noise-free readings (T, d). valid: (T,) bool, at least one True.
+    READINGS = "readings"
+    """`predict`. A record is a query touch: the sums of `reading_metrics.touch_errors`."""
 
-    Returns:
-        ``n`` readings, ``sse`` sum of squares, ``sae`` sum of absolute values.
-    """
-    error = prediction[valid] - truth[valid]
-    return {"n": int(error.size), "sse": float(np.sum(error**2)), "sae": float(np.sum(np.abs(error)))}
+    READING_STD = "reading std"
+    """`predict_std`. A record is a query touch: the sums of `reading_metrics.touch_uncertainty`."""
 
+    STIFFNESS = "stiffness"
+    """`stiffness` at the reached probe points. A record is an object: ``mean`` (k,), ``std`` (k,) or None where the
+    method gives none, ``truth`` (k,) [N/m]."""
 
-def reading_scores(rows: Sequence[dict[str, float]]) -> dict[str, float]:
-    """The reading metrics of a set of query touches, from their `touch_errors`."""
-    n = np.array([row["n"] for row in rows], float)
-    sse = np.array([row["sse"] for row in rows])
-    sae = np.array([row["sae"] for row in rows])
-    return {"rmse": float(np.mean(np.sqrt(sse / n))), "rmse_pooled": float(np.sqrt(sse.sum() / n.sum())),
-            "mae": float(np.mean(sae / n)), "mae_pooled": float(sae.sum() / n.sum())}
+    MASK = "mask"
+    """`stiffness` under the pixels of a mask. A record is an object: ``value`` (p,) of the pixels, ``stiff`` (p,) bool,
+    see `inclusions.Mask`."""
 
-
-def stiffness_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float] | None:
-    """The stiffness metrics of one object, or None with fewer than 3 points or no positive estimate.
-
-    Args:
-        estimate: a method's means (k,), >= 0. truth: probe stiffness (k,) [N/m], > 0.
-    """
-    if len(truth) < 3 or not np.any(estimate > 0):
-        return None
-    scale = stiffness_scale(estimate, truth)
-    floor = 0.1 * truth.min() * 10.0**scale
-    error = np.abs(np.log10(np.maximum(estimate, floor)) - np.log10(truth) - scale)
-    return {"stiffness_spearman": spearman(estimate, truth), "stiffness_log10": float(error.mean()),
-            "stiffness_f1": best_f1(estimate, stiff_points(truth))}
+    POSE = "pose"
+    """`locate`. A record is an object: ``estimate`` and ``truth``, object-to-world transforms (4, 4)."""
 
 
-def stiffness_scale(estimate: np.ndarray, truth: np.ndarray) -> float:
-    """The one allowed scale c [decades]: the median of log10 s - log10 k over s > 0, of which there must be one."""
-    positive = estimate > 0
-    return float(np.median(np.log10(estimate[positive]) - np.log10(truth[positive])))
+@dataclass(frozen=True)
+class Metric:
+    """One row of the table."""
+
+    name: str
+    """As tasks and result files write it."""
+
+    answer: Answer
+    """What is scored."""
+
+    score: Callable[[Sequence[Record]], float | None]
+    """(the records of one seed at one shot, at least one) -> score; None where a record lacks what it needs."""
+
+    doc: str
+    """One sentence."""
+
+    unit: str | None = ""
+    """Of the score; None for the unit of the task's readings, "" for a pure number."""
+
+    higher_is_better: bool = False
+    """The direction of a ranking."""
+
+    ranks: bool = False
+    """A task may rank methods by it."""
 
 
-def stiff_points(truth: np.ndarray) -> np.ndarray:
-    """Which of the stiffnesses ``truth`` (k,) > 0 belong to the stiff one of two classes (k,) bool; none if all are
-    equal."""
-    order = np.sort(np.log10(truth))
-    count = np.arange(1, len(order))
-    below = np.cumsum(order)[:-1] / count
-    above = (order.sum() - np.cumsum(order)[:-1]) / (len(order) - count)
-    between = count * (len(order) - count) * (above - below) ** 2
-    if len(order) < 2 or not between.max() > 0.0:
-        return np.zeros(len(truth), bool)
-    return np.log10(truth) > order[int(np.argmax(between))]
+def _mean_over_objects(score: Callable[..., float], *keys: str) -> Callable[[Sequence[Record]], float]:
+    """The mean over objects of ``score``, called with the entries ``keys`` of a record."""
+    return lambda records: float(np.mean([score(*(record[key] for key in keys)) for record in records]))
 
 
-def best_f1(estimate: np.ndarray, positive: np.ndarray) -> float:
-    """Largest F1 score of ``estimate >= threshold`` against ``positive`` (k,) bool over all thresholds; 0 if nothing is
-    positive."""
-    return best_threshold(estimate, positive)[0]
+def _mean_uncertainty(score: Callable[[np.ndarray, np.ndarray], float]) -> Callable[[Sequence[Record]], float | None]:
+    """The mean over objects of ``score(error, std)``; None where a method gives an object no standard deviation."""
+    def mean(records: Sequence[Record]) -> float | None:
+        if any(record["std"] is None or not np.any(record["std"] > 0) for record in records):
+            return None
+        return float(np.mean([score(*stiffness.uncertainty(r["mean"], r["std"], r["truth"])) for r in records]))
+    return mean
 
 
-def best_threshold(estimate: np.ndarray, positive: np.ndarray) -> tuple[float, float]:
-    """That score and its threshold; (0, inf) if nothing is positive."""
-    order = np.argsort(-estimate, kind="stable")
-    hit = np.cumsum(positive[order])
-    last = np.append(np.diff(estimate[order]) != 0.0, True)  # points of one value fall on one side together
-    if not positive.any():
-        return 0.0, float("inf")
-    scores = np.where(last, 2.0 * hit / (np.arange(1, len(hit) + 1) + positive.sum()), -1.0)
-    best = int(np.argmax(scores))
-    return float(scores[best]), float(estimate[order][best])
+def _reading(name: str, score: Callable[[Sequence[Record]], float], doc: str) -> Metric:
+    return Metric(name, Answer.READINGS, score, doc, unit=None, ranks=True)
 
 
-def spearman(a: np.ndarray, b: np.ndarray) -> float:
-    """Spearman's rank correlation of two arrays (k,); 0 where one of them is constant."""
-    ra, rb = _ranks(a), _ranks(b)
-    ra, rb = ra - ra.mean(), rb - rb.mean()
-    norm = np.sqrt((ra @ ra) * (rb @ rb))
-    return float(ra @ rb / norm) if norm > 0 else 0.0
+def _of_mask(name: str, score: Callable[..., float], doc: str) -> Metric:
+    return Metric(name, Answer.MASK, _mean_over_objects(score, "value", "stiff"), doc, higher_is_better=True,
+                  ranks=True)
 
 
-def _ranks(values: np.ndarray) -> np.ndarray:
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return (last - (counts - 1) / 2.0)[inverse]
+METRICS: dict[str, Metric] = {
+    m.name: m for m in (
+        _reading("rmse", readings.rmse, "Root mean square error of a touch's readings, averaged over touches."),
+        _reading("rmse_pooled", readings.rmse_pooled, "Root mean square error over all readings."),
+        _reading("mae", readings.mae, "Mean absolute error of a touch's readings, averaged over touches."),
+        _reading("mae_pooled", readings.mae_pooled, "Mean absolute error over all readings."),
+        Metric("nll", Answer.READING_STD, readings.mean_of("nll"),
+               "Mean negative log-likelihood of the readings; a std that is too small and one that is too large both "
+               "increase it."),
+        Metric("coverage50", Answer.READING_STD, readings.mean_of("in50"),
+               "Fraction of readings within 0.674 std of the prediction; 0.5 is right."),
+        Metric("coverage90", Answer.READING_STD, readings.mean_of("in90"),
+               "Fraction of readings within 1.645 std of the prediction; 0.9 is right."),
+        Metric("stiffness_spearman", Answer.STIFFNESS, _mean_over_objects(stiffness.spearman, "mean", "truth"),
+               "Spearman's rank correlation of estimate and truth.", higher_is_better=True),
+        Metric("stiffness_log10", Answer.STIFFNESS, _mean_over_objects(stiffness.log10_error, "mean", "truth"),
+               "Mean absolute error of log10 of the stiffness after one scale an object."),
+        Metric("stiffness_f1", Answer.STIFFNESS,
+               _mean_over_objects(lambda mean, truth: stiffness.best_f1(mean, stiffness.stiff_points(truth)), "mean",
+                                  "truth"),
+               "Best F1 score of a threshold that separates the stiff points from the soft ones.",
+               higher_is_better=True),
+        Metric("stiffness_nll", Answer.STIFFNESS, _mean_uncertainty(stiffness.log_likelihood_loss),
+               "Mean negative log-likelihood of the stiffness after one scale an object."),
+        Metric("stiffness_coverage50", Answer.STIFFNESS, _mean_uncertainty(stiffness.coverage50),
+               "Fraction of points within 0.674 std of the estimate; 0.5 is right."),
+        Metric("stiffness_coverage90", Answer.STIFFNESS, _mean_uncertainty(stiffness.coverage90),
+               "Fraction of points within 1.645 std of the estimate; 0.9 is right."),
+        Metric("stiffness_std_spearman", Answer.STIFFNESS, _mean_uncertainty(stiffness.spearman),
+               "Spearman's rank correlation of absolute error and std.", higher_is_better=True),
+        _of_mask("mask_f1", mask_f1, "F1 score of the mask of stiff pixels at the best threshold."),
+        _of_mask("mask_precision", mask_precision, "Precision of the mask at that threshold."),
+        _of_mask("mask_recall", mask_recall, "Recall of the mask at that threshold."),
+        Metric("translation_error", Answer.POSE, _mean_over_objects(translation_error, "estimate", "truth"),
+               "Distance between the centres of the estimated and the true object.", unit="mm", ranks=True),
+        Metric("rotation_error", Answer.POSE, _mean_over_objects(rotation_error, "estimate", "truth"),
+               "Angle of the rotation between the estimated and the true object.", unit="deg", ranks=True),
+    )
+}
+"""The table, by name, in the order in which results list them."""
+
+
+def metrics_of(answer: Answer) -> tuple[Metric, ...]:
+    """The rows that score ``answer``."""
+    return tuple(metric for metric in METRICS.values() if metric.answer is answer)
+
+
+def record_scores(answer: Answer, records: Sequence[Record]) -> dict[str, float | None]:
+    """Every metric of ``answer`` over the records of one seed at one shot, by name."""
+    return {metric.name: metric.score(records) for metric in metrics_of(answer)}

@@ -15,8 +15,9 @@ import numpy as np
 
 from vsfsim.bench.evaluate import readings_of, scores_of
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
-from vsfsim.bench.metrics import touch_errors
+from vsfsim.bench.metrics import Answer
 from vsfsim.bench.protocol import divide, record, support
+from vsfsim.bench.reading_metrics import touch_errors
 from vsfsim.bench.result import QUERY_COLUMNS, Result, machine, peak_memory_mib, versions
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError
@@ -90,11 +91,10 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
     seeds = tuple(range(task.protocol.seeds))
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-                  method=name, entry="predictions file",
-        parameters={}, observation=task.observation.name, unit=task.observation.unit, shots=task.protocol.labels,
-                  seeds=seeds,
-        scores=scores_of(rows, task.protocol.labels, seeds), queries={column: [row[column] for row in rows]
-                                                                      for column in QUERY_COLUMNS},
-        timing={}, peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(),
-                  versions=versions(), notes=("scored from a file of predictions",),
+        method=name, entry="predictions file", parameters={}, observation=task.observation.name,
+        unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
+        scores=scores_of(Answer.READINGS, rows, task.protocol.labels, seeds),
+        queries={column: [row[column] for row in rows] for column in QUERY_COLUMNS}, timing={},
+        peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(),
+        notes=("scored from a file of predictions",),
         readings=readings_of((clean[name], touches) for name, touches in queries.items()))

@@ -10,17 +10,13 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.hidden import MASK_METRICS, POSE_METRICS
-from vsfsim.bench.metrics import READING_METRICS
+from vsfsim.bench.metrics import METRICS, Metric
 from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
 from vsfsim.bench.observations import Observation, observation
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean, unknown_key
 from vsfsim.core.shelf import find_task
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
-
-PRIMARY = (*READING_METRICS, *MASK_METRICS, *POSE_METRICS)
-"""Metrics that a task may rank by."""
 
 ALL = "all"
 """The shot that means every touch which is not a query."""
@@ -116,14 +112,9 @@ class Task:
     sha256: str
 
     @property
-    def seeks(self) -> str:
-        """What hidden thing is scored besides the readings: "mask", "pose" or ""."""
-        return "mask" if self.primary in MASK_METRICS else "pose" if self.primary in POSE_METRICS else ""
-
-    @property
-    def higher_is_better(self) -> bool:
-        """Whether a larger primary score ranks first."""
-        return self.primary in MASK_METRICS
+    def metric(self) -> Metric:
+        """The row of `primary` in the table of metrics."""
+        return METRICS[self.primary]
 
 
 def load_task(given: str | Path) -> Task:
@@ -161,8 +152,9 @@ def parse_task(text: str, path: str | Path) -> Task:
     noise = _noise(top.table("noise", ("kind", *(f.name for f in fields(Noise)))))
     m = top.table("metrics", ("primary", "ranking_shot"))
     primary, ranking = m.text("primary"), str(m.need("ranking_shot"))
-    if primary not in PRIMARY:
-        raise TaskError(f"{m.where}: primary is '{primary}'. {did_you_mean(primary, PRIMARY)}")
+    rankable = [name for name, metric in METRICS.items() if metric.ranks]
+    if primary not in rankable:
+        raise TaskError(f"{m.where}: primary is '{primary}'. {did_you_mean(primary, rankable)}")
     if ranking not in protocol.labels:
         raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: "
                         f"{', '.join(protocol.labels)}.")

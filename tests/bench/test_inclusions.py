@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from vsfsim.bench import hidden
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.hidden import Hidden, Mask, pose_scores
+from vsfsim.bench.inclusions import Inclusions, Mask, mesh_of
 from vsfsim.bench.leaderboard import collect, score_table, text
 from vsfsim.bench.method import Estimate
+from vsfsim.bench.metrics import Answer, record_scores
 from vsfsim.bench.mock import BLOCK, mock_view
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import MethodError, TaskError
@@ -29,8 +29,7 @@ base = 1e5
 choice = [ [ { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 }, { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 } ] ]
 """
 RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
-                device="cpu", tier="vsf",
-                precision="float64", renderer="warp")
+                device="cpu", tier="vsf", precision="float64", renderer="warp")
 
 
 @pytest.fixture(scope="module")
@@ -74,15 +73,20 @@ class Answers:
 KNOWN, POSES = [], []
 
 
+def pose_scores(estimate, truth):
+    return record_scores(Answer.POSE, [{"estimate": estimate, "truth": truth}])
+
+
 def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
     view = dataset.load(dataset.names("test")[0])
-    found = Hidden.of(dataset.recipe, view)
+    found = Inclusions.of(dataset.recipe, view)
     angle = np.random.default_rng(np.random.SeedSequence(3, spawn_key=(0, 1))).uniform(-3.0, 3.0)
     np.testing.assert_allclose(found.rotation[0], [np.cos(angle), -np.sin(angle), 0.0])
     assert found.inside(np.array([[0.01, 0.0, 0.022], [0.01, 0.0, 0.010]])).tolist() == [True, False]
     mask = Mask.of(found, view)
     assert 0.02 < mask.stiff.mean() < 0.9 and (mask.points[:, 2] <= BLOCK[2]).all()
-    right, flat = mask.scores(mask.stiff[mask.pixel].astype(float)), mask.scores(np.ones(len(mask.points)))
+    right, flat = (record_scores(Answer.MASK, [{"value": mask.pixel_values(given), "stiff": mask.stiff}])
+                   for given in (mask.stiff[mask.pixel].astype(float), np.ones(len(mask.points))))
     assert right == {"mask_f1": 1.0, "mask_precision": 1.0, "mask_recall": 1.0}
     share = mask.stiff.mean()
     assert (flat["mask_recall"] == 1.0 and flat["mask_precision"] == pytest.approx(share)
@@ -91,8 +95,8 @@ def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
 
 def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path, monkeypatch):
     task = of(task_text, "mask_f1")
-    assert task.seeks == "mask" and task.higher_is_better
-    KNOWN[:] = [Hidden.of(dataset.recipe, dataset.load(name)) for name in dataset.names("test")[:1]]
+    assert task.metric.answer is Answer.MASK and task.metric.higher_is_better
+    KNOWN[:] = [Inclusions.of(dataset.recipe, dataset.load(name)) for name in dataset.names("test")[:1]]
     paths = []
     for blur in (0.0, 1.0):
         result = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": blur}, seeds=1)
@@ -107,13 +111,13 @@ def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path, monkeyp
 def test_a_pose_is_scored(dataset, task_text):
     task = of(task_text, "rotation_error")
     views = [dataset.load(name) for name in dataset.names("test")]
-    POSES[:] = [Hidden.of(dataset.recipe, view).known_object()[2] for view in views]
+    POSES[:] = [Inclusions.of(dataset.recipe, view).known_object()[2] for view in views]
     POSES[1] = POSES[0]
     right = evaluate(f"{__name__}:Answers", task, dataset, seeds=1).scores
     wrong = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": 1.0}, seeds=1).scores
-    between = pose_scores(POSES[0], Hidden.of(dataset.recipe, views[1]).known_object()[2])
-    assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"]
-                                                                / 2) and right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
+    between = pose_scores(POSES[0], Inclusions.of(dataset.recipe, views[1]).known_object()[2])
+    assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"] / 2)
+    assert right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
     assert wrong["rotation_error"]["all"].mean == pytest.approx((180.0 + abs(180.0 - between["rotation_error"])) / 2)
     with pytest.raises(MethodError, match="must be a rigid"):
         evaluate(f"{__name__}:Crooked", task, dataset, seeds=1)
@@ -137,7 +141,7 @@ def test_pose_errors_by_hand():
     ("sphere", (0.0, 0.1, 0.0, 0.01), 4 / 3 * np.pi * 1e-6), ("box", (0.0, 0.0, 0.0, 0.01, -0.02, 0.03), 6e-6),
     ("capsule", (0.0, 0.0, 0.0, 0.03, 0.0, 0.04, 0.01), np.pi * 1e-4 * 0.05 + 4 / 3 * np.pi * 1e-6)])
 def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume):
-    vertices, triangles = hidden._mesh(Inclusion(kind, numbers, 1e6))
+    vertices, triangles = mesh_of(Inclusion(kind, numbers, 1e6))
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     np.testing.assert_allclose(np.cross(b - a, c - a).sum(axis=0), 0.0, atol=1e-12)
     # Inscribed in the round parts: a 12-gon has 95 % of its circle's area.
@@ -147,8 +151,7 @@ def test_meshes_of_the_parts_are_closed_and_wound_outwards(kind, numbers, volume
 
 
 def test_a_scene_without_inclusions_is_refused(dataset):
-    plain = dataclasses.replace(RECIPE,
-                                scene_text=SCENE[:SCENE.index("[object.young")].replace("[object]",
-                                                                                        "[object]\nyoung_modulus = 1e5"))
+    text = SCENE[:SCENE.index("[object.young")].replace("[object]", "[object]\nyoung_modulus = 1e5")
+    plain = dataclasses.replace(RECIPE, scene_text=text)
     with pytest.raises(TaskError, match="no inclusions"):
-        Hidden.of(plain, dataset.load(dataset.names("test")[0]))
+        Inclusions.of(plain, dataset.load(dataset.names("test")[0]))

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench.metrics import best_threshold
-from vsfsim.bench.reached import reached
+from vsfsim.bench.reached_points import reached
+from vsfsim.bench.stiffness_metrics import best_f1, best_threshold
 from vsfsim.core.errors import TaskError
 from vsfsim.core.material import Inclusion
 from vsfsim.core.rotation import pose_errors
@@ -28,9 +28,6 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 
-MASK_METRICS = ("mask_f1", "mask_precision", "mask_recall")
-POSE_METRICS = ("translation_error", "rotation_error")
-HIDDEN_UNITS = {"translation_error": "mm", "rotation_error": "deg"}
 PIXEL = 0.003
 """Edge of a pixel of the mask [m]."""
 STEP = 0.001
@@ -43,7 +40,7 @@ _SECTORS = 12  # of a capsule's mesh
 
 
 @dataclass(frozen=True)
-class Hidden:
+class Inclusions:
     """The inclusions of one object. parts: in the object's frame. rotation (3, 3), shift (3,) [m]: from there to the
     world."""
 
@@ -52,7 +49,7 @@ class Hidden:
     shift: np.ndarray
 
     @classmethod
-    def of(cls, recipe: Recipe, view: ObjectView) -> Hidden:
+    def of(cls, recipe: Recipe, view: ObjectView) -> Inclusions:
         """Those of an object of a dataset.
 
         Raises:
@@ -79,7 +76,7 @@ class Hidden:
         its pose (4, 4)."""
         vertices, triangles, count = [], [], 0
         for part in self.parts:
-            v, t = _mesh(part)
+            v, t = mesh_of(part)
             vertices.append(v)
             triangles.append(t + count)
             count += len(v)
@@ -103,7 +100,7 @@ class Mask:
     stiff: np.ndarray
 
     @classmethod
-    def of(cls, hidden: Hidden, view: ObjectView) -> Mask:
+    def of(cls, inclusions: Inclusions, view: ObjectView) -> Mask:
         """The mask of one object view, over the pixels that its touches swept.
 
         Raises:
@@ -125,26 +122,43 @@ class Mask:
         if not len(pixel):
             raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
                             f"generate touches that go deeper.")
-        return cls(points[swept], index, hidden.inside(points).reshape(columns.shape[:2]).any(axis=1)[pixel])
+        return cls(points[swept], index, inclusions.inside(points).reshape(columns.shape[:2]).any(axis=1)[pixel])
 
-    def scores(self, stiffness: np.ndarray) -> dict[str, float]:
-        """Of a method's stiffness at the query points (q,)."""
+    def pixel_values(self, stiffness: np.ndarray) -> np.ndarray:
+        """The largest of a method's stiffnesses at the query points (q,) under each pixel (p,)."""
         value = np.full(len(self.stiff), -np.inf)
         np.maximum.at(value, self.pixel, stiffness)
-        f1, threshold = best_threshold(value, self.stiff)
-        found = value >= threshold
-        hit = float((found & self.stiff).sum())
-        return {"mask_f1": f1, "mask_precision": hit / max(int(found.sum()), 1),
-                "mask_recall": hit / max(int(self.stiff.sum()), 1)}
+        return value
 
 
-def pose_scores(estimate: np.ndarray, truth: np.ndarray) -> dict[str, float]:
-    """Of a pose (4, 4) against the true one."""
-    shift, turn = pose_errors(estimate, truth)
-    return {"translation_error": 1e3 * shift, "rotation_error": float(np.degrees(turn))}
+def mask_f1(value: np.ndarray, stiff: np.ndarray) -> float:
+    """Best F1 score of ``value >= threshold`` (p,) against ``stiff`` (p,) bool."""
+    return best_f1(value, stiff)
 
 
-def _mesh(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:
+def mask_precision(value: np.ndarray, stiff: np.ndarray) -> float:
+    """Precision at the threshold of the best F1 score."""
+    found = value >= best_threshold(value, stiff)[1]
+    return float((found & stiff).sum()) / max(int(found.sum()), 1)
+
+
+def mask_recall(value: np.ndarray, stiff: np.ndarray) -> float:
+    """Recall at the threshold of the best F1 score."""
+    found = value >= best_threshold(value, stiff)[1]
+    return float((found & stiff).sum()) / max(int(stiff.sum()), 1)
+
+
+def translation_error(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """Distance [mm] between the origins of two poses (4, 4)."""
+    return 1e3 * pose_errors(estimate, truth)[0]
+
+
+def rotation_error(estimate: np.ndarray, truth: np.ndarray) -> float:
+    """Angle [deg] of the rotation between two poses (4, 4)."""
+    return float(np.degrees(pose_errors(estimate, truth)[1]))
+
+
+def mesh_of(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:
     """A closed mesh, wound outwards: vertices (n, 3) [m], triangles (m, 3)."""
     n = np.asarray(part.numbers)
     if part.kind == "box":

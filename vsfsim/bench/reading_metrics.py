@@ -1,0 +1,79 @@
+"""Errors of predicted readings, and of the standard deviations given with them.
+
+y are noise-free readings, p predictions, s their standard deviations, all in the task's unit. Only valid (converged)
+frames of query touches count, and a reading of d numbers counts as d readings. A query touch is reduced to sums first
+(`touch_errors`, `touch_uncertainty`); a metric is a function of the sums of several touches. The result file keeps the
+sums of `touch_errors`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+Sums = Sequence[Mapping[str, Any]]
+
+HALF_WIDTH_50, HALF_WIDTH_90 = 0.6744897501960817, 1.6448536269514722
+"""Half-widths of the central 50 % and 90 % of a normal distribution, in standard deviations."""
+
+SMALLEST_STD = 1e-6
+"""In the unit of the reading. A smaller standard deviation counts as this one, so that the likelihood stays finite."""
+
+
+def touch_errors(prediction: np.ndarray, truth: np.ndarray, valid: np.ndarray) -> dict[str, float]:
+    """Sums over one query touch: ``n`` readings, ``sse`` of squared errors, ``sae`` of absolute errors.
+
+    Args:
+        prediction: (T, d). truth: noise-free readings (T, d). valid: (T,) bool, at least one True.
+    """
+    error = prediction[valid] - truth[valid]
+    return {"n": int(error.size), "sse": float(np.sum(error**2)), "sae": float(np.sum(np.abs(error)))}
+
+
+def touch_uncertainty(prediction: np.ndarray, std: np.ndarray, truth: np.ndarray,
+                      valid: np.ndarray) -> dict[str, float]:
+    """Sums over one query touch: ``n`` readings, ``nll`` of negative log-likelihoods, and the numbers ``in50`` and
+    ``in90`` of readings inside the central 50 % and 90 %.
+
+    Args:
+        prediction, std, truth: (T, d). valid: (T,) bool, at least one True.
+    """
+    error, s = np.abs(prediction - truth)[valid], np.maximum(std[valid], SMALLEST_STD)
+    return {"n": int(error.size), "nll": float(np.sum(negative_log_likelihood(error, s))),
+            "in50": int(np.sum(error <= HALF_WIDTH_50 * s)), "in90": int(np.sum(error <= HALF_WIDTH_90 * s))}
+
+
+def rmse(touches: Sums) -> float:
+    """Mean over query touches of sqrt(mean_t (p - y)^2)."""
+    return float(np.mean(np.sqrt(_column(touches, "sse") / _column(touches, "n"))))
+
+
+def rmse_pooled(touches: Sums) -> float:
+    """sqrt(mean over all readings of all query touches of (p - y)^2)."""
+    return float(np.sqrt(_column(touches, "sse").sum() / _column(touches, "n").sum()))
+
+
+def mae(touches: Sums) -> float:
+    """Mean over query touches of mean_t |p - y|."""
+    return float(np.mean(_column(touches, "sae") / _column(touches, "n")))
+
+
+def mae_pooled(touches: Sums) -> float:
+    """Mean over all readings of all query touches of |p - y|."""
+    return float(_column(touches, "sae").sum() / _column(touches, "n").sum())
+
+
+def mean_of(sums: str) -> Callable[[Sums], float]:
+    """The metric that is the sum called ``sums`` over the number of readings."""
+    return lambda touches: sum(touch[sums] for touch in touches) / sum(touch["n"] for touch in touches)
+
+
+def negative_log_likelihood(error: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """1/2 (e / s)^2 + log s + 1/2 log 2 pi of a normal distribution, entry by entry."""
+    return 0.5 * (error / std) ** 2 + np.log(std) + 0.5 * np.log(2.0 * np.pi)
+
+
+def _column(touches: Sums, name: str) -> np.ndarray:
+    return np.array([touch[name] for touch in touches], float)
