@@ -1,6 +1,7 @@
 """The architecture of the code: which layer may import which, no import circles, sizes and names of files and folders.
 
-The imports are read from the syntax tree, so those inside functions count too. Only `cli` may import other layers there.
+The imports are read from the syntax tree, so those inside functions count too. Only `cli` may import other layers
+there.
 """
 
 import ast

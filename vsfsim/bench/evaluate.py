@@ -297,6 +297,7 @@ def scores_of(answer: Answer, records: Sequence[Record], labels: tuple[str, ...]
         parts = [[row for row in records if row["shot"] == label and row["seed"] == seed] for seed in seeds]
         for metric in metrics_of(answer) if all(parts) else ():
             values = [metric.score(part) for part in parts]
-            if not any(value is None for value in values):
-                out.setdefault(metric.name, {})[label] = Score.of(values)
+            known = [value for value in values if value is not None]
+            if len(known) == len(values):
+                out.setdefault(metric.name, {})[label] = Score.of(known)
     return out

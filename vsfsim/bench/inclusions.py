@@ -59,6 +59,7 @@ class Inclusions:
                             f"{recipe.scene}.toml").sample(np.random.SeedSequence(recipe.seed,
                                                                                   spawn_key=(_SCENE,
                                                                                              view.object_index)))
+        assert scene.object is not None
         parts = scene.object.young_modulus.inclusions
         if not parts:
             raise TaskError(f"object view '{view.name}' has no inclusions, so that there is nothing hidden to find; "
@@ -122,7 +123,7 @@ class Mask:
         if not len(pixel):
             raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
                             f"generate touches that go deeper.")
-        return cls(points[swept], index, inclusions.inside(points).reshape(columns.shape[:2]).any(axis=1)[pixel])
+        return cls(points[swept], index, np.any(inclusions.inside(points).reshape(columns.shape[:2]), axis=1)[pixel])
 
     def pixel_values(self, stiffness: np.ndarray) -> np.ndarray:
         """The largest of a method's stiffnesses at the query points (q,) under each pixel (p,)."""

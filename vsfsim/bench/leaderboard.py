@@ -71,7 +71,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     reference = task.dataset.sha256 or _most([r for path, r in results if path in shipped],
                                              task) or _most([r for _, r in results], task)
     known = next((r.readings for _, r in results if r.dataset_sha256 == reference and r.readings), {})
-    good, odd = [], []
+    good: list[tuple[Path, Result, str, float | None]] = []
+    odd: list[tuple[Path, Result, str, float | None]] = []
     for path, result in results:
         apart = 0.0 if result.dataset_sha256 == reference else readings_apart(result.readings, known)
         mark = _mark(result, task, apart)

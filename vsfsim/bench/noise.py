@@ -103,7 +103,10 @@ def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_inde
     offset = noise.offset_std * rng.standard_normal(3)
     drift = noise.drift_std * rng.standard_normal(3)
     white = noise.force_std * rng.standard_normal((frames, 3))
-    late = delayed(force, time, noise.force_lag) if noise.force_lag else force
+    late = force
+    if noise.force_lag:
+        assert time is not None, "a late force needs the times of the frames"
+        late = delayed(force, time, noise.force_lag)
     return tared(late + offset + drift * np.linspace(0.0, 1.0, frames)[:, None] + white, force, noise)
 
 

@@ -67,7 +67,7 @@ def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | 
         return None
     nodes = touch.node_position
     if noise.depth_std or noise.depth_quantum or noise.image_lag:
-        nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)
+        nodes = noisy_nodes(nodes, touch.mount_pose, touch.time, noise, **which)  # type: ignore[arg-type]
     force = noisy_node_force(_where_converged(touch.node_force, touch), touch.time, noise, **which)
     return Surface(frozen(nodes), frozen(force))
 

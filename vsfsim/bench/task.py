@@ -224,7 +224,7 @@ def _noise(t: _Table) -> Noise:
             values[f.name] = t.count(f.name, 0)
             continue
         # without a kind the force's noise must be said, as ever
-        default = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std"
+        default: Any = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std"
                              else f.default)
         values[f.name] = t.signed(f.name, default) if f.name in SIGNED else t.number(f.name, default)
     if not values["relaxation_time"] > 0.0:

@@ -110,8 +110,9 @@ def read_chain(table: Any, where: str) -> Chain:
     try:
         base, positions, quaternions = (tuple(tuple(float(v) for v in row) for row in table[key]) for key in keys[:3])
         joints = tuple(int(j) for j in table["joints"])
-        capsules = tuple(ChainCapsule(int(c[0]), tuple(map(float, c[1:4])), tuple(map(float, c[4:7])), float(c[7]))
-                         for c in table["capsules"])  # type: ignore[arg-type]
+        capsules = tuple(ChainCapsule(int(c[0]), (float(c[1]), float(c[2]), float(c[3])),
+                                      (float(c[4]), float(c[5]), float(c[6])), float(c[7]))
+                         for c in table["capsules"])
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise SceneError(f"{where}: the chain cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
                          f"`vsfsim generate` writes it.") from error

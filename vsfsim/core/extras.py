@@ -21,19 +21,16 @@ class MissingPackage(VsfsimError, ModuleNotFoundError):
     """A package of an extra is not installed; the message names the extra."""
 
 
-def missing(error: ModuleNotFoundError, extra: str | None = None) -> MissingPackage | None:
-    """The error that a user can act on; None if the module that is missing belongs to no extra.
-
-    Args:
-        error: what an import raised.
-        extra: the extra to name; default: the one in `EXTRA_OF`.
-    """
+def missing(error: ModuleNotFoundError) -> MissingPackage | None:
+    """The error that a user can act on, from what an import raised; None if no extra brings the missing module."""
     if isinstance(error, MissingPackage):
         return error
     package = (error.name or "").partition(".")[0]
-    if package not in EXTRA_OF:
-        return None
-    extra = extra or EXTRA_OF[package]
+    return missing_package(package, EXTRA_OF[package]) if package in EXTRA_OF else None
+
+
+def missing_package(package: str, extra: str) -> MissingPackage:
+    """The error for a package (by the name that is imported) that ``extra`` brings."""
     return MissingPackage(f"this needs the package '{package}', which is not installed. Install the extra '{extra}': "
                           f"pip install \"vsfsim[{extra}]\", or \"vsfsim[all]\" for everything.", name=package)
 
@@ -46,4 +43,4 @@ def require(extra: str, *packages: str) -> None:
     """
     for package in packages:
         if importlib.util.find_spec(package) is None:
-            raise missing(ModuleNotFoundError(name=package), extra)
+            raise missing_package(package, extra)

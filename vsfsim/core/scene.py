@@ -153,6 +153,7 @@ class Scene:
         """Coulomb coefficient of each of the K rigid bodies against what they touch, the object or the sensor [-]."""
         if self.sensor is not None:
             return tuple(self.sensor.friction if b.friction is None else b.friction for b in self.obstacles)
+        assert self.object is not None
         own = self.object.friction
         return (own, *(own if b.friction is None else b.friction for b in (*self.parts, *self.obstacles)))
 
@@ -349,7 +350,7 @@ def _object(node: Any, path: Path) -> ObjectSpec:
     if not isinstance(appearance, Mapping):
         raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
     friction = t.number("friction", 0.0, 0.0, MAX_FRICTION)
-    shape = beside(shape, path)
+    shape = beside(shape, path)  # type: ignore[arg-type,assignment]
     resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
     return ObjectSpec(
         shape=shape,

@@ -149,7 +149,7 @@ def parse_object_shape(table: Any, where: str) -> ObjectShape:
     key = _only_key(table, OBJECT_SHAPES, where)
     value = table[key]
     if key == "box":
-        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))
+        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))  # type: ignore[arg-type]
     if key == "sphere":
         return Sphere(_positive(where, "sphere radius", value))
     if key == "cylinder":
@@ -177,7 +177,7 @@ def parse_probe_shape(table: Any, where: str) -> ProbeShape:
     if key == "cylinder":
         return Cylinder(*_numbers(where, key, value, ("radius", "height")))
     if key == "box":
-        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))
+        return Box(tuple(_numbers(where, key, value, ("x", "y", "z"))))  # type: ignore[arg-type]
     return Plane()
 
 

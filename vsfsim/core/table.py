@@ -38,8 +38,8 @@ class Table:
         """A whole number from ``low`` to ``high``."""
         return whole(self.where, key, self.table.get(key, default), low, high)
 
-    def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> tuple[float, ...]:
-        """``size`` finite numbers."""
+    def vector(self, key: str, default: tuple[float, ...] | None, size: int = 3) -> Any:
+        """``size`` finite numbers, a tuple of that length."""
         return numbers(self.where, key, self.table.get(key, default), size)
 
     def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
@@ -65,8 +65,8 @@ def whole(where: str, key: str, value: Any, low: int, high: int) -> int:
     return value
 
 
-def numbers(where: str, key: str, value: Any, size: int) -> tuple[float, ...]:
-    """``value`` as floats if it is ``size`` finite numbers."""
+def numbers(where: str, key: str, value: Any, size: int) -> Any:
+    """``value`` as a tuple of floats if it is ``size`` finite numbers."""
     if not isinstance(value, (list, tuple)) or len(value) != size or any(
         isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v) for v in value
     ):

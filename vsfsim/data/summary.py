@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,10 +19,12 @@ def summary(path: str | Path) -> str:
     """
     dataset = Dataset.open(path)
     recipe = dataset.recipe
-    force, change, iterations, balance, modulus, regions = [], [], [], [], [], {}
+    force, change, iterations, balance, modulus = [], [], [], [], []
+    regions: dict[str, Any] = {}
     touched = 0
     ended = [0, 0, 0]
-    audit = {("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
+    audit: dict[tuple[str, str], list[Any]] = {
+        ("min_det_f", ", all converged frames"): [], ("energy", " J"): [], ("penetration", " m"): []}
     reasons: dict[str, int] = {}
     for view in dataset:
         for touch in view.touches:

@@ -61,7 +61,7 @@ class DatasetWriter:
             raise DatasetError(f"folder {self.path} cannot be made: {error.strerror}. Choose another --out.") from error
         # Refused before the lock is made, so that a folder of something else is left without a trace of us.
         self._refuse_other()
-        self._lock = self._take_lock()
+        self._lock: int | None = self._take_lock()
         try:
             self._made_by = self._begin()
         except BaseException:

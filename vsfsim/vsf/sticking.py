@@ -114,10 +114,10 @@ def _met(points: np.ndarray, before: np.ndarray, after: np.ndarray,
         return none
     triangle = candidate[point, column]
     p, c0, c1 = points[point], before[triangles[triangle]], after[triangles[triangle]]
-    low, high = np.zeros(len(p)), np.ones(len(p))
     # From in front of the triangle to behind it.
     passed = (_side(p, c0) >= 0.0) & (_side(p, c1) < 0.0)
-    point, triangle, p, c0, c1, low, high = (x[passed] for x in (point, triangle, p, c0, c1, low, high))
+    point, triangle, p, c0, c1 = point[passed], triangle[passed], p[passed], c0[passed], c1[passed]
+    low, high = np.zeros(len(p)), np.ones(len(p))
     for _ in range(40):
         half = 0.5 * (low + high)
         front = _side(p, c0 + half[:, None, None] * (c1 - c0)) >= 0.0

@@ -43,10 +43,11 @@ class DiagonalFilter:
             VsfError: values that are not finite, or a variance that is not positive.
         """
         try:
-            out = cls(*(np.array(np.broadcast_to(np.asarray(x, np.float64), (particles,))) for x in (mean, var)))
+            first, spread = (np.array(np.broadcast_to(np.asarray(x, np.float64), (particles,))) for x in (mean, var))
         except ValueError:
             raise VsfError(f"vsf.kalman: the prior has shapes {np.shape(mean)} and {np.shape(var)} for {particles} "
                            f"particles; give one number or ({particles},).") from None
+        out = cls(first, spread)
         if not (np.isfinite(out.mean).all() and np.isfinite(out.var).all() and (out.var > 0.0).all()):
             raise VsfError("vsf.kalman: the prior's mean must be finite and its variance finite and greater than 0.")
         return out

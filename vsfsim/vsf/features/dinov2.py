@@ -69,7 +69,7 @@ class Dinov2:
                                                                                    device=self.device)[:, None, None]
         token, tokens = self.model(functional.pad(rgb, pad)[None])
         mask = np.pad(np.asarray(view.mask, bool), ((0, pad[3]), (0, pad[1])))
-        valid = mask.reshape(mask.shape[0] // patch, patch, -1, patch).any(axis=(1, 3))
+        valid = np.any(mask.reshape(mask.shape[0] // patch, patch, -1, patch), axis=(1, 3))
         return FeatureImage(tokens[0].float().cpu().numpy(), valid, token[0].float().cpu().numpy(), stride=patch,
                             offset=0.5 * (patch - 1))
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -209,14 +210,14 @@ def normalised_position(view: View, points: np.ndarray) -> np.ndarray:
     return (points - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-6)
 
 
-def _extractor(name: str, weights: str, device: str) -> XyzRgb:
+def _extractor(name: str, weights: str, device: str) -> Any:
     if name not in NAMES:
         raise VsfError(f"vsf.features: there are no features called '{name}'. {did_you_mean(name, NAMES)}")
     return NAMES[name](weights, device)
 
 
-def _local(full: bool) -> Callable[[str, str], XyzRgb]:
-    def make(_weights: str, _device: str) -> XyzRgb:
+def _local(full: bool) -> Callable[[str, str], Any]:
+    def make(_weights: str, _device: str) -> Any:
         from vsfsim.vsf.features.descriptor import LocalDescriptor
 
         return LocalDescriptor(full=full)
@@ -224,8 +225,8 @@ def _local(full: bool) -> Callable[[str, str], XyzRgb]:
     return make
 
 
-def _dinov2(size: str) -> Callable[[str, str], XyzRgb]:
-    def make(weights: str, device: str) -> XyzRgb:
+def _dinov2(size: str) -> Callable[[str, str], Any]:
+    def make(weights: str, device: str) -> Any:
         from vsfsim.vsf.features.dinov2 import Dinov2
 
         return Dinov2.load(size, weights, device=device)

@@ -134,7 +134,7 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         raise VsfError(f"vsf.neural: there is no field '{kind}'; allowed: {', '.join(FIELDS)}.")
     s = settings or Fitting()
     total = len(touches) > 0 and isinstance(touches[0], TotalTouch)
-    seen = TotalForces.of(touches, device=device) if total else VertexForces.of(touches, device=device)
+    seen: TotalForces | VertexForces = (TotalForces if total else VertexForces).of(touches, device=device)  # type: ignore[arg-type]
     size = max(1, s.batch // seen.cost())
     generator = torch.Generator().manual_seed(s.seed)
     unit = _unit(seen, generator, size)

@@ -24,7 +24,9 @@ class Recorded:
 
     def __init__(self, step: Callable[[], torch.Tensor], *, device: str):
         self.step, self.device = step, torch.device(device)
-        self.calls, self._graph, self._out = 0, None, None
+        self.calls = 0
+        self._graph: torch.cuda.CUDAGraph | None = None
+        self._out: torch.Tensor | None = None
 
     def __call__(self) -> torch.Tensor:
         """Make one step."""

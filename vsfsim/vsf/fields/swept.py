@@ -100,7 +100,8 @@ class VertexForces:
     def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Points (b, S, 3) [m], factors (b, S, 3) [m^4] and forces (b, 3) [N] of observations ``which``: f = sum_S
         K(point) factor."""
-        points, factor = self.ways.pieces(*self.index[which].T, samples)
+        touch, frame, vertex = self.index[which].T
+        points, factor = self.ways.pieces(touch, frame, vertex, samples)
         return points, factor, self.force[which]
 
     def cost(self) -> int:

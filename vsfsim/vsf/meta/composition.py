@@ -122,7 +122,8 @@ def segment(features: np.ndarray, count: int, *, seed: int = 0) -> np.ndarray:
     floor = _FLOOR * float(values.var(axis=0).mean()) + 1e-12
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     sample = values if len(values) <= _SAMPLE else values[np.sort(rng.choice(len(values), _SAMPLE, replace=False))]
-    best, best_fit = None, -np.inf
+    best: tuple = ()
+    best_fit = -np.inf
     for _ in range(_RESTARTS):
         mixture, fit = _expectation_maximisation(sample, count, floor, rng)
         if fit > best_fit:

@@ -69,10 +69,10 @@ def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *
     best, most, every = (0.0, 1, middle), -np.inf, -(-len(columns) // _COLUMNS)
     for face in (1, -1) if turned else (1,):
         for angle in 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES:
-            found = covered(angle, face, middle + shifts, every)
-            k = int(np.argmax(found))
-            if found[k] > most:
-                best, most = (angle, face, middle + shifts[k]), float(found[k])
+            gains = covered(angle, face, middle + shifts, every)
+            k = int(np.argmax(gains))
+            if gains[k] > most:
+                best, most = (angle, face, middle + shifts[k]), float(gains[k])
     most = float(covered(best[0], best[1], best[2][None])[0])
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     for step in range(refine):
