@@ -18,7 +18,7 @@ from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, NoStiffnessError, VsfError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
 
@@ -87,9 +87,12 @@ class NeuralVsf:
         touches = [touch for touch in found if touch is not None]
         if not touches:
             return
-        # Pushes of the noise alone, the other way, say: nothing stiff was met.
-        self._model = _fitted(lambda: fit(self._kind, touches, bounds, self._fitting, device=self.device,
-                                          **self._field))
+        try:
+            self._model = fit(self._kind, touches, bounds, self._fitting, device=self.device, **self._field)
+        except NoStiffnessError:
+            self._model = None  # nothing stiff was met, and the noise happens to pull
+        except VsfError as error:
+            raise MethodError(str(error)) from error
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, 1) of touches not made yet.
@@ -136,17 +139,6 @@ class GridVsf(NeuralVsf):
                          margin=margin, table_height=table_height,
                          depth=depth, seed=seed, skin=skin, device=device)
         self._field = {"cell": cell}
-
-
-def _fitted(work):
-    from vsfsim.vsf.dynamics import VsfError
-
-    try:
-        return work()
-    except VsfError as error:
-        if "all zero" in str(error):
-            return None
-        raise MethodError(str(error)) from error
 
 
 def _total(reading: Reading):

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from vsfsim.baselines.seen import seen_cloud
 from vsfsim.bench.method import Reading
 from vsfsim.bench.reached_points import reached
+from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.pose.localise import KnownObject
 from vsfsim.vsf.pose.resting import lying_pose
 

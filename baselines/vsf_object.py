@@ -19,9 +19,8 @@ from vsfsim.baselines.seen import seen_cloud
 from vsfsim.baselines.skin import skin_touch
 from vsfsim.bench.method import Action, Estimate, Reading
 from vsfsim.bench.observations import OBSERVATIONS
-from vsfsim.core.errors import MethodError
+from vsfsim.core.errors import MethodError, VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import GaussianPrior

@@ -20,8 +20,8 @@ import numpy as np
 import torch
 from scipy import sparse
 
+from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit
 from vsfsim.vsf.fields.palpation import DenseTouch, palpate

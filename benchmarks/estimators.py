@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate

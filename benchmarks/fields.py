@@ -21,7 +21,7 @@ import torch
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit, save_field

@@ -16,13 +16,13 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.estimators import MEAN, NOISE, STD, Workload, volume_points
+from vsfsim.core.errors import VsfError
 from vsfsim.data.openvsf import Bubble, Model, Recorded, check_target, write_openvsf
 from vsfsim.physics.bubble.shape import HEIGHT, POWER
 from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
 from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, follow
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.fields.palpation import layer_with_inclusion
 from vsfsim.vsf.observe import dense_force_rows, pressure_rows
 from vsfsim.vsf.sticking import stick

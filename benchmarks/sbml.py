@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from scipy import sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.memory import held_memory, peak_memory

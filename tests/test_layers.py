@@ -82,7 +82,6 @@ KNOWN_CIRCLES: list[tuple[str, ...]] = [
     ("vsfsim.press.probe", "vsfsim.press.text"),
     ("vsfsim.robot.arm", "vsfsim.robot.menagerie"),
     ("vsfsim.sensing.camera", "vsfsim.sensing.render_pyrender", "vsfsim.sensing.render_warp"),
-    ("vsfsim.vsf.dynamics", "vsfsim.vsf.sticking"),
     ("vsfsim.vsf.features.descriptor", "vsfsim.vsf.features.dinov2", "vsfsim.vsf.features.interface"),
 ]
 """Circles that wait to be broken; the list only shrinks."""

@@ -11,8 +11,8 @@ from benchmarks import estimators as side_by_side
 from benchmarks import fields as bench_fields
 from benchmarks import sbml as bench_sbml
 from benchmarks.estimators import Workload, batch, batch_dense
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf import memory
-from vsfsim.vsf.dynamics import VsfError
 
 
 def test_equal_answers():

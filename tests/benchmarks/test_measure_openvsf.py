@@ -9,10 +9,9 @@ import pytest
 
 from benchmarks.estimators import MEAN, NOISE, STD, batch_dense
 from benchmarks.openvsf import TARE, Palpation, export, punyo
-from vsfsim.core.errors import DatasetError
+from vsfsim.core.errors import DatasetError, VsfError
 from vsfsim.data.openvsf import Model, write_openvsf
 from vsfsim.robot.arm import load_arm
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.sticking import stick
 
 TOUCHES, FRAMES = 3, 9

@@ -10,7 +10,7 @@ from vsfsim.robot.arm import load_arm
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.joint_torque import contact_rows
 from vsfsim.robot.reach import straight_touch
-from vsfsim.vsf.dynamics import Displacements
+from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.observe import joint_torque_rows
 
 

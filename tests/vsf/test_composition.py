@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior, segment
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from vsfsim.bench.mock import camera_view, particles
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.features import dinov2
 from vsfsim.vsf.features.interface import particle_features, see, view_token
 from vsfsim.vsf.features.vit import BASE, SMALL, Architecture, VisionTransformer

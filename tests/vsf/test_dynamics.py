@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.spatial.transform import Rotation
 
+from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.vsf.dynamics import VsfError, simulate
+from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 
 R = 0.02

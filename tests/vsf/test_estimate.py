@@ -8,7 +8,7 @@ import pytest
 from scipy import sparse
 from scipy.optimize import lsq_linear, nnls
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.map import map_estimate, posterior_std
 
 

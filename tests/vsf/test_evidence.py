@@ -6,7 +6,7 @@ import pytest
 import torch
 from scipy import integrate, sparse, stats
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import Evidence
 
 torch.set_num_threads(1)

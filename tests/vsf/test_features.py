@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from vsfsim.bench.mock import camera_view, particles
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.features.interface import (
     NEIGHBOURS,
     FeatureImage,

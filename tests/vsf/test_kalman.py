@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 
 

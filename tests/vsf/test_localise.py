@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.pose.localise import KnownObject, contact_pose, register, stiffness_pose
 
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition
 from vsfsim.vsf.meta.prior import MetaPrior, MetaTask, Spread, score, train

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
 from vsfsim.vsf.fields.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate

@@ -6,8 +6,10 @@ import math
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Sphere
-from vsfsim.vsf.dynamics import Displacements, VsfError, simulate
+from vsfsim.vsf.displacements import Displacements
+from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows, joint_torque_rows, normal_force_rows, pressure_rows
 from vsfsim.vsf.sticking import stick
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
 H, W, F = 120, 160, 200.0

@@ -34,6 +34,14 @@ class MethodError(VsfsimError):
     """A method is unknown, does not conform, or returned something that cannot be scored."""
 
 
+class VsfError(VsfsimError):
+    """The VSF model was given something it cannot work with."""
+
+
+class NoStiffnessError(VsfError):
+    """The forces of all touches are zero or pull, so that no stiffness can be estimated from them."""
+
+
 def did_you_mean(given: str, allowed: Iterable[str]) -> str:
     """A sentence that names the nearest allowed word, or lists all of them.
 

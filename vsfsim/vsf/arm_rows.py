@@ -13,7 +13,8 @@ from scipy import sparse
 
 from vsfsim.core.chain import Chain
 from vsfsim.core.shape import Capsule
-from vsfsim.vsf.dynamics import Displacements, simulate_each
+from vsfsim.vsf.displacements import Displacements
+from vsfsim.vsf.dynamics import simulate_each
 from vsfsim.vsf.observe import joint_torque_rows
 
 

@@ -16,21 +16,17 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.dome import Dome
-from vsfsim.core.errors import VsfsimError
+from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.stick_slip import stick_slip_kernel
-
-
-class VsfError(VsfsimError):
-    """The VSF model was given something it cannot work with."""
-
+from vsfsim.vsf.sticking import stick
 
 PRECISIONS = ("float64", "float32")
 
@@ -40,30 +36,6 @@ _CHUNK = 16_000_000
 _TOGETHER, _STREAMS = 64, 16
 # A cone this wide is pure sticking in either precision, and mu * |u| stays finite.
 _STICKING = 1e6
-
-
-@dataclass(frozen=True)
-class Displacements:
-    """Where a touch moves the particles of a VSF: the displaced particles of each frame, in CSR form.
-
-    pointer: entries of frame t are pointer[t] : pointer[t + 1] (T + 1,) int64.
-    particle: index of the displaced particle, rising within a frame (k,) int64.
-    displacement: u = p - p0 of that particle, world (k, 3) float64 [m].
-    """
-
-    pointer: np.ndarray
-    particle: np.ndarray
-    displacement: np.ndarray
-
-    @property
-    def frames(self) -> int:
-        """Number of frames T."""
-        return len(self.pointer) - 1
-
-    def frame(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """Particles (j,) and displacements (j, 3) [m] of frame ``t``."""
-        part = slice(self.pointer[t], self.pointer[t + 1])
-        return self.particle[part], self.displacement[part]
 
 
 def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, friction: float,
@@ -154,8 +126,6 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
 
 def _stuck(particles: np.ndarray, near: np.ndarray, dome: Dome, rotation: np.ndarray, origin: np.ndarray,
            frame_of: np.ndarray) -> Displacements:
-    from vsfsim.vsf.sticking import stick
-
     vertices = np.einsum("sij,nj->sni", rotation, dome.points) + origin[:, None]
     all_steps = stick(particles[near], vertices, dome.faces).displacements()
     kept = [all_steps.frame(int(s)) for s in np.flatnonzero(frame_of >= 0)]

@@ -13,9 +13,10 @@ import numpy as np
 from scipy import sparse
 
 from vsfsim.core.chain import Chain
+from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import ProbeShape
 from vsfsim.vsf.arm_rows import arm_torque_rows
-from vsfsim.vsf.dynamics import VsfError, simulate
+from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.observe import force_sum_rows, normal_force_rows
 
 

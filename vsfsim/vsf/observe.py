@@ -14,7 +14,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from vsfsim.vsf.dynamics import Displacements, VsfError
+from vsfsim.core.errors import VsfError
+from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.sticking import Contacts
 
 

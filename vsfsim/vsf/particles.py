@@ -10,8 +10,8 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 
 # Compiling is told by whoever shows progress, not by Warp's own chatter.
 if wp.config.log_level == wp.LOG_INFO:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.vsf.dynamics import Displacements, VsfError
+from vsfsim.core.errors import VsfError
+from vsfsim.vsf.displacements import Displacements
 
 # Triangles whose centres are nearest to a particle that are tried as the one that passes over it.
 _CANDIDATES = 12

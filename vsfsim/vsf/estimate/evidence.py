@@ -29,7 +29,7 @@ import torch
 from scipy import linalg, sparse
 from scipy.sparse import csgraph
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 
 # Singular values under this fraction of the largest are rounding: with a prior a million times the noise they would
 # still add only 1e-6 of the noise's variance.

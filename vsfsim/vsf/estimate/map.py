@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, sparse
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.pivoting import pivoted
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 

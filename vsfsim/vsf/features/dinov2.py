@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from torch.nn import functional
 
+from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 from vsfsim.vsf.features.interface import FeatureImage, Geometry
 from vsfsim.vsf.features.vit import BASE, SMALL, Architecture, VisionTransformer
 

@@ -20,9 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.core.errors import did_you_mean
+from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.dynamics import VsfError
 
 NEIGHBOURS = 10
 """Visible particles whose mean an occluded one takes (SBML appendix B.2)."""

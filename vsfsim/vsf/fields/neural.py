@@ -23,7 +23,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import NoStiffnessError, VsfError
 from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.fields.palpation import DenseTouch
 from vsfsim.vsf.fields.recorded import Recorded
@@ -267,6 +267,6 @@ def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: in
     total = factor.sum(dim=1)
     unit = float((total * force).sum()) / max(float((total * total).sum()), 1e-300)
     if not unit > 0.0:
-        raise VsfError("vsf.neural: the contact forces are all zero, or pull; a stiffness cannot be estimated. Are the "
-                       "forces those of the object on the sensor?")
+        raise NoStiffnessError("vsf.neural: the contact forces are all zero, or pull; a stiffness cannot be estimated. "
+                               "Are the forces those of the object on the sensor?")
     return unit

@@ -18,8 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from vsfsim.core.errors import did_you_mean
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError, did_you_mean
 
 STRUCTURES = ("HE", "HE+HO", "HE+SEG")
 SEGMENTS = 10

@@ -19,8 +19,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from vsfsim.core.errors import did_you_mean
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
-from vsfsim.vsf.dynamics import VsfError
 
 _TRIPLES = 20_000  # of model points, whose edge lengths are looked up
 _CLOUD = 400  # points of the cloud that vote

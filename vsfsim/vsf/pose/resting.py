@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from vsfsim.vsf.dynamics import VsfError
+from vsfsim.core.errors import VsfError
 from vsfsim.vsf.pose.localise import KnownObject, Pose
 
 _ANGLES = 48
