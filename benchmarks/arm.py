@@ -11,8 +11,11 @@ import numpy as np
 
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.generate.effectors.arm import JOINT_RATE, prepare_job, solve
-from vsfsim.generate.run import _kernels, jobs_of, make_recipe
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.plants.prepare import prepare_job
+from vsfsim.generate.plants.touches import JOINT_RATE, solve
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.run import kernels_of
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.robot.arm_modes import Difference, difference
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION
@@ -33,9 +36,9 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
     loaded = load_scene(find_scene(scene))
     recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=touches, tier=None, device=device,
                          precision="float64", renderer="warp")
-    job = jobs_of(recipe, loaded.path, None, Path("."), None)[0]
+    job = jobs_of(recipe, loaded.path, Path("."), None)[0]
     progress("compiling kernels, or finding them")
-    compile_kernels(_kernels("float64", loaded.sample(0)), device)
+    compile_kernels(kernels_of(loaded.sample(0), "float64"), device)
     subject = prepare_job(job, device=device)
     progress("touching")
     (frames,) = solve([subject], device=device)

@@ -18,9 +18,10 @@ import numpy as np
 
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.generate.aim import Aim
 from vsfsim.generate.effectors import bubble as touch_bubble
-from vsfsim.generate.effectors.probe import Aim
-from vsfsim.generate.run import _AIM, _BODY, _SCENE, stream, surface_of
+from vsfsim.generate.job import Stream, stream
+from vsfsim.generate.solid import surface_of
 from vsfsim.physics import clock, tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
 from vsfsim.physics.model import Model
@@ -119,18 +120,19 @@ def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution:
     from vsfsim.sensing.camera import look_at, render
 
     began = time.perf_counter()
-    scene = load_scene(find_scene(SCENE)).sample(stream(0, _SCENE, 0))
+    scene = load_scene(find_scene(SCENE)).sample(stream(0, Stream.SCENE, 0))
     assert scene.sensor is not None and scene.touches is not None and scene.object is not None
     scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=resolution),
                                 sensor=dataclasses.replace(scene.sensor, nodes=nodes or scene.sensor.nodes))
-    body = tiers.build(scene, tier, seed=stream(0, _BODY, 0))
+    body = tiers.build(scene, tier, seed=stream(0, Stream.BODY, 0))
     sensor = build_bubble(scene.sensor)
     seconds = time.perf_counter() - began
     intrinsics, pose = look_at(dataclasses.replace(scene.camera, width=_PICTURE[0], height=_PICTURE[1]),
                                body.mesh.points.mean(axis=0))
     view = render(surface_of(body.solid, scene), intrinsics, pose, *_PICTURE)
     spec = dataclasses.replace(scene.touches, count=touches + 1, frames=schedule(frames))
-    aims = touch_bubble.aim(scene, spec, body, sensor, view, lambda k: np.random.default_rng(stream(0, _AIM, 0, 0, k)))
+    aims = touch_bubble.aim(dataclasses.replace(scene, touches=spec), body, sensor, view,
+                            lambda k: np.random.default_rng(stream(0, Stream.AIM, 0, 0, k)))
     return _Subject(scene, body, sensor, aims, spec, seconds)
 
 
@@ -139,7 +141,7 @@ def _run(s: _Subject, aims: list[Aim], tier: str, device: str,
     assert s.scene.sensor is not None
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
     solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device,
-                           options=touch_bubble.options(tier, device))
+                           options=touch_bubble.solver_options(tier, device))
     began = time.perf_counter()
     return solver.run(poses, progress=lambda t: told(t, time.perf_counter() - began)), solver
 

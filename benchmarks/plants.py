@@ -16,10 +16,13 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.records import ObjectView
-from vsfsim.generate.effectors.arm import Seconds, rod_options
-from vsfsim.generate.effectors.probe import _BALANCE
-from vsfsim.generate.plants.batches import add, crew, finish_one, touched
-from vsfsim.generate.run import jobs_of, make_recipe
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.plants.batches import finish_one, touched
+from vsfsim.generate.plants.prepare import Seconds
+from vsfsim.generate.plants.touches import rod_options
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.record import BALANCE
+from vsfsim.generate.workers import process_pool
 from vsfsim.physics.rods.solver import Ended, RodFrames
 
 PAPER_TOUCHES, PAPER_READINGS = 3255, 807_103  # SBML appendix B.1
@@ -47,16 +50,16 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     Raises:
         VsfsimError: not one view was ready in time.
     """
-    from vsfsim.generate.run import _kernels
+    from vsfsim.generate.run import kernels_of
     from vsfsim.physics.runtime import compile_kernels
 
     loaded = load_scene(find_scene(scene))
     recipe = make_recipe(loaded, seed=0, objects=objects, views=views, touches=touches, tier=None, device=device,
                          precision="float64", renderer="warp")
-    jobs = jobs_of(recipe, loaded.path, None, Path("."), None)
+    jobs = jobs_of(recipe, loaded.path, Path("."), None)
     began = time.perf_counter()
     progress("compiling kernels, or finding them")
-    compile_kernels(_kernels("float64", loaded.sample(0)), device)
+    compile_kernels(kernels_of(loaded.sample(0), "float64"), device)
     compiling = time.perf_counter() - began
     progress(f"kernels ready after {compiling:.1f} s")
     count = workers or (1 if device == "cpu" else os.cpu_count() or 1)
@@ -78,7 +81,7 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     found: list[RodFrames] = []
     segments: list[int] = []
     planned = 0
-    with crew(len(jobs), count) as pool:
+    with process_pool(len(jobs), count) as pool:
         waiting: list[Future[tuple[ObjectView, Seconds]]] = []
         for _, subject, frames in touched(jobs, pool, device=device, spent=spent,
                                           until=None if seconds is None else start + SOLVE_SHARE * seconds,
@@ -114,14 +117,14 @@ def _finished(waiting: list[Future[tuple[ObjectView, Seconds]]], limit: float | 
     for future in waiting:
         if future in ready:
             view, took = future.result()
-            add(spent, took)
+            spent.add(took)
             out.append(view)
     return out
 
 
 def _audit(found: list[RodFrames], patience: int | None) -> dict[str, Any]:
     solved = [np.arange(f.residual.shape[0])[:, None] < f.frames[None] for f in found]
-    good = [f.converged & (f.force_balance <= _BALANCE) for f in found]  # the others are marked in a dataset
+    good = [f.converged & (f.force_balance <= BALANCE) for f in found]  # the others are marked in a dataset
     cut = sum(((f.frames < f.residual.shape[0]) & (f.ended == Ended.WHOLE)).sum() for f in found)
     return {"touches": int(sum((f.frames > 0).sum() for f in found)),
             "empty": int(sum((f.frames == 0).sum() for f in found)), "cut": int(cut),

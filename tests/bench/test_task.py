@@ -6,7 +6,7 @@ from vsfsim.bench.task import load_task, open_dataset, parse_task
 from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
 from vsfsim.core.scene import load_scene
-from vsfsim.generate.run import make_recipe
+from vsfsim.generate.recipe import make_recipe
 
 
 def test_every_shipped_task_loads():

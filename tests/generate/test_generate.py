@@ -17,7 +17,9 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
-from vsfsim.generate.run import generate, splits_for
+from vsfsim.generate.job import Stream, stream
+from vsfsim.generate.recipe import splits_for
+from vsfsim.generate.run import generate
 from vsfsim.press import probe as presses
 from vsfsim.press import text as press_text
 
@@ -96,11 +98,9 @@ def test_it_is_whole_and_verifies(made, scene):
 
 
 def test_the_truth_is_the_scenes(made, scene):
-    from vsfsim.generate.run import _SCENE, stream
-
     bases = []
     for v in made:
-        concrete = scene.sample(stream(0, _SCENE, v.object_index))
+        concrete = scene.sample(stream(0, Stream.SCENE, v.object_index))
         bases.append(concrete.object.young_modulus.base)
         truth = v.truth
         # back into the object's frame, where the scene's field lives

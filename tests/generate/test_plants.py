@@ -24,11 +24,13 @@ from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
-from vsfsim.generate.effectors.arm import make_views, prepare_job
+from vsfsim.generate.job import jobs_of
 from vsfsim.generate.plants import batches as plant_batches
-from vsfsim.generate.plants.batches import make_all
+from vsfsim.generate.plants.batches import make_together
+from vsfsim.generate.plants.prepare import prepare_job
+from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.plants.truth import nearest_material_points
-from vsfsim.generate.run import jobs_of, make_recipe
+from vsfsim.generate.recipe import make_recipe
 from vsfsim.robot.arm import load_arm
 from vsfsim.robot.chain import chain_of
 from vsfsim.robot.joint_torque import body_torque, contact_rows
@@ -54,7 +56,7 @@ def made(scene_file, tmp_path_factory):
     """One object view of three touches, through the file, and its job."""
     recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2, tier=None, device="cpu",
                          precision="float64", renderer="warp")
-    job = jobs_of(recipe, scene_file.path, None, tmp_path_factory.mktemp("plants"), None)[1]
+    job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"), None)[1]
     view = make_views([job], device="cpu")[0]
     write_view(job.file, view)
     return read_view(job.file), view, job
@@ -81,7 +83,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
                                                                                       "force_limit = 3.0")
     recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3, tier=None,
                          device="cpu", precision="float64", renderer="warp")
-    job = jobs_of(recipe, scene_file.path, None, tmp_path, None)[0]
+    job = jobs_of(recipe, scene_file.path, tmp_path, None)[0]
     touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
     turned = 0
     for touch, a in zip(touches, aims, strict=True):
@@ -338,7 +340,7 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
                             "x.toml")
         recipe = make_recipe(scene, seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
                              renderer="warp")
-        prepare_job(jobs_of(recipe, scene.path, None, scene.path.parent, None)[0], device="cpu")
+        prepare_job(jobs_of(recipe, scene.path, scene.path.parent, None)[0], device="cpu")
     with pytest.raises(SceneError, match="no \\[arm\\]"):
         make_recipe(load_scene(find_scene("shoes-mini")), seed=0, objects=1, views=1, touches=1, tier=None,
                     device="cpu", precision="float64", renderer="warp", arm="gen3")
@@ -351,8 +353,8 @@ def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, t
     monkeypatch.setattr(plant_batches, "PART", 1)
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device,
                          precision="float64", renderer="warp")
-    jobs = jobs_of(recipe, scene_file.path, None, tmp_path, None)
-    assert sum(frames for frames, _ in make_all(jobs, device=device, workers=2)) > 0
+    jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
+    assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
         assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a,
@@ -368,7 +370,7 @@ def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_
         scene = parse_scene(scene_file.text.replace('mode = "kinematic"', f'mode = "{mode}"'), scene_file.path)
         recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
                              renderer="warp")
-        made[mode] = make_views(jobs_of(recipe, scene.path, None, tmp_path, None), device="cpu")[0].touches[0]
+        made[mode] = make_views(jobs_of(recipe, scene.path, tmp_path, None), device="cpu")[0].touches[0]
     a, b = made["kinematic"], made["dynamic"]
     assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05
     gap = np.abs(a.torque - b.torque).max()

@@ -9,8 +9,9 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Sphere
-from vsfsim.generate.effectors import probe as touch
-from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness, voxel_sample
+from vsfsim.generate.aim import aim_probe, clearance, probe_pose, surface_samples
+from vsfsim.generate.cloud import voxel_sample
+from vsfsim.generate.truth import PROBE_RADIUS, probe_stiffness
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
@@ -67,8 +68,8 @@ def streams(seed=0):
 
 
 def aims(model, seen, **changes):
-    spec = dataclasses.replace(SCENE.touches, **changes)
-    return touch.aim(SCENE, spec, model, seen, streams())
+    scene = dataclasses.replace(SCENE, touches=dataclasses.replace(SCENE.touches, **changes))
+    return aim_probe(scene, model, seen, streams())
 
 
 def test_aims_lie_on_the_cloud_and_go_along_its_normal(model):
@@ -88,7 +89,7 @@ def test_aims_lie_on_the_cloud_and_go_along_its_normal(model):
             faces.add("top" if on_top else "side")
         assert on_top or on_side
         # the probe's centre at contact: its surface is on the body's, which is sampled every 3 mm or so
-        gap = sdf.distance(SCENE.probe, touch._surface_samples(model) - a.contact).min()
+        gap = sdf.distance(SCENE.probe, surface_samples(model) - a.contact).min()
         assert -1e-9 <= gap <= 2e-6
     assert faces == {"top", "side"}
 
@@ -127,7 +128,7 @@ def test_force_limit_cuts_the_depth(model):
     whole, cut = aims(model, view(), force_limit=1e6), aims(model, view(), force_limit=limit)
     assert all(a.depth == SCENE.touches.depth for a in whole)
     assert all(b.depth <= a.depth for a, b in zip(whole, cut)) and any(b.depth < a.depth for a, b in zip(whole, cut))
-    poses = np.stack([touch._pose(SCENE.probe, a.contact + a.depth * a.axis, a.axis) for a in cut])[None]
+    poses = np.stack([probe_pose(SCENE.probe, a.contact + a.depth * a.axis, a.axis) for a in cut])[None]
     force = np.linalg.norm(Solver(model, SCENE.probe, options=SolverOptions(tolerance=1e-6),
                                   linear=True).run(poses).force[0], axis=1)
     # between the eighths of the depth at which it was measured the curve is taken as straight. It is convex as a whole
@@ -142,8 +143,8 @@ def test_clearance_is_the_way_to_first_contact(model):
     pose = np.eye(4)
     pose[:3, 3] = [0.0, 0.0, 0.1]
     # a node lies in the middle of the top: 0.1 - 0.04 - 0.01
-    assert touch.clearance(model, Sphere(0.01), pose, np.array([0.0, 0.0, -1.0])) == pytest.approx(0.05, abs=2e-6)
-    assert touch.clearance(model, Sphere(0.01), pose, np.array([0.0, 0.0, 1.0])) == np.inf
+    assert clearance(model, Sphere(0.01), pose, np.array([0.0, 0.0, -1.0])) == pytest.approx(0.05, abs=2e-6)
+    assert clearance(model, Sphere(0.01), pose, np.array([0.0, 0.0, 1.0])) == np.inf
 
 
 # ------------------------------------------------------------------------------------------ probe stiffness

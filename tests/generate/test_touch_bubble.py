@@ -16,10 +16,12 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
+from vsfsim.generate.aim import Aim
 from vsfsim.generate.effectors import bubble as touch_bubble
 from vsfsim.generate.inspect import inspect
-from vsfsim.generate.run import make_recipe
+from vsfsim.generate.recipe import make_recipe
 from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.robot.path import turn_to
 from vsfsim.sensing.bubble_touch import rim_of
 
 SCENE = """
@@ -191,7 +193,7 @@ def test_first_contact_is_where_the_dome_meets_the_body():
                                       down) == pytest.approx([0.0, 0.0, dome.height], abs=1e-4)
     # a post beside the target, 20 mm high: met by the flank of the dome, whose skin is lower there
     post = np.vstack([floor, [[0.03, 0.0, 0.02]]])
-    turn = touch_bubble.turn_to(down, touch_bubble._LEADS)
+    turn = turn_to(down, touch_bubble.LEADING)
     flank = dome.heights((np.array([[0.03, 0.0, 0.0]]) @ turn)[:, :2])[0]
     assert touch_bubble.first_contact(dome, post, np.zeros(3), down)[2] == pytest.approx(0.02 + flank, abs=1e-9)
     assert 0.02 + flank > dome.height
@@ -233,7 +235,7 @@ def test_the_force_limit_of_a_flat_wall():
 
 def test_the_way_out_is_over_readings_of_the_way_in():
     spec = dataclasses.replace(parse_scene(SCENE, "felt.toml").sample(0).touches, frames=(2, 3, 1, 2))
-    a = touch_bubble.Aim(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([0, 0, 0.03]), 0.006)
+    a = Aim(np.zeros(3), np.array([0, 0, 1.0]), np.array([0, 0, -1.0]), np.array([0, 0, 0.03]), 0.006)
     poses = touch_bubble.mount_path(spec, a)
     assert poses[:, 2, 3] == pytest.approx([0.035, 0.035, 0.028, 0.026, 0.024, 0.024, 0.026, 0.028])
     assert poses[:, :3, 2] == pytest.approx(np.tile([0.0, 0.0, -1.0], (8, 1)))
@@ -300,7 +302,7 @@ def test_an_object_in_the_way_of_every_target(tmp_path):
     samples = np.array([[0.0, 0.0, 0.01], [0.02, 0.0, 0.05]])
     body = type("M", (), {"mesh": type("K", (), {"points": samples, "faces": np.array([[0, 1, 1]])})()})()
     with pytest.raises(SceneError, match=r"no target of 200 can be reached by the \[sensor\]"):
-        touch_bubble.aim(scene, scene.touches, body, sensor, view, lambda k: np.random.default_rng(k))
+        touch_bubble.aim(scene, body, sensor, view, lambda k: np.random.default_rng(k))
 
 
 # ------------------------------------------------------------------------------------------ what is made of it

@@ -69,12 +69,11 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
     group = parent.create_group(name, track_order=True)
     lengths: dict[str, int] = {}
     if isinstance(record, Touch):
-        known = {f.name.removeprefix("audit/") for f in fields_of(kind) if f.name.startswith("audit/")}
-        for column in record.audit:
-            if column not in known:
-                raise DatasetError(f"{where}: audit column '{column}' is not in the schema "
-                                   f"({', '.join(sorted(known))}); "
-                                   f"add a row to vsfsim/data/schema.py or leave it out.")
+        known = {f.name for f in fields_of(kind)}
+        for name in (*(f"audit/{column}" for column in record.audit), *(f"channels/{key}" for key in record.channels)):
+            if name not in known:
+                raise DatasetError(f"{where}: '{name}' is not in the schema; add a row to vsfsim/data/schema.py or "
+                                   f"leave it out.")
     for field in fields_of(kind):
         value = _value(record, field)
         spot = f"{where} {field.name}"
@@ -92,9 +91,8 @@ def _write_group(parent: h5py.Group, name: str, kind: str, record: View | Touch 
 
 
 def _value(record: Any, field: Field) -> Any:
-    if field.name.startswith("audit/"):
-        return record.audit.get(field.name.removeprefix("audit/"))
-    return getattr(record, field.name)
+    table, _, name = field.name.rpartition("/")
+    return getattr(record, table).get(name) if table else getattr(record, name)
 
 
 def _write_array(group: h5py.Group, field: Field, array: np.ndarray) -> None:
@@ -164,9 +162,12 @@ def _probe(text: str, path: Path) -> ProbeShape:
 
 def _read_touch(group: h5py.Group, where: str) -> Touch:
     values = _read_group(group, "touches/*", where)
-    audit = {name.removeprefix("audit/"): values.pop(name) for name in list(values) if name.startswith("audit/")}
     values["touched"] = bool(values["touched"])
-    return Touch(**values, audit=audit)
+    for table in ("audit", "channels"):
+        names = [name for name in values if name.startswith(f"{table}/")]
+        values[table] = {name.partition("/")[2]: values.pop(name) for name in names}
+    values["channels"] = {name: value for name, value in values["channels"].items() if value is not None}
+    return Touch(**values)
 
 
 def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -125,6 +126,13 @@ class Touch:
     fine_triangles: np.ndarray | None = None
     inside_depth: np.ndarray | None = None
     inside_rgb: np.ndarray | None = None
+    channels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """Readings of sensors that have no field of their own here, by name: the rows ``channels/NAME`` of the schema."""
+
+    def channel(self, name: str) -> Any:
+        """What the touch holds under the name of a schema row's field, audit column or channel; None if it does not."""
+        found = getattr(self, name, None)
+        return self.channels.get(name, self.audit.get(name)) if found is None else found
 
     def normal_force(self) -> np.ndarray:
         """Force of the object on the probe against the press direction (T,) [N]; positive when it pushes back."""

@@ -22,7 +22,7 @@ from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import PressRequest, PressResult
-from vsfsim.sensing.camera import Surface
+from vsfsim.sensing.surface import Surface
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ class Drawing:
     """The surface to draw."""
     young_modulus: np.ndarray | None
     """Young's modulus of each triangle (f,) [Pa], or None to leave the colours of stiffness out."""
-    subtitle: str
-    """Follows the scene's name in the picture's title."""
+    subtitle: str | None
+    """Follows the scene's name in the picture's title; None for the seed."""
     lines: tuple[str, ...]
     """What is printed; the scene's name is put before the first line."""
 

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.effectors.probe import cloud_normals
+from vsfsim.generate.cloud import cloud_normals, voxel_sample
 from vsfsim.physics.contact.rigid_points import shape_values
 from vsfsim.physics.model import Model
 from vsfsim.vsf.dynamics import simulate
@@ -18,18 +18,6 @@ PROBE_RADIUS = 0.004  # of the disc that stands for the tip of a small conical p
 PROBE_VOXEL = 0.01  # SBML appendix C.4: points by voxel down-sampling to 1 cm [m]
 VSF_SPACING = 0.005  # SBML appendix B.2, shoes [m]
 _GRID = 8  # barycentric points along the edge of a triangle, to spread the disc's pressure over nodes
-
-
-def voxel_sample(cloud: np.ndarray, size: float) -> np.ndarray:
-    """One point of the cloud (n, 3) per occupied voxel of edge ``size`` [m]: the one nearest to the voxel's mean (k,
-    3)."""
-    cell = np.floor(cloud / size).astype(np.int64)
-    _, group = np.unique(cell, axis=0, return_inverse=True)
-    count = np.bincount(group)
-    mean = np.stack([np.bincount(group, cloud[:, c]) / count for c in range(3)], axis=1)
-    off = np.linalg.norm(cloud - mean[group], axis=1)
-    order = np.lexsort((np.arange(len(cloud)), off, group))
-    return cloud[order[np.unique(group[order], return_index=True)[1]]]
 
 
 def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np.ndarray:

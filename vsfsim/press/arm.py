@@ -16,8 +16,11 @@ import numpy as np
 
 from vsfsim.core.scene import SceneFile
 from vsfsim.data.disk import write_atomic
-from vsfsim.generate.effectors.arm import Subject, finish_touches, prepare_job, solve
-from vsfsim.generate.run import _kernels, jobs_of, make_recipe
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.plants.prepare import Subject, prepare_job
+from vsfsim.generate.plants.touches import finish_touches, solve
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.run import kernels_of
 from vsfsim.generate.table import plain
 from vsfsim.physics.rods.solver import Ended
 from vsfsim.physics.runtime import compile_kernels
@@ -96,8 +99,8 @@ def press(loaded: SceneFile, *, tier: str | None, device: str, precision: str, s
     began = time.perf_counter()
     recipe = make_recipe(loaded, seed=seed, objects=1, views=1, touches=1, tier=tier, device=device,
                          precision=precision, renderer="warp")
-    job = jobs_of(recipe, loaded.path, None, Path("."), None)[0]
-    compile_kernels(_kernels(precision, loaded.sample(seed)), device, progress=progress)
+    job = jobs_of(recipe, loaded.path, Path("."), None)[0]
+    compile_kernels(kernels_of(loaded.sample(seed), precision), device, progress=progress)
     subject = prepare_job(job, device=device)
     built = time.perf_counter() - began
     began = time.perf_counter()

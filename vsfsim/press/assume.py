@@ -10,7 +10,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.rigid import PressSpec
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Family, MeshFile, Sphere, extent
-from vsfsim.generate.effectors.probe import clearance
+from vsfsim.generate.aim import clearance
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.model import Model
 from vsfsim.robot.path import turn_to

@@ -20,7 +20,8 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Plane
-from vsfsim.generate.effectors.probe import audit, clearance
+from vsfsim.generate.aim import clearance
+from vsfsim.generate.record import audit
 from vsfsim.generate.table import plain
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble import sensor as bubble

@@ -12,7 +12,8 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene
-from vsfsim.generate.effectors.probe import audit, clearance
+from vsfsim.generate.aim import clearance
+from vsfsim.generate.record import audit
 from vsfsim.generate.table import plain
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf

@@ -1,1 +1,1 @@
-"""What touches: a rigid probe, a bubble, an arm, behind one protocol."""
+"""What can touch an object: every file here is one effector, see `vsfsim.generate.effector`."""

@@ -1,15 +1,16 @@
-"""Touches of one object view by an air-filled bubble: where its mount aims, how far it goes, and what both bodies
-answer.
+"""The air-filled bubble of a scene's ``[sensor] kind = "bubble"``: where its mount aims, how far it goes, and what both
+bodies answer.
 
-As the rigid probe's (`touch.py`): the mount comes in along the normal that the camera sees, its +z leading, or tilted
-from it. The apex of the free dome points at the target; depth counts from where the dome, undented, first meets the
-object at rest, which may be beside the apex.
+As a rigid probe's, the mount comes in along the normal that the camera sees, or tilted from it; its +z leads. The apex
+of the free dome points at the target; depth counts from where the dome, undented, first meets the object at rest, which
+may be beside the apex.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -18,27 +19,130 @@ from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import Plane
-from vsfsim.data.records import Touch, View
-from vsfsim.generate.effectors.probe import _BALANCE, _BLOCKED, REASONS, Aim, _surface_samples, audit, cloud_normals
+from vsfsim.data.records import ObjectView, Touch, View
+from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, surface_samples
+from vsfsim.generate.effector import Drawing
+from vsfsim.generate.job import Job
+from vsfsim.generate.record import audit, verdict
+from vsfsim.generate.solid import batches, draw_solid, prepare
+from vsfsim.generate.truth import truth_of
+from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
+from vsfsim.physics.bubble.shape import punyo_rms, stretches
 from vsfsim.physics.contact.pair_surfaces import SENSOR_NODES
+from vsfsim.physics.elements import gas
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver
 from vsfsim.physics.solve.frames import Frames, SolverOptions
+from vsfsim.physics.solve.kernels import pair_kernels
 from vsfsim.robot.path import times, touch_path, turn_to
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera
 from vsfsim.sensing.bubble_touch import touch_fields
+from vsfsim.sensing.surface import Surface
 
-BATCH = {"cpu": 9, "cuda": 256}  # touches that advance together; part of what fixes the bits
+BATCH = {"cpu": 9, "cuda": 256}  # touches that are solved together; part of what fixes the bits
 KINDS = ("tet10", "triangle", "hinge", "gas")  # of the elements of object and bubble
-_LEADS = Plane()  # as a plane's, a sensor's +z leads
-_PATIENCE = 200  # conjugate gradients of a touch in one frame
-# Newton iterations of a touch in one frame, on a GPU: there hundreds of touches wait for the last one, whose steps cost
-# as much as everybody's
-_STEPS = 30
-_GRID = 1e-3  # of the places at which the dome is cut by a wall [m]
+LEADING = Plane()  # a sensor's +z leads, as a plane's does
+CG_FRAME = 200  # conjugate gradients of a touch in one frame
+# Newton iterations of a touch in one frame on a GPU: there hundreds of touches wait for the last one, whose steps cost
+# as much as those of all
+NEWTON_FRAME = 30
+_GRID = 1e-3  # distance of the points at which the dome is cut by a wall [m]
+
+
+class BubbleEffector:
+    """A soft-bubble sensor on a mount; see `vsfsim.generate.effector.Effector`."""
+
+    table = "sensor"
+    options = ()
+
+    def check(self, scene: Scene, tier: str | None, precision: str) -> str:
+        """The tier of the object: as `tiers.choose`, at least ``fem-coarse``.
+
+        Raises:
+            SceneError: a tier that a bubble cannot press, single precision, too many nodes, a bubble that cannot be
+                inflated, or a depth of more than the dome's height.
+        """
+        assert scene.sensor is not None and scene.touches is not None
+        chosen = tier_for(scene, tier)
+        if precision != "float64":
+            raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: "
+                             f"at rest its skin balances some 50 N of gas pressure node by node, and single precision "
+                             f"leaves more of it unbalanced than a light touch pushes.")
+        if scene.sensor.nodes > SENSOR_NODES:
+            raise SceneError(f"{scene.source} [sensor]: nodes is {scene.sensor.nodes}; against an object up to "
+                             f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
+        height = float(build_bubble(scene.sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
+        if scene.touches.depth > height:
+            raise SceneError(f"{scene.source} [touches]: depth is {scene.touches.depth:g} m, but the free dome of the "
+                             f"[sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
+        return chosen
+
+    def channels(self, scene: Scene) -> tuple[str, ...]:
+        """Pressure, moment and the read-out mesh; the solved mesh and the camera's pictures if the scene asks."""
+        assert scene.sensor is not None
+        out = ("min_det_f", "pressure", "rest_pressure", "moment", "node_position", "node_force", "node_rest",
+               "node_reference", "node_triangles")
+        fine = ("fine_position", "fine_force", "fine_rest", "fine_triangles") if scene.sensor.fine else ()
+        return (*out, *fine, *(("inside_depth", "inside_rgb") if scene.sensor.camera is not None else ()))
+
+    def kernels(self, scene: Scene, precision: str) -> list[Any]:
+        """Those of the coupled solver and of the camera inside; its oracle VSF sticks to the dome without a kernel."""
+        from vsfsim.sensing import render_bubble
+
+        assert scene.sensor is not None
+        return [*pair_kernels(precision, KINDS), *([render_bubble._inside] if scene.sensor.camera is not None else [])]
+
+    def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
+        """Build, look, aim along the normals or tilted from them, press."""
+        subject = prepare(job, device=device)
+        scene = subject.scene
+        assert scene.sensor is not None
+        sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
+        aims = aim(scene, subject.model, sensor, subject.view, subject.stream)
+        touches = touch_all(scene, subject.model, sensor, aims, options=solver_options(job.recipe.tier, device),
+                            device=device, progress=progress)
+        dome = dome_of(sensor)
+        truth = truth_of(subject.model, subject.view, touches, dome, friction=float("inf"), device=device)
+        return subject.record(dome, touches, truth)
+
+    def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+        """Each view in a process of its own."""
+        return make_each(jobs, device=device, workers=workers)
+
+    def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
+        """The object, or the free dome where there is none."""
+        return _draw_dome(scene) if scene.object is None else draw_solid(scene, seed)
+
+
+EFFECTOR = BubbleEffector()
+
+
+def _draw_dome(scene: Scene) -> Drawing:
+    spec = scene.sensor
+    assert spec is not None
+    model = build_bubble(spec, where=f"{scene.source} [sensor]")
+    mesh = model.mesh
+    apex = int(mesh.points[:, 2].argmax())
+    largest, least = stretches(model)[(mesh.faces == apex).any(axis=1)].mean(axis=0)
+    rate = gas.at_rest(model.blocks[2])[2]
+    lines = [f"a bubble of {len(mesh.points)} nodes and {len(mesh.faces)} triangles, mean edge "
+             f"{1e3 * model.element_size:.2f} mm; "
+             f"read-out mesh of {len(model.read_out.flat)} nodes, {len(model.read_out.faces)} triangles, "
+             f"{len(model.read_out.rim)} on the rim",
+             f"  rim            {2e3 * spec.semi_axes[0]:.1f} x {2e3 * spec.semi_axes[1]:.1f} mm, E h "
+             f"{spec.modulus:.0f} N/m, pre-stretch {spec.pre_stretch:g}",
+             f"  free dome      apex {1e3 * mesh.points[apex, 2]:.2f} mm, volume {1e6 * mesh.volume[0]:.2f} mL, at "
+             f"{model.pressure:.0f} Pa gauge; stretch at the apex {least:.3f} x {largest:.3f}",
+             f"  gas            {1e6 * spec.gas_volume:.1f} mL, gamma {spec.gamma:g}, "
+             + (f"sealed: dp/dV {-1e-9 * rate:.3f} kPa/mL" if spec.sealed else "open")]
+    if spec.semi_axes == type(spec)().semi_axes:
+        lines.append(f"  height map     rms {1e3 * punyo_rms(model):.2f} mm from h = 30.89 mm (1 - rho^2)^0.763, a "
+                     f"real Punyo's")
+    surface = Surface(mesh.points, mesh.faces, np.zeros(len(mesh.faces), np.int64), None, mesh.points)
+    return Drawing(surface, None, "free dome", tuple(lines))
 
 
 def tier_for(scene: Scene, asked: str | None) -> str:
@@ -56,69 +160,41 @@ def tier_for(scene: Scene, asked: str | None) -> str:
     return "fem-coarse"
 
 
-def check(scene: Scene, precision: str) -> None:
-    """Refuse at once what could not be touched.
-
-    Raises:
-        SceneError: single precision, too many nodes, a bubble that cannot be inflated, or a depth that the dome has
-        not.
-    """
-    assert scene.sensor is not None and scene.touches is not None
-    if precision != "float64":
-        raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: at "
-                         f"rest its skin balances some 50 N of gas pressure node by node, "
-                         "and single precision leaves more of it unbalanced than a light touch pushes.")
-    if scene.sensor.nodes > SENSOR_NODES:
-        raise SceneError(f"{scene.source} [sensor]: nodes is {scene.sensor.nodes}; against an object up to "
-                         f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
-    height = float(build_bubble(scene.sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
-    if scene.touches.depth > height:
-        raise SceneError(f"{scene.source} [touches]: depth is {scene.touches.depth:g} m, but the free dome of the "
-                         f"[sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
-
-
 def dome_of(model: BubbleModel) -> Dome:
     """The free dome on the read-out mesh: what a dataset says of its sensor's shape."""
     seen = readout_of(model)
     return Dome.of(seen.positions(model.mesh.points[None])[0], seen.readout.triangles)
 
 
-def aim(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, view: View,
+def aim(scene: Scene, model: Model, sensor: BubbleModel, view: View,
         stream: Callable[[int], np.random.Generator]) -> list[Aim]:
-    """Draw the touches of a view: uniform on the visible cloud, along its normal or tilted from it.
+    """The touches of a view, each along the visible normal or tilted from it.
 
-    Targets that the dome cannot reach are drawn again: another part of the object is more than `_BLOCKED` in the way,
-    or the table (z < 0) is.
+    A target cannot be reached where another part of the object is more than `BLOCKED` in the way, or the table (z < 0)
+    is.
 
     Args:
-        spec: how many, and how deep. model: the object. sensor: the bubble. stream: random stream of touch k.
+        scene: with ``[touches]``.
+        model: the object.
+        sensor: the bubble.
+        view, stream: as of `draw_aims`.
 
     Raises:
-        SceneError: nothing is visible, or no reachable target was found in 200 draws.
+        SceneError: as `draw_aims`.
     """
-    cloud = view.points()
-    if not len(cloud):
-        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
-                         f"elevation and fov.")
-    eye = view.camera_pose[:3, 3]
-    samples, dome = _surface_samples(model), dome_of(sensor)
+    assert scene.touches is not None
+    spec, samples, dome = scene.touches, surface_samples(model), dome_of(sensor)
     depth = min(spec.depth, depth_at(sensor, spec.force_limit))
-    out: list[Aim] = []
-    for k in range(spec.count):
-        rng = stream(k)
-        for _ in range(200):
-            target = cloud[rng.integers(len(cloud))]
-            normal = cloud_normals(cloud, target[None], eye)[0]
-            axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
-            contact = first_contact(dome, samples, target, axis)
-            if _reachable(dome, contact, target, axis, depth, spec.approach):
-                out.append(Aim(target, normal, axis, contact, depth))
-                break
-        else:
-            raise SceneError(f"{scene.source} [touches]: no target of 200 can be reached by the [sensor] without "
-                             f"meeting the table or another part first; "
-                             "use a smaller bubble, approach or depth, or an object with more free surface.")
-    return out
+
+    def reach(target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
+        axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
+        contact = first_contact(dome, samples, target, axis)
+        free = _reachable(dome, contact, target, axis, depth, spec.approach)
+        return Aim(target, normal, axis, contact, depth) if free else None
+
+    return draw_aims(scene, view, stream, reach,
+                     unreachable="by the [sensor] without meeting the table or another part first; use a smaller "
+                                 "bubble, approach or depth, or an object with more free surface.")
 
 
 def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:
@@ -126,7 +202,7 @@ def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarra
     (3,)."""
     height = 1.0 - rng.random() * (1.0 - np.cos(most))
     turn = 2.0 * np.pi * rng.random()
-    side = turn_to(axis, _LEADS)[:, :2] @ [np.cos(turn), np.sin(turn)]
+    side = turn_to(axis, LEADING)[:, :2] @ [np.cos(turn), np.sin(turn)]
     return height * axis + np.sqrt(max(0.0, 1.0 - height**2)) * side
 
 
@@ -135,10 +211,12 @@ def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.
     meets a body.
 
     Args:
-        dome: the sensor. samples: points that cover the body's surface (k, 3) [m]. target: a point (3,) [m]. axis: unit
-        direction of the press (3,).
+        dome: the sensor.
+        samples: points that cover the body's surface (k, 3) [m].
+        target: a point (3,) [m].
+        axis: unit direction of the press (3,).
     """
-    local = (samples - target) @ turn_to(axis, _LEADS)
+    local = (samples - target) @ turn_to(axis, LEADING)
     # with the apex over it, the target itself is met at the latest: no point beyond its plane comes before it
     before = local[local[:, 2] < 0.0]
     gone = dome.heights(before[:, :2]) - before[:, 2]
@@ -147,9 +225,9 @@ def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.
 
 def _reachable(dome: Dome, contact: np.ndarray, target: np.ndarray, axis: np.ndarray, depth: float,
                approach: float) -> bool:
-    if (target - contact) @ axis - dome.height > _BLOCKED:
+    if (target - contact) @ axis - dome.height > BLOCKED:
         return False
-    low = float((dome.points @ turn_to(axis, _LEADS).T)[:, 2].min())
+    low = float((dome.points @ turn_to(axis, LEADING).T)[:, 2].min())
     return min(contact[2] + depth * axis[2], contact[2] - approach * axis[2]) + low >= 0.0
 
 
@@ -170,8 +248,8 @@ def depth_at(sensor: BubbleModel, force: float) -> float:
     pressure = np.full(len(depth), sensor.pressure)
     if spec.sealed:
         inside = float(sensor.mesh.volume[0]) + sensor.dead_volume
-        pressure = (spec.ambient_pressure + sensor.pressure) * (inside / np.maximum(inside - gone,
-                                                                                    1e-3 * inside)) ** spec.gamma - spec.ambient_pressure
+        squeezed = inside / np.maximum(inside - gone, 1e-3 * inside)
+        pressure = (spec.ambient_pressure + sensor.pressure) * squeezed**spec.gamma - spec.ambient_pressure
     push = pressure * area
     if push[-1] <= force:
         return float("inf")
@@ -184,7 +262,7 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
 
     Two soft bodies that stuck part somewhere near first contact, and there is no force left to measure an imbalance by.
     """
-    poses = touch_path(spec, _LEADS, a.contact, a.axis, depth=a.depth)
+    poses = touch_path(spec, LEADING, a.contact, a.axis, depth=a.depth)
     free, inward, _, out = spec.frames
     if out:
         back = poses[free:free + inward][::-1][1:] if inward > 1 else poses[free:free + 1]
@@ -192,61 +270,59 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
     return poses
 
 
-def options(tier: str, device: str) -> SolverOptions:
+def solver_options(tier: str, device: str) -> SolverOptions:
     """Solver limits of a tier, without the clock: what a frame may cost is counted in iterations, so that the bits do
     not depend on the machine's load.
 
-    A frame on its way takes some 50 conjugate gradients, seldom 100; what has not arrived after `_PATIENCE` seldom
-    does, and one such touch would hold up its batch.
-    Of 900 frames of `shoes-punyo-mini` 11 take more than `_STEPS` Newton iterations, and 6 of these arrive nowhere.
+    A frame that converges takes about 50 conjugate gradients, seldom 100. One that has not converged after `CG_FRAME`
+    seldom does, and it would hold up its batch. Of 900 frames of `shoes-punyo-mini` 11 take more than `NEWTON_FRAME`
+    Newton iterations, and 6 of these do not converge at all.
     """
-    limits = dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=_PATIENCE)
-    return limits if device == "cpu" else dataclasses.replace(limits, newton_frame=_STEPS)
+    limits = dataclasses.replace(tiers.options(tier), seconds=1e9, cg_frame=CG_FRAME)
+    return limits if device == "cpu" else dataclasses.replace(limits, newton_frame=NEWTON_FRAME)
 
 
-def touch_all(scene: Scene, spec: TouchSpec, model: Model, sensor: BubbleModel, aims: list[Aim], *,
-              options: SolverOptions, device: str,
+def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], *, options: SolverOptions, device: str,
               progress: Callable[[int], None] | None = None) -> list[Touch]:
-    """Simulate touches, `BATCH` at a time.
+    """Simulate touches, `BATCH` at a time at most.
 
     Args:
+        scene: with ``[touches]`` and ``[sensor]``.
+        model: the object.
+        sensor: the bubble.
+        aims: the touches.
+        options: of the solver.
+        device: Warp device.
         progress: called with the number of frames newly done.
     """
-    assert scene.sensor is not None
-    most = BATCH[device.split(":")[0]]
-    batch = -(-len(aims) // -(-len(aims) // most))  # as even as can be
+    assert scene.sensor is not None and scene.touches is not None
     camera = None
     if scene.sensor.camera is not None:
         width, height = scene.sensor.camera
         camera = BubbleCamera(width, height, BubbleCamera.focal * width / CAMERA[0])
     out: list[Touch] = []
-    for start in range(0, len(aims), batch):
-        part = aims[start:start + batch]
-        poses = np.stack([mount_path(spec, a) for a in part], axis=1)
+    for part in (aims[some] for some in batches(len(aims), BATCH[device.split(":")[0]])):
+        poses = np.stack([mount_path(scene.touches, a) for a in part], axis=1)
         solver = CoupledSolver(model, sensor, friction=scene.sensor.friction, device=device, options=options)
         width = len(part)
         frames = solver.run(poses, keep=True, progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):
-            position, force = (np.stack([x[..., k] for x in kept])
-                               for kept in (solver.sensor_position, solver.sensor_force))
+            position, force = (np.stack([x[..., k] for x in frame])
+                               for frame in (solver.sensor_position, solver.sensor_force))
             out.append(_record(a, poses[:, k], frames, k, sensor, position, force, np.stack(solver.pressure)[:, k],
                                camera, device))
     return out
 
 
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int, sensor: BubbleModel, position: np.ndarray,
-            force: np.ndarray, pressure: np.ndarray,
-            camera: BubbleCamera | None, device: str) -> Touch:
-    finite = np.isfinite(frames.force[:,
-                                      k]).all(axis=1) & np.isfinite(position).all(axis=(1,
-                                                                                        2)) & np.isfinite(force).all(axis=(1, 2)) & np.isfinite(pressure)
-    found = frames.converged[:, k] & finite
-    converged = found & (frames.force_balance[:, k] <= _BALANCE)
+            force: np.ndarray, pressure: np.ndarray, camera: BubbleCamera | None, device: str) -> Touch:
+    finite = (np.isfinite(frames.force[:, k]).all(axis=1) & np.isfinite(position).all(axis=(1, 2))
+              & np.isfinite(force).all(axis=(1, 2)) & np.isfinite(pressure))
+    found = verdict(frames.converged[:, k] & finite, frames.force_balance[:, k], np.maximum(frames.reason[:, k], 1))
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
-        force=frames.force[:, k], reaction=frames.reaction[:, k], converged=converged, residual=frames.residual[:, k],
+        force=frames.force[:, k], reaction=frames.reaction[:, k], residual=frames.residual[:, k],
         iterations=frames.iterations[:, k],
-                 touched=bool((np.linalg.norm(np.nan_to_num(frames.force[:, k]), axis=1) > 0.0).any()),
-        reason=np.where(converged, 0, np.where(found, len(REASONS), np.maximum(frames.reason[:, k], 1))),
-                 reason_names=REASONS, audit=audit(frames, k),
-        **touch_fields(sensor, position, force, pressure, poses, converged=converged, camera=camera, device=device))
+        touched=bool((np.linalg.norm(np.nan_to_num(frames.force[:, k]), axis=1) > 0.0).any()), audit=audit(frames, k),
+        **found, **touch_fields(sensor, position, force, pressure, poses, converged=found["converged"], camera=camera,
+                                device=device))

@@ -7,21 +7,19 @@ prepared and go out as they are done. The bits of a touch do not depend on which
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import multiprocessing
-import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from typing import Any
 
 import numpy as np
 
-from vsfsim.data.hdf5 import write_view
 from vsfsim.data.records import ObjectView, View
-from vsfsim.generate.effectors.arm import Seconds, Subject, begin, choose, finish, look, outline, rod_options
+from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, load
+from vsfsim.generate.plants.prepare import Seconds, Subject, choose, look, outline
+from vsfsim.generate.plants.touches import begin, finish, rod_options
+from vsfsim.generate.workers import process_pool, write
 from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
 
 PLACES = 4096  # touches on a device at once: 7 GB
@@ -29,24 +27,6 @@ SHORT_SPAN = 3.0  # s: a launch on a GPU while touches are still to come
 # touches of a view that a process chooses at a time: the first ones are touched soon, and where most targets are out of
 # reach no process is held up for long
 PART = 17
-
-
-@contextlib.contextmanager
-def crew(jobs: int, workers: int | None) -> Iterator[ProcessPoolExecutor]:
-    """Processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``."""
-    kept = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
-                               mp_context=multiprocessing.get_context("spawn"))
-    try:
-        yield pool
-    finally:
-        pool.shutdown(cancel_futures=True)
-        for name, value in kept.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 class _Preparation:
@@ -57,7 +37,7 @@ class _Preparation:
     view.
     """
 
-    def __init__(self, jobs: Sequence[Any], pool: ProcessPoolExecutor, device: str, spent: Seconds):
+    def __init__(self, jobs: Sequence[Job], pool: ProcessPoolExecutor, device: str, spent: Seconds):
         self._jobs, self._pool, self._spent = jobs, pool, spent
         self._looking: dict[Future[tuple[View, np.ndarray, Seconds]],
                             int] = {pool.submit(look_one, job, device): k for k, job in enumerate(jobs)}
@@ -76,7 +56,12 @@ class _Preparation:
 
     def parts(self, k: int) -> int:
         """How many parts view ``k`` has."""
-        return -(-self.outlines[k].touches.count // PART)
+        return -(-self._count(k) // PART)
+
+    def _count(self, k: int) -> int:
+        spec = self.outlines[k].scene.touches
+        assert spec is not None
+        return spec.count
 
     def gather(self, timeout: float) -> int:
         """Waits ``timeout`` [s] at most for something new; how many touches are newly ready."""
@@ -86,17 +71,15 @@ class _Preparation:
             if future in self._looking:
                 k = self._looking.pop(future)
                 self._views[k], cloud, took = future.result()
-                count = self.outlines[k].touches.count
                 for part in range(self.parts(k)):
-                    self._aiming[self._pool.submit(aim_one, self._jobs[k], cloud,
-                                                   range(part * PART, min((part + 1) * PART, count)))] = k, part
+                    numbers = range(part * PART, min((part + 1) * PART, self._count(k)))
+                    self._aiming[self._pool.submit(aim_one, self._jobs[k], cloud, numbers)] = k, part
             else:
                 k, part = self._aiming.pop(future)
                 aims, poses, took = future.result()
-                o, job = self.outlines[k], self._jobs[k]
-                self.ready.append((k, part, Subject(job.name, job.split, (job.object_index, job.view_index), o.scene,
-                                                    o.plant, o.model, self._views[k], None, aims, poses)))
-            add(self._spent, took)
+                o = self.outlines[k]
+                self.ready.append((k, part, Subject(o.job, o.scene, o.plant, o.model, self._views[k], aims, poses)))
+            self._spent.add(took)
         return sum(len(s.aims) for *_, s in self.ready[before:])
 
     def cancel(self) -> None:
@@ -105,9 +88,9 @@ class _Preparation:
             future.cancel()
 
 
-def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spent: Seconds, until: float | None = None,
+def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spent: Seconds, until: float | None = None,
             watch: Callable[[str, int, int], None] | None = None) -> Iterator[tuple[int, Subject, RodFrames]]:
-    """Number, subject and frames of the views of ``jobs`` (`generate.run.Job`), in the order in which they are done.
+    """Number, subject and frames of the views of ``jobs``, in the order in which they are done.
 
     Args:
         pool: processes that prepare. spent: where the time of all processes is charged. until: on the clock
@@ -118,12 +101,12 @@ def touched(jobs: Sequence[Any], pool: ProcessPoolExecutor, *, device: str, spen
     """
     coming = _Preparation(jobs, pool, device, spent)
     since = spent.begin()
-    first = coming.outlines[0]
-    assert first.scene.arm is not None
-    free, inward, hold, out = first.touches.frames
-    solver = RodSolver([o.model for o in coming.outlines], load(first.scene.arm).shapes, device=device,
-                       options=rod_options(first.scene))
-    batch = RodBatch(solver, min(max(PLACES, PART), sum(o.touches.count for o in coming.outlines)),
+    scene = coming.outlines[0].scene
+    assert scene.arm is not None and scene.touches is not None
+    free, inward, hold, out = scene.touches.frames
+    solver = RodSolver([o.model for o in coming.outlines], load(scene.arm).shapes, device=device,
+                       options=rod_options(scene))
+    batch = RodBatch(solver, min(max(PLACES, PART), scene.touches.count * len(jobs)),
                      frames=free + inward + hold + out, poses=inward + 1)
     spent.charge("solve", since)
     inside: dict[tuple[int, int], tuple[Subject, slice]] = {}
@@ -167,13 +150,13 @@ def _lean(subject: Subject) -> Subject:
     return dataclasses.replace(subject, arm=None, poses=np.zeros((0, 0, 0, 4, 4)))
 
 
-def make_all(jobs: Sequence[Any], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
-    """Makes and writes the views of ``jobs`` (`generate.run.Job`); yields the number of frames newly done and a name.
+def make_together(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+    """Makes and writes the views of ``jobs``; yields the number of frames newly done and a name.
 
     Args:
         device: Warp device, of the processes too. workers: processes, None for one a core.
     """
-    with crew(len(jobs), workers) as pool:
+    with process_pool(len(jobs), workers) as pool:
         writing: list[Future[None]] = []
         for k, subject, frames in touched(jobs, pool, device=device, spent=Seconds()):
             writing.append(pool.submit(_write, jobs[k], subject, frames, device))
@@ -182,20 +165,17 @@ def make_all(jobs: Sequence[Any], *, device: str, workers: int | None) -> Iterat
             future.result()
 
 
-_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-
-
-def look_one(job: Any, device: str) -> tuple[View, np.ndarray, Seconds]:
+def look_one(job: Job, device: str) -> tuple[View, np.ndarray, Seconds]:
     """In a process of its own: the picture of a view, its cloud (n, 3) [m], and where the time went."""
     seconds = Seconds()
     since = seconds.begin()
     o = outline(job)
     seconds.charge("grow", since)
-    view = look(o, job, device=device, seconds=seconds)
+    view = look(o, device=device, seconds=seconds)
     return view, view.points(), seconds
 
 
-def aim_one(job: Any, cloud: np.ndarray, numbers: range) -> tuple[list[ArmAim], np.ndarray, Seconds]:
+def aim_one(job: Job, cloud: np.ndarray, numbers: range) -> tuple[list[ArmAim], np.ndarray, Seconds]:
     """In a process of its own: some touches of a view, the poses along their lines, and where the time went. The arm
     holds a simulator, which does not travel."""
     seconds = Seconds()
@@ -212,11 +192,5 @@ def finish_one(subject: Subject, frames: RodFrames, device: str) -> tuple[Object
     return finish(subject, frames, device=device, seconds=seconds), seconds
 
 
-def add(spent: Seconds, took: Seconds) -> None:
-    """Adds the time of another process."""
-    spent.spent.update(took.spent)
-    spent.cpu.update(took.cpu)
-
-
-def _write(job: Any, subject: Subject, frames: RodFrames, device: str) -> None:
-    write_view(job.file, finish(subject, frames, device=device))
+def _write(job: Job, subject: Subject, frames: RodFrames, device: str) -> None:
+    write(job, finish(subject, frames, device=device))

@@ -8,8 +8,7 @@ from scipy import sparse
 
 from vsfsim.core.chain import Chain
 from vsfsim.data.records import Touch, Truth, View
-from vsfsim.generate.effectors.probe import cloud_normals
-from vsfsim.generate.truth import voxel_sample
+from vsfsim.generate.cloud import cloud_normals, voxel_sample
 from vsfsim.physics.rods.model import RodModel
 from vsfsim.vsf.arm_rows import arm_torque_rows_each
 from vsfsim.vsf.estimate.map import map_estimate

@@ -1,0 +1,174 @@
+"""Where touches aim: targets drawn on the visible cloud, and first contact with the object at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene, TouchSpec
+from vsfsim.core.shape import ProbeShape
+from vsfsim.data.records import View
+from vsfsim.generate.cloud import cloud_normals
+from vsfsim.physics.contact import sdf
+from vsfsim.physics.model import Model
+from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.touches import Solver
+from vsfsim.robot.path import turn_to
+
+DRAWS = 200  # targets that are tried for one touch
+BLOCKED = 0.015  # something else that is met this far before the target makes the target unreachable [m]
+
+
+@dataclass(frozen=True)
+class Aim:
+    """One touch before it is made."""
+
+    target: np.ndarray
+    """Point of the visible cloud (3,) [m]."""
+    normal: np.ndarray
+    """Outward unit normal of the cloud there (3,) [-]."""
+    axis: np.ndarray
+    """Unit direction of the press (3,) [-]."""
+    contact: np.ndarray
+    """Position of the probe's centre, or of the bubble's mount, at first contact with the object at rest (3,) [m]."""
+    depth: float
+    """How far the press goes past first contact [m]."""
+
+
+def surface_samples(model: Model) -> np.ndarray:
+    """Points that cover the boundary of a body at rest (k, 3) [m]: every triangle at a 6 x 6 barycentric grid."""
+    corners = model.mesh.points[model.mesh.faces[:, :3]]
+    steps = np.array([(i, j, 6 - i - j) for i in range(7) for j in range(7 - i)]) / 6.0
+    return np.einsum("sk,fkc->fsc", steps, corners).reshape(-1, 3)
+
+
+def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray, *,
+              samples: np.ndarray | None = None) -> float:
+    """How far the probe can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the body at rest [m].
+
+    Conservative advancement on the signed distance; infinite if the probe meets nothing within 2 m.
+    """
+    points = surface_samples(model) if samples is None else samples
+    gone = 0.0
+    for _ in range(500):
+        local = (points - pose[:3, 3] - gone * axis) @ pose[:3, :3]
+        gap = float(sdf.distance(probe, local).min())
+        if gap < 1e-6:
+            return gone
+        gone += gap
+        if gone > 2.0:
+            return float("inf")
+    return gone
+
+
+def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Generator],
+              reach: Callable[[np.ndarray, np.ndarray, np.random.Generator], Aim | None], *,
+              unreachable: str) -> list[Aim]:
+    """Draw the touches of a view: targets uniform on the visible cloud; one that cannot be reached is drawn again.
+
+    Args:
+        scene: with ``[touches]``.
+        view: the picture.
+        stream: random stream of touch k; each touch has its own, so that asking for more keeps the first ones.
+        reach: the touch at a target (3,) [m] with its normal (3,), or None if it cannot be made.
+        unreachable: end of the error's sentence "no target of 200 can be reached ...".
+
+    Raises:
+        SceneError: nothing is visible, or no reachable target was found in `DRAWS` draws.
+    """
+    assert scene.touches is not None
+    cloud = view.points()
+    if not len(cloud):
+        raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
+                         f"elevation and fov.")
+    eye = view.camera_pose[:3, 3]
+    out: list[Aim] = []
+    for k in range(scene.touches.count):
+        rng = stream(k)
+        for _ in range(DRAWS):
+            target = cloud[rng.integers(len(cloud))]
+            found = reach(target, cloud_normals(cloud, target[None], eye)[0], rng)
+            if found is not None:
+                out.append(found)
+                break
+        else:
+            raise SceneError(f"{scene.source} [touches]: no target of {DRAWS} can be reached {unreachable}")
+    return out
+
+
+def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np.random.Generator], *,
+              device: str = "cpu") -> list[Aim]:
+    """The touches of a view by the scene's rigid probe, each along the visible normal.
+
+    A target cannot be reached where another part of the object, or the table (z < 0), is in the way. The depth is cut
+    where the rest state's linear response passes ``force_limit``, as a careful robot would stop.
+
+    Args:
+        scene: with ``[touches]``.
+        model: the object.
+        view, stream: as of `draw_aims`.
+        device: Warp device.
+
+    Raises:
+        SceneError: as `draw_aims`.
+    """
+    assert scene.touches is not None
+    spec, samples = scene.touches, surface_samples(model)
+    aims = draw_aims(scene, view, stream,
+                     lambda target, normal, _: _aim_at(scene.probe, spec, model, samples, target, normal),
+                     unreachable="without meeting the table or another part first; use a smaller probe, approach or "
+                                 "depth.")
+    return _limit(scene, spec, model, aims, device)
+
+
+def _aim_at(probe: ProbeShape, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray,
+            normal: np.ndarray) -> Aim | None:
+    axis = -normal
+    size = sdf.support(probe, turn_to(axis, probe).T @ axis)
+    # the probe starts outside the whole body, so that what it meets first is the first thing on its line
+    away = float(np.linalg.norm(samples - target, axis=1).max()) + 2.0 * size
+    pose = probe_pose(probe, target + away * normal, axis)
+    gone = clearance(model, probe, pose, axis, samples=samples)
+    contact = pose[:3, 3] + gone * axis if np.isfinite(gone) else target + size * normal
+    if (contact - target) @ normal - size > BLOCKED:
+        return None
+    ends = [contact - spec.approach * axis, contact + spec.depth * axis]
+    down = sdf.support(probe, pose[:3, :3].T @ np.array([0.0, 0.0, -1.0]))
+    if min(p[2] for p in ends) - down < 0.0:
+        return None
+    return Aim(target, normal, axis, contact, spec.depth)
+
+
+def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
+    """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few
+    frames suffices."""
+    if not aims:
+        return aims
+    steps = 8
+    depth = spec.depth * np.arange(1, steps + 1) / steps
+    poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
+    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
+                    options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
+    force = np.linalg.norm(frames.force, axis=-1)
+    out = []
+    for k, a in enumerate(aims):
+        curve = np.concatenate([[0.0], force[:, k]])
+        over = np.flatnonzero(curve > spec.force_limit)
+        cut = spec.depth
+        if len(over):
+            i = int(over[0])
+            share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
+            cut = spec.depth * (i - 1 + share) / steps
+        out.append(Aim(a.target, a.normal, a.axis, a.contact, float(cut)))
+    return out
+
+
+def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Pose (4, 4) of a probe at ``centre`` (3,) [m] that leads along ``axis`` (3,)."""
+    pose = np.eye(4)
+    pose[:3, :3] = turn_to(axis, probe)
+    pose[:3, 3] = centre
+    return pose

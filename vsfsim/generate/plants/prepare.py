@@ -1,0 +1,164 @@
+"""Plants that are ready to be touched by an arm: grown, photographed, and aimed at."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.plant import Plant
+from vsfsim.core.scene import CameraSpec, Scene
+from vsfsim.core.shape import Family
+from vsfsim.data.records import View
+from vsfsim.generate.job import Job, Stream
+from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
+from vsfsim.generate.plants.surface import plant_view
+from vsfsim.physics.rods.family import grow as grow_family
+from vsfsim.physics.rods.model import RodModel, build
+from vsfsim.robot.arm import Arm
+from vsfsim.sensing.camera import look_at
+from vsfsim.sensing.kinect import kinect_depth
+
+
+@dataclass
+class Seconds:
+    """Where the time goes, stage by stage."""
+
+    spent: Counter = field(default_factory=Counter)
+    """Time on the clock of each stage [s]."""
+    cpu: Counter = field(default_factory=Counter)
+    """CPU time of this process in each stage [s]."""
+    _last: float = field(default_factory=time.process_time)
+
+    def begin(self) -> float:
+        """Starts a stage; the clock's time, for `charge`."""
+        self._last = time.process_time()
+        return time.perf_counter()
+
+    def charge(self, stage: str, since: float) -> float:
+        """Ends a stage and starts the next one."""
+        now, busy = time.perf_counter(), time.process_time()
+        self.spent[stage] += now - since
+        self.cpu[stage] += busy - self._last
+        self._last = busy
+        return now
+
+    def add(self, other: Seconds) -> None:
+        """Adds the time of another process."""
+        self.spent.update(other.spent)
+        self.cpu.update(other.cpu)
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A view before its picture is taken."""
+
+    job: Job
+    """The view to make."""
+    scene: Scene
+    """The scene of its object, with the arm that the recipe asks for."""
+    plant: Plant
+    """The plant as this view turns it."""
+    model: RodModel
+    """The plant as beams."""
+
+
+def outline(job: Job) -> Outline:
+    """The plant of a job, turned for its view."""
+    r, scene = job.recipe, job.scene()
+    assert scene.arm is not None
+    if "arm" in r.options:
+        scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, model=r.options["arm"]))
+    plant = grow(scene, job.stream(Stream.BODY), number=job.object_index)
+    plant = plant.turned(2.0 * np.pi * job.view_index / r.views)
+    return Outline(job, scene, plant, build(plant, gravity=scene.gravity))
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A view that is ready to be touched, or some touches of it."""
+
+    job: Job
+    """The view to make."""
+    scene: Scene
+    """The scene of its object, with the arm that touches."""
+    plant: Plant
+    """The plant as this view turns it."""
+    model: RodModel
+    """The plant as beams."""
+    view: View
+    """Its picture."""
+    aims: list[ArmAim]
+    """The touches."""
+    poses: np.ndarray
+    """Poses of the arm's capsules along the lines of the touches (P, B, K, 4, 4) [m]."""
+    arm: Arm | None = None
+    """The arm, or None in another process than the one that loaded it: its simulator does not travel."""
+
+    def loaded_arm(self) -> Arm:
+        """The arm; loaded anew in a process to which it did not travel."""
+        assert self.scene.arm is not None
+        return self.arm or load(self.scene.arm)
+
+
+def prepare_job(job: Job, *, device: str, seconds: Seconds | None = None) -> Subject:
+    """The view of a job, ready to be touched: its picture is taken and its touches are chosen."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    o = outline(job)
+    seconds.charge("grow", since)
+    assert o.scene.touches is not None
+    view = look(o, device=device, seconds=seconds)
+    arm, aims, poses = choose(o, view.points(), range(o.scene.touches.count), seconds=seconds)
+    return Subject(job, o.scene, o.plant, o.model, view, aims, poses, arm)
+
+
+def look(o: Outline, *, device: str, seconds: Seconds) -> View:
+    """What the scene's camera sees of the plant."""
+    since = seconds.begin()
+    view = see(o.plant, o.scene.camera, device=device, renderer=o.job.recipe.renderer)
+    if o.scene.camera.noise == "kinect":
+        view = kinect_depth(view, o.job.stream(Stream.DEPTH))
+    seconds.charge("look", since)
+    return view
+
+
+def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -> tuple[Arm, list[ArmAim], np.ndarray]:
+    """The scene's arm, the touches ``numbers`` of a view whose visible cloud (n, 3) [m] is given, and the poses of the
+    arm's capsules along their lines (P, B, K, 4, 4) [m]."""
+    since = seconds.begin()
+    assert o.scene.arm is not None and o.scene.touches is not None
+    arm = load(o.scene.arm)
+    aims = aim_arm(arm, o.scene.arm, o.scene.touches, o.plant, cloud,
+                   lambda k: np.random.default_rng(o.job.stream(Stream.AIM, k)), numbers=numbers,
+                   where=str(o.scene.source))
+    since = seconds.charge("aim", since)
+    poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
+    seconds.charge("kinematics", since)
+    return arm, aims, poses
+
+
+def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
+    """The plant of a scene, as object ``number`` of its dataset.
+
+    Raises:
+        SceneError: its object is no family of plants, or a parameter is wrong.
+    """
+    shape = scene.object.shape
+    if not isinstance(shape, Family):
+        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not "
+                         f"{type(shape).__name__.lower()}.")
+    plant = grow_family(shape, np.random.default_rng(seed),
+                        where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
+    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
+
+
+def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:
+    """The picture of a table camera that stands still while plants are turned."""
+    low, high = plant.nodes.min(axis=0), plant.nodes.max(axis=0)
+    intrinsics, pose = look_at(camera, np.array([0.0, 0.0, 0.5 * (low[2] + high[2])]))
+    return plant_view(plant, intrinsics, pose, camera.width, camera.height, device=device, renderer=renderer)

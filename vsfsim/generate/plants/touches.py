@@ -1,0 +1,157 @@
+"""Touches of plants by an arm: equilibria, joint torques and records."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from vsfsim.core.scene import Scene
+from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
+from vsfsim.generate.job import Job
+from vsfsim.generate.plants.aim import ArmAim
+from vsfsim.generate.plants.prepare import Seconds, Subject, prepare_job
+from vsfsim.generate.plants.truth import plant_truth
+from vsfsim.generate.record import audit, verdict
+from vsfsim.physics.rods.solver import RodBatch, RodFrames, RodOptions, RodSolver
+from vsfsim.robot.arm import Arm, Postures
+from vsfsim.robot.chain import chain_of
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, series, simulate
+from vsfsim.robot.joint_torque import body_torque
+from vsfsim.robot.path import times
+
+# rad/s: the dynamic arm takes its time, so that no joint turns faster; readings are then further apart in time
+JOINT_RATE = 0.3
+# Newton iterations of a guarded touch: of one try at a stride, of a frame, after which it is not tried in shorter
+# strides any more, and in all. With 200 for the second the work is a third more and the longest touch half as long
+# again, and 3.7 % of the readings are marked instead of 4.5 %; with 400 and 800, those of other touches, it is twice as
+# much.
+TRAVEL, WORK, PATIENCE = 120, 120, 30_000
+
+
+def make_views(jobs: Sequence[Job], *, device: str, progress: Callable[[int], None] | None = None,
+               seconds: Seconds | None = None) -> list[ObjectView]:
+    """The object views of some jobs, touched together.
+
+    Args:
+        jobs: the views.
+        device: Warp device.
+        progress: called with the number of frames newly done.
+        seconds: where the time is charged.
+    """
+    subjects = [prepare_job(job, device=device, seconds=seconds) for job in jobs]
+    found = solve(subjects, device=device, progress=None if progress is None else lambda frames, _: progress(frames),
+                  seconds=seconds)
+    return [finish(subject, frames, device=device, seconds=seconds)
+            for subject, frames in zip(subjects, found, strict=True)]
+
+
+def rod_options(scene: Scene) -> RodOptions:
+    """Options of the solver for a scene's touches."""
+    assert scene.touches is not None and scene.arm is not None
+    guarded = scene.arm.at_limit == "return"
+    _, _, hold, out = scene.touches.frames
+    options = RodOptions(force_limit=scene.touches.force_limit)
+    if not guarded:
+        return options
+    return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE)
+
+
+def begin(batch: RodBatch, subject: Subject, number: int) -> slice:
+    """The touches of a subject enter a batch, as of its solver's plant ``number``; their places."""
+    aims = subject.aims
+    return batch.add(np.full(len(aims), number), subject.poses, plan=np.stack([a.plan for a in aims]),
+                     friction=subject.scene.object.friction, inward=np.array([a.inward for a in aims]))
+
+
+def solve(subjects: Sequence[Subject], *, device: str, progress: Callable[[int, int], None] | None = None,
+          seconds: Seconds | None = None, keep_nodes: bool = False) -> list[RodFrames]:
+    """The equilibria of some views' touches, the frames of each view; `plants.batches` solves views that come and go.
+
+    Args:
+        subjects: the views.
+        device: Warp device.
+        progress: called with the number of frames newly done and of the touches that go on.
+        seconds: where the time is charged.
+        keep_nodes: as of `RodSolver.run`.
+    """
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    solver = RodSolver([s.model for s in subjects], subjects[0].loaded_arm().shapes, device=device,
+                       options=rod_options(subjects[0].scene))
+    batch = RodBatch(solver, sum(len(s.aims) for s in subjects), frames=len(subjects[0].aims[0].plan),
+                     poses=len(subjects[0].poses), keep_nodes=keep_nodes)
+    places = [begin(batch, s, k) for k, s in enumerate(subjects)]
+    while batch.live:
+        new = batch.advance()
+        if progress is not None:
+            progress(new, batch.live)
+    out = [batch.take(some) for some in places]
+    seconds.charge("solve", since)
+    return out
+
+
+def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds | None = None) -> ObjectView:
+    """The object view of a touched subject: records, torques and truth."""
+    seconds = seconds or Seconds()
+    since = seconds.begin()
+    arm = subject.loaded_arm()
+    touches = finish_touches(dataclasses.replace(subject, arm=arm), frames)
+    since = seconds.charge("torque", since)
+    chain = chain_of(arm)
+    truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction,
+                        device=device)
+    seconds.charge("truth", since)
+    job = subject.job
+    return ObjectView(job.name, job.object_index, job.view_index, job.split, chain, subject.view, tuple(touches), truth)
+
+
+def finish_touches(subject: Subject, frames: RodFrames) -> list[Touch]:
+    """The records and torques of a touched subject."""
+    arm = subject.loaded_arm()
+    return [_touch(subject.scene, arm, a, frames, b) for b, a in enumerate(subject.aims)]
+
+
+def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touch:
+    spec = scene.arm
+    assert spec is not None
+    n = int(frames.frames[b])
+    if n < len(a.plan) and spec.at_limit == "end":
+        # stopped by the force limit: what did not converge on the way there is no reading either
+        good = np.flatnonzero(frames.converged[:n, b])
+        n = int(good[-1]) + 1 if len(good) else 1
+    # a touch whose first frame is past the limit has one frame, which was not solved
+    q = a.angles(np.where(np.isfinite(frames.where[:n, b]), frames.where[:n, b], a.plan[:n]))
+    postures = arm.postures(q)
+    force, moment = frames.force[:n, b], frames.moment[:n, b]
+    time_ = times(n)
+    if spec.mode == "dynamic" and n > 1:
+        time_ = time_ * max(1.0, float(np.abs(np.diff(q, axis=0)).max() / np.diff(time_).min()) / JOINT_RATE)
+        motion = simulate(arm, q, time_, series(time_, force, moment),
+                          drive=IMPEDANCE if spec.drive == "impedance" else POSITION)
+        q, torque = motion.q, motion.torque
+    else:
+        torque = body_torque(arm, postures, force, moment=moment)
+    link_force, link_moment = _by_link(arm, postures, force, moment)
+    found = frames.converged[:n, b] & np.isfinite(torque).all(axis=1)
+    columns = tuple(name for name in AUDIT_COLUMNS if name != "min_det_f")  # beams have no det F
+    return Touch(time=time_, mount_pose=postures.tool, axis=a.axis, target=a.target, normal=-a.axis,
+                 force=force.sum(axis=1), reaction=frames.reaction[:n, b], residual=frames.residual[:n, b],
+                 iterations=frames.iterations[:n, b].astype(np.int64),
+                 touched=bool((frames.contacts[:n, b] > 0).any()),
+                 audit=audit(frames, b, frames_kept=n, columns=columns), q=q, torque=torque, link_force=link_force,
+                 link_moment=link_moment, draws=a.draws,
+                 ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
+                 **verdict(found, frames.force_balance[:n, b], frames.reason[:n, b].astype(np.int64)))
+
+
+def _by_link(arm: Arm, at: Postures, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Forces on the links (T, L, 3) [N] and moments about their origins (T, L, 3) [N m]."""
+    place = arm.capsule_poses(at)[..., :3, 3] - at.links[:, arm.capsule_links][..., :3, 3]
+    about = moment + np.cross(place, force)
+    out = np.zeros((2, len(force), len(arm.links), 3))
+    for k, link in enumerate(arm.capsule_links):
+        out[0, :, link] += force[:, k]
+        out[1, :, link] += about[:, k]
+    return out[0], out[1]

@@ -1,0 +1,51 @@
+"""What `vsfsim generate` will make: the scene's own numbers, or those asked for, checked before the work."""
+
+from __future__ import annotations
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.data.recipe import Recipe
+from vsfsim.generate.effector import effector_of
+
+
+def splits_for(scene: Scene, objects: int) -> dict[str, int]:
+    """Objects of each split: the scene's own numbers, or in its proportions (largest remainders) for another count."""
+    given = scene.dataset.splits if scene.dataset else {"test": objects}
+    total = sum(given.values())
+    if total == objects:
+        return dict(given)
+    exact = {name: objects * n / total for name, n in given.items()}
+    out = {name: int(value) for name, value in exact.items()}
+    for name in sorted(exact, key=lambda n: (out[n] - exact[n], list(exact).index(n)))[: objects - sum(out.values())]:
+        out[name] += 1
+    return out
+
+
+def make_recipe(scene_file: SceneFile, *, seed: int = 0, objects: int | None = None, views: int | None = None,
+                touches: int | None = None, tier: str | None = None, device: str = "cpu", precision: str = "float64",
+                renderer: str = "warp", arm: str | None = None) -> Recipe:
+    """What will be made; None takes the scene's own number, or its own arm.
+
+    Raises:
+        SceneError: the scene has no ``[touches]``, a count is less than 1, or its effector refuses something.
+    """
+    scene = scene_file.sample(0)
+    if scene.touches is None:
+        raise SceneError(f"{scene_file.path}: there is no [touches]; a dataset needs count, depth and frames of "
+                         f"its touches.")
+    effector = effector_of(scene)
+    options = {} if arm is None else {"arm": arm}
+    for name, value in options.items():
+        if name not in effector.options:
+            raise SceneError(f"{scene_file.path}: --{name} is '{value}', but the scene has no [{name}]; it is touched "
+                             f"by a [{effector.table}].")
+    chosen = effector.check(scene, tier, precision)
+    count = objects if objects is not None else (scene.dataset.objects if scene.dataset else 1)
+    for name, number in (("--objects", count), ("--views", views), ("--touches", touches), ("--seed + 1", seed + 1)):
+        if number is not None and number < 1:
+            raise SceneError(f"{name} is {number}; it must be at least 1.")
+    return Recipe(
+        scene=scene_file.name, scene_text=scene_file.text, seed=seed, objects=count,
+        views=views if views is not None else (scene.dataset.views if scene.dataset else 1),
+        touches=touches if touches is not None else scene.touches.count, splits=splits_for(scene, count),
+        device=device.split(":")[0], tier=chosen, precision=precision, renderer=renderer, options=options)

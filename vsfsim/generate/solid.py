@@ -1,0 +1,95 @@
+"""A solid object that is ready to be touched: built, placed and photographed."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.scene import Scene
+from vsfsim.core.shape import ProbeShape
+from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.generate.effector import Drawing
+from vsfsim.generate.job import Job, Stream
+from vsfsim.physics import tiers
+from vsfsim.physics.model import Model
+from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.surface import Surface
+
+
+@dataclass(frozen=True)
+class Subject:
+    """The object of one view and its picture."""
+
+    job: Job
+    """The view to make."""
+    scene: Scene
+    """The scene of this object."""
+    model: Model
+    """The object, discretised."""
+    view: View
+    """Its picture."""
+
+    def stream(self, touch: int) -> np.random.Generator:
+        """The random stream that touch number ``touch`` is aimed with."""
+        return np.random.default_rng(self.job.stream(Stream.AIM, touch))
+
+    def record(self, probe: ProbeShape, touches: Sequence[Touch], truth: Truth) -> ObjectView:
+        """The object view of what was found."""
+        job = self.job
+        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.view, tuple(touches),
+                          truth)
+
+
+def prepare(job: Job, *, device: str) -> Subject:
+    """Build the object of a view and take its picture.
+
+    Args:
+        job: the view.
+        device: Warp device.
+
+    Raises:
+        SceneError, MeshError: the object cannot be built.
+    """
+    scene, r = job.scene(), job.recipe
+    model = tiers.build(scene, r.tier, seed=job.stream(Stream.BODY), cache=job.cache)
+    camera = dataclasses.replace(scene.camera, azimuth=scene.camera.azimuth + 2.0 * np.pi * job.view_index / r.views)
+    low, high = model.mesh.points.min(axis=0), model.mesh.points.max(axis=0)
+    intrinsics, pose = look_at(camera, 0.5 * (low + high))
+    view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device,
+                  renderer=r.renderer)
+    return Subject(job, scene, model, view)
+
+
+def batches(count: int, most: int) -> list[slice]:
+    """``count`` touches in batches of at most ``most``, as even as can be; what is solved together fixes the bits."""
+    size = -(-count // -(-count // most)) if count else 1
+    return [slice(start, start + size) for start in range(0, count, size)]
+
+
+def surface_of(solid: Solid, scene: Scene) -> Surface:
+    """The body's boundary at rest, for the cameras."""
+    turn, shift = tiers.placement(scene.object)
+    triangles, owner = solid.surface()
+    return Surface(solid.vertices @ turn.T + shift, triangles, np.asarray(solid.region)[owner], solid.appearance,
+                   solid.vertices)
+
+
+def draw_solid(scene: Scene, seed: np.random.SeedSequence) -> Drawing:
+    """The object of a scene with its Young's modulus, and what it is made of in words."""
+    tier = tiers.choose(scene)
+    solid, values = tiers.body(scene, tier, seed=seed)
+    mean = values.mean(axis=1)
+    lines = [f"{len(solid.tets)} tetrahedra, {1e6 * solid.volume():.1f} cm^3, E {mean.min():.3g} to "
+             f"{mean.max():.3g} Pa, tier {tier}"]
+    volume = tet_volumes(solid.vertices, solid.tets)
+    for index, region in enumerate(solid.region_names):
+        inside = np.asarray(solid.region) == index
+        if inside.any():
+            lines.append(f"  {region:<14} E {np.average(mean[inside], weights=volume[inside]):9.3g} Pa  "
+                         f"{1e6 * volume[inside].sum():8.1f} cm^3")
+    lines.extend(f"note: {sentence}" for sentence in solid.notes)
+    return Drawing(surface_of(solid, scene), mean[solid.surface()[1]], None, tuple(lines))

@@ -1,0 +1,108 @@
+"""Processes that make object views, each with one thread: the bits do not depend on how many there are."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from typing import Any
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.hdf5 import write_view
+from vsfsim.data.records import ObjectView
+from vsfsim.generate.effector import effector_of
+from vsfsim.generate.job import Job
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@contextlib.contextmanager
+def process_pool(jobs: int, workers: int | None, **options: Any) -> Iterator[ProcessPoolExecutor]:
+    """Spawned processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
+
+    One thread, because a sum that is split over threads depends on how many there are. ``options`` go to the pool.
+    """
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
+                               mp_context=multiprocessing.get_context("spawn"), **options)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
+    """Make and write views, each in one process from the start to the end; yields (frames newly done, name) as they
+    come.
+
+    Args:
+        jobs: what to make.
+        device: Warp device.
+        workers: processes, or None for one a core on a CPU and one on a GPU.
+
+    Raises:
+        VsfsimError: of the first view that fails; the others are then cancelled.
+    """
+    count = workers or (None if device == "cpu" else 1)
+    queue = multiprocessing.get_context("spawn").Queue()
+    with process_pool(len(jobs), count, initializer=_begin, initargs=(queue,)) as pool:
+        futures = [pool.submit(_make, job, device) for job in jobs]
+        threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
+        while (item := queue.get()) is not None:
+            yield item
+        for future in as_completed(futures):
+            if not future.cancelled():
+                future.result()
+
+
+def write(job: Job, view: ObjectView) -> None:
+    """Store a view as its job's file.
+
+    Raises:
+        DatasetError: the effector left out a channel that it declares, or a field does not fit the schema.
+    """
+    scene = job.scene()
+    for index, touch in enumerate(view.touches):
+        for name in effector_of(scene).channels(scene):
+            if touch.channel(name) is None:
+                raise DatasetError(f"{job.name} touches/{index:03d}: the effector '{scene.effector}' declares the "
+                                   f"channel '{name}' and did not record it.")
+    write_view(job.file, view)
+
+
+# ---------------------------------------------------------------------------------------------- in a worker
+
+_report: Callable[[tuple[int, str] | None], None]  # set when the worker starts
+
+
+def _begin(queue: Any) -> None:
+    global _report
+    _report = queue.put
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        # a worker whose parent was killed must not go on writing beside the next run
+        threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True).start()
+
+
+def _make(job: Job, device: str) -> None:
+    effector = effector_of(job.scene())
+    write(job, effector.make_view(job, device=device, progress=lambda frames: _report((frames, job.name))))
+
+
+def _close(futures: list[Future[None]], queue: Any) -> None:
+    """End the reports when all jobs are done, or at the first that fails; the others are then cancelled."""
+    for future in as_completed(futures):
+        if future.exception() is not None:
+            for other in futures:
+                other.cancel()
+            break
+    queue.put(None)
