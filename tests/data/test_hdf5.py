@@ -92,7 +92,8 @@ def test_nan_in_a_pose_is_refused_even_if_unconverged(tmp_path):
     ({"axis": np.zeros((1, 3))}, r"shape \(1, 3\); the schema wants \(3\)"),
     ({"reason": np.zeros(12)}, "dtype float64; the schema wants int64"),
     ({"audit": {}}, "audit/force_balance is missing"),
-    ({"audit": {"heat": np.zeros(12)}}, "audit column 'heat' is not in the schema"),
+    ({"audit": {"heat": np.zeros(12)}}, "'audit/heat' is not in the schema"),
+    ({"channels": {"heat": np.zeros(12)}}, "'channels/heat' is not in the schema"),
 ])
 def test_misfits_are_refused(changes, message):
     with pytest.raises(DatasetError, match=message):

@@ -56,7 +56,8 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
                                                (records.Truth, "truth")])
 def test_records_and_schema_have_the_same_fields(record, group):
     names = {f.name.split("/")[0] for f in fields_of(group)}
-    assert {f.name for f in dataclasses.fields(record)} == names
+    tables = {"channels"} if record is records.Touch else set()  # rows of sensors without a field of their own
+    assert {f.name for f in dataclasses.fields(record)} == names | tables
 
 
 @pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
