@@ -84,8 +84,7 @@ def toy(tmp_path, monkeypatch):
     """A mock dataset and a task on it."""
     views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
     recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
-                    splits={"train": 1, "test": 2},
-                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+                    splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
     with DatasetWriter(tmp_path / "toy", recipe, [view.name for view in views]) as writer:
         for view in views:
             writer.add(view)
@@ -130,10 +129,9 @@ def test_a_wrong_scene_is_refused_and_leaves_nothing(vsfsim, tmp_path, words, ol
 
 @pytest.mark.parametrize(("probe", "message"), [
     ('{ mesh = "none.stl" }', "mesh file 'none.stl' cannot be read: No such file"),
-                                                ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
+    ('{ mesh = "flat.obj" }', "mesh file 'flat.obj' is a flat sheet"),
     ('{ mesh = "text.obj" }', "mesh file 'text.obj' has no faces"),
-                                                ('{ mesh = "flat.obj", scale = 100 }',
-                                                 "its bounding box is 10 m long after a scale of 100"),
+    ('{ mesh = "flat.obj", scale = 100 }', "its bounding box is 10 m long after a scale of 100"),
     ('{ mesh = "flat.doc" }', "mesh file 'flat.doc' ends in '.doc'; allowed are .obj, .ply, .stl"),
 ])
 def test_a_probe_mesh_that_is_no_solid_is_refused_before_the_object_is_meshed(vsfsim, tmp_path, probe, message):
@@ -217,8 +215,9 @@ def test_a_full_disk_under_a_result(toy):
     # a file-size limit fails a write as a quota does, on any machine and without rights
     out = run(*EVALUATE, cwd=toy, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500)))
     assert_refused(out, "results/toy-v1/toy_methods.Constant.json cannot be written")
-    assert {k: v for k, v in contents(toy).items() if v is not None} == {k: v for k,
-                                                                         v in before.items() if v is not None}
+    files, there_before = ({path: data for path, data in folder.items() if data is not None}
+                           for folder in (contents(toy), before))
+    assert files == there_before
 
 
 def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp_path):

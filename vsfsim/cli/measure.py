@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.cli.console import note, report, step
+from vsfsim.cli.options import DatasetFolder, Device, JsonFile, Parameters, check_choice, parameters_of, picture_option
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import checkout
+
+OLD_NAME = "bench"
+"""The spelling of `vsfsim measure` up to version 0.1; it works, with a note, until the release after this one."""
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None,
                   help="Measure: time and error of the solver and of the estimators.")
 
 
 @app.callback()
-def _group() -> None:
+def _group(context: typer.Context) -> None:
+    if context.info_name == OLD_NAME:
+        note(f"`vsfsim {OLD_NAME}` is now `vsfsim measure`")
     root = str(checkout())
     if root not in sys.path:
         sys.path.insert(0, root)  # `benchmarks` is a folder of the checkout; worker processes inherit the path
 
 
-def _tell(result: Any, words: str, out: Path | None) -> None:
-    """Print the table, and write the numbers to ``out``; only the numbers if that is -."""
-    numbers = json.dumps(result, indent=1)
-    if str(out) == "-":
-        print(numbers)
-        return
-    print(words)
-    if out is not None:
-        out.write_text(numbers + "\n")
-
-
 @app.command()
-def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+def solver(device: Device = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
            touches: Annotated[int | None, typer.Option(min=1,
                                                        help="Touches of a batch; default: 4 on a CPU, 256 (linear: "
@@ -43,24 +38,16 @@ def solver(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
            compare: Annotated[bool,
                               typer.Option(help="On a GPU: run a few touches on the CPU as well and compare "
                                                 "the forces.")] = True,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                    help="Also write the numbers here; - for stdout instead "
-                                                         "of the table.")] = None) -> None:
+           out: JsonFile = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a
     batch."""
     from benchmarks.solver import TIERS, bench, table
-    from vsfsim.cli.main import _check_device, _check_writable
 
-    _check_device(device)
     for name in tier or []:
-        if name not in TIERS:
-            raise VsfsimError(f"--tier is '{name}'. {did_you_mean(name, TIERS)}")
-    stdout = out is not None and str(out) == "-"
-    if not stdout:
-        _check_writable("--json", out)
+        check_choice("--tier", name, TIERS)
     result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches, compare=compare,
-                   progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    _tell(result, table(result), out)
+                   progress=step)
+    report(table(result), result, out, indent=1)
 
 
 @app.command()
@@ -117,16 +104,13 @@ def methods(paper: Annotated[bool,
     if openvsf is not None and (blind or sbml):
         raise VsfsimError("--openvsf exports the workload of the estimators; leave out --blind and --sbml.")
 
-    def told(what: str) -> None:
-        print(f"  {what} ...", file=sys.stderr, flush=True)
-
     given, learning = (particles, touches, frames), {} if rate is None else {"rate": rate}
     if sbml:
         size = [one or default for one, default in zip(given, bench_sbml.PAPER)]
-        print(bench_sbml.table(bench_sbml.measure(*size, device=device, progress=told)))
+        print(bench_sbml.table(bench_sbml.measure(*size, device=device, progress=step)))
         return
     if blind:
-        print(bench_blind.table(bench_blind.compare(device=device, iterations=iterations, **learning, progress=told)))
+        print(bench_blind.table(bench_blind.compare(device=device, iterations=iterations, **learning, progress=step)))
         return
     size = [one or default for one, default in zip(given, PAPER if paper else MINI)]
     if openvsf is None:
@@ -134,25 +118,23 @@ def methods(paper: Annotated[bool,
     else:
         from benchmarks.openvsf import export as export_openvsf
 
-        load, notes = export_openvsf(openvsf, *size, urdf=urdf, progress=told)
+        load, notes = export_openvsf(openvsf, *size, urdf=urdf, progress=step)
         print("\n".join([f"written to {openvsf}: {load.touches} sequences for openvsf",
                          *(f"note: {sentence}" for sentence in notes), ""]))
-    print(table(compare(load, literal=literal, device=device, export=export, progress=lambda done, total,
-                        what: told(what)), size[1]))
+    print(table(compare(load, literal=literal, device=device, export=export,
+                        progress=lambda done, total, what: step(what)), size[1]))
     if fields if fields is not None else device != "cpu":
         for fresh, title in ((False, "a rope under a soft layer"),
                              (True, "another rope, that no setting was chosen on")):
             print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, **learning,
-                                                                 fresh=fresh, progress=told), title))
+                                                                 fresh=fresh, progress=step), title))
 
 
 @app.command()
 def features(task: Annotated[str,
                              typer.Option(help="Task whose training objects are used; its test objects are not opened, "
                                                "but with --on-test.")] = "fewshot-shoes-mini-v1",
-             dataset: Annotated[Path | None,
-                                typer.Option(help="Folder of a dataset of the same readings; default: the "
-                                                  "task's own.")] = None,
+             dataset: DatasetFolder = None,
              feature: Annotated[list[str] | None,
                                 typer.Option(help="A kind of features; may be given again. Default: local, "
                                                   "local-full, xyzrgb.")] = None,
@@ -160,24 +142,21 @@ def features(task: Annotated[str,
                               typer.Option(help="A noise_std of SBML; may be given again. Default: 1, 3, 10.")] = None,
              folds: Annotated[int, typer.Option(min=2, help="Of the training objects.")] = 4,
              seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant and fold.")] = 1,
-             settings: Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
-                                                                help="Another parameter of sbml; may be "
-                                                                     "given again.")] = None,
+             settings: Parameters = None,
              on_test: Annotated[bool, typer.Option("--on-test",
                                                    help="Learn on all training objects and ask the test objects: once, "
                                                         "after everything was chosen.")] = False) -> None:
     """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
     from benchmarks.features import choose, table
     from vsfsim.bench.task import load_task, open_dataset
-    from vsfsim.cli.main import _parameters
     from vsfsim.data.dataset import Dataset
 
     wanted = load_task(task)
     data = open_dataset(wanted) if dataset is None else Dataset.open(dataset)
     rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")),
                   noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
-                  seeds=seeds, settings=_parameters(settings), on_test=on_test,
-                  progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
+                  seeds=seeds, settings=parameters_of(settings), on_test=on_test,
+                  progress=step)
     print(table(rows, wanted.observation.unit, on_test=on_test))
 
 
@@ -185,39 +164,27 @@ def features(task: Annotated[str,
 def pressure_law(dataset: Annotated[Path | None,
                                     typer.Argument(help="Folder of a dataset made with a bubble; without one, eight "
                                                         "presses on a rigid ball.")] = None,
-                 plot: Annotated[Path | None, typer.Option(metavar="PNG", help="Also draw it here.")] = None,
+                 plot: Annotated[Path | None, picture_option("Also draw it here.")] = None,
                  nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
                  area: Annotated[float | None, typer.Option(min=1e-6,
                                                             help="A_base of openvsf's law [m^2]; default: inside the "
                                                                  "rim of the dataset's bubble, a Punyo's 7.18e-3 "
                                                                  "without one.")] = None,
-                 out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                          help="Also write the numbers here; - for stdout instead "
-                                                               "of the table.")] = None) -> None:
+                 out: JsonFile = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
     from benchmarks import pressure_law as law
-    from vsfsim.cli.main import _check_writable
     from vsfsim.data.dataset import Dataset
 
-    stdout = out is not None and str(out) == "-"
-    for name, path in (("--plot", plot), ("--json", None if stdout else out)):
-        _check_writable(name, path)
     rim = (law.BASE_AREA, law.SEMI_AXIS)
     if dataset is None:
-        found = law.rigid_presses(nodes=nodes, progress=lambda what: print(f"  {what} ...", file=sys.stderr,
-                                                                           flush=True))
+        found = law.rigid_presses(nodes=nodes, progress=step)
     else:
         data = Dataset.open(dataset, blind=True)
         found, rim = law.readings(data), law.rim_of_dataset(data.load(data.names()[0]))
     result = law.study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
     if plot is not None:
         law.plot(found, result, plot)
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print(law.table(result))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    report(law.table(result), result, out, indent=1)
 
 
 @app.command("dense-force")
@@ -227,20 +194,10 @@ def dense_force(dataset: Annotated[Path | None,
                 nodes: Annotated[int | None, typer.Option(min=100,
                                                           help="Nodes of the simulated membrane; default: the "
                                                                "sensor's 1493.")] = None,
-                device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
-                out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                         help="Also write the numbers here; - for stdout instead "
-                                                              "of the table.")] = None) -> None:
+                device: Device = "cpu",
+                out: JsonFile = None) -> None:
     """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
     from benchmarks import dense_force as bench
-    from vsfsim.cli.main import _check_device, _check_writable
-
-    _check_device(device)
-    stdout = out is not None and str(out) == "-"
-    if not stdout:
-        _check_writable("--json", out)
-    def told(what: str) -> None:
-        print(f"  {what} ...", file=sys.stderr, flush=True)
 
     notes: list[str] = []
     if dataset is not None:
@@ -249,20 +206,16 @@ def dense_force(dataset: Annotated[Path | None,
 
         if nodes is not None:
             raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
-        rows, field, presses, notes = bench_dataset(Dataset.open(dataset, blind=True), progress=told)
+        rows, field, presses, notes = bench_dataset(Dataset.open(dataset, blind=True), progress=step)
     else:
-        rows, field, presses = bench.bench(nodes=nodes, device=device, progress=told)
+        rows, field, presses = bench.bench(nodes=nodes, device=device, progress=step)
     result = bench.tables(rows, field)
-    if stdout:
-        print(json.dumps(result, indent=1))
-        return
-    print("\n".join([*(f"note: {sentence}" for sentence in notes), bench.table(rows, field, presses)]))
-    if out is not None:
-        out.write_text(json.dumps(result, indent=1) + "\n")
+    words = "\n".join([*(f"note: {sentence}" for sentence in notes), bench.table(rows, field, presses)])
+    report(words, result, out, indent=1)
 
 
 @app.command()
-def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+def plants(device: Device = "cpu",
            scene: Annotated[str,
                             typer.Option(help="Name of a scene with [arm], or the path of its .toml file.")] = "plants",
            objects: Annotated[int | None, typer.Option(min=1,
@@ -281,26 +234,19 @@ def plants(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
            workers: Annotated[int | None, typer.Option(min=1,
                                                        help="Processes that prepare and finish views; default: 1 on a "
                                                             "CPU, one a core on a GPU.")] = None,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                    help="Also write the numbers here; - for stdout instead "
-                                                         "of the table.")] = None) -> None:
+           out: JsonFile = None) -> None:
     """Touches and readings a second of plants under an arm, split by stage."""
     from benchmarks.plants import bench, table
-    from vsfsim.cli.main import _check_device, _check_writable
 
-    _check_device(device)
-    stdout = out is not None and str(out) == "-"
-    if not stdout:
-        _check_writable("--json", out)
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
     result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds,
-                   workers=workers, progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    _tell(result, table(result), out)
+                   workers=workers, progress=step)
+    report(table(result), result, out, indent=1)
 
 
 @app.command()
-def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.")] = "cpu",
+def bubble(device: Device = "cpu",
            touches: Annotated[int | None, typer.Option(min=1,
                                                        help="Touches of the batch; default: 4 on a CPU, "
                                                             "800 on a GPU.")] = None,
@@ -315,23 +261,15 @@ def bubble(device: Annotated[str, typer.Option(help="Warp device: cpu or cuda:0.
                               typer.Option(min=0,
                                            help="On a GPU: run so many of the touches on the CPU as well and compare "
                                                 "the forces.")] = 0,
-           out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                    help="Also write the numbers here; - for stdout instead "
-                                                         "of the table.")] = None) -> None:
+           out: JsonFile = None) -> None:
     """Seconds a frame and touches a minute of a bubble pressed on a soft shoe."""
     from benchmarks.bubble import bench, table
-    from vsfsim.cli.main import _check_device, _check_writable
 
-    _check_device(device)
-    if tier not in (allowed := ("fem-coarse", "fem", "fem-fine")):
-        raise VsfsimError(f"--tier is '{tier}'. {did_you_mean(tier, allowed)}")
-    stdout = out is not None and str(out) == "-"
-    if not stdout:
-        _check_writable("--json", out)
+    check_choice("--tier", tier, ("fem-coarse", "fem", "fem-fine"))
     result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes,
                    compare=compare,
-                   progress=lambda what: print(f"  {what}", file=sys.stderr, flush=True))
-    _tell(result, table(result), out)
+                   progress=step)
+    report(table(result), result, out, indent=1)
 
 
 @app.command()
@@ -339,17 +277,10 @@ def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu 
         scene: Annotated[str, typer.Option(help="Name of a scene with [arm], or the path of its "
                                                 ".toml file.")] = "plants-mini",
         touches: Annotated[int, typer.Option(min=1, help="Touches of one plant.")] = 6,
-        out: Annotated[Path | None, typer.Option("--json", metavar="FILE",
-                                                 help="Also write the numbers here; - for stdout instead "
-                                                      "of the table.")] = None) -> None:
+        out: JsonFile = None) -> None:
     """The two arm modes side by side: joint torques of a moving arm less J^T f, part by part, and the time of both."""
     from benchmarks.arm import bench, table
-    from vsfsim.cli.main import _check_device, _check_writable
 
-    _check_device(device)
-    stdout = out is not None and str(out) == "-"
-    if not stdout:
-        _check_writable("--json", out)
     result = bench(device=device, scene=scene, touches=touches,
-                   progress=lambda what: print(f"  {what} ...", file=sys.stderr, flush=True))
-    _tell(result, table(result), out)
+                   progress=step)
+    report(table(result), result, out, indent=1)

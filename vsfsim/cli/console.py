@@ -1,0 +1,94 @@
+"""What commands write besides their results: progress on stderr, JSON for files and pipes."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress as RichProgress
+
+LOG_INTERVAL = 20.0  # between two lines of progress in a log [s]
+
+
+class Progress:
+    """Progress of a command on stderr: rich's bar in a terminal, and a line every `LOG_INTERVAL` in a log.
+
+    Use it as a context manager and call it with (done, in all, what).
+    """
+
+    def __init__(self, label: str):
+        self.label = label
+        self._bar: RichProgress | None = None
+        self._total = -1
+        self._start = self._logged = time.perf_counter()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None,
+                 trace: TracebackType | None) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        if sys.stderr.isatty():
+            self._draw(done, total, what)
+        else:
+            self._log(done, total, what)
+
+    def _draw(self, done: int, total: int, what: str) -> None:
+        if self._bar is None:
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            self._bar = Progress(TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+                                 TextColumn("{task.fields[what]}", markup=False), TimeRemainingColumn(),
+                                 console=Console(stderr=True), transient=True)
+            self._bar.start()
+        if total != self._total:  # Another stage begins: its speed says nothing about the one before.
+            for task in self._bar.task_ids:
+                self._bar.remove_task(task)
+            self._bar.add_task(self.label, total=total, what=what)
+            self._total = total
+        self._bar.update(self._bar.task_ids[0], completed=done, what=what)
+
+    def _log(self, done: int, total: int, what: str) -> None:
+        now = time.perf_counter()
+        if total != self._total:
+            self._start, self._total = now, total
+        if now - self._logged > LOG_INTERVAL:
+            self._logged = now
+            left = f", {(now - self._start) / done * (total - done):.0f} s left" if done else ""
+            print(f"{self.label}: {done}/{total} {what}{left}", file=sys.stderr, flush=True)
+
+
+def step(what: str) -> None:
+    """Say on stderr which step of a measurement begins."""
+    print(f"  {what} ...", file=sys.stderr, flush=True)
+
+
+def note(sentence: str) -> None:
+    """Say something on stderr that the user should know."""
+    print(f"note: {sentence}", file=sys.stderr)
+
+
+def report(words: str, numbers: Any, path: Path | None, *, indent: int | None = None) -> None:
+    """Print words, and write the numbers to ``path`` as JSON; only the numbers, to standard output, if that is -.
+
+    Raises:
+        DatasetError: the file cannot be written.
+    """
+    text = json.dumps(numbers, indent=indent)
+    if str(path) == "-":
+        print(text)
+        return
+    print(words)
+    if path is not None:
+        from vsfsim.data.disk import write_atomic
+
+        write_atomic(path, (text + "\n").encode())

@@ -1,0 +1,23 @@
+"""Commands on datasets: verify."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer()
+
+
+@app.command()
+def verify(folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a dataset.")]) -> None:
+    """Check every byte, field and frame of a dataset.
+
+    Hashes, schema, finite numbers, force balance. Exit code 2 if anything is wrong, with what to do about it.
+    """
+    from vsfsim.data.verify import verify as run
+
+    report = run(folder)
+    print(report.text())
+    raise typer.Exit(0 if report.ok else 2)

@@ -1,0 +1,122 @@
+"""Options that several commands share, and the checks of their values before the work begins."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
+
+
+def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
+    """Raises:
+        VsfsimError: the value of an option is not among the allowed ones.
+    """
+    allowed = tuple(allowed)
+    if value not in allowed:
+        raise VsfsimError(f"{option} is '{value}'. {did_you_mean(value, allowed)}")
+
+
+def _checked_device(device: str) -> str:
+    if device != "cpu":
+        import warp
+
+        names = [str(d.alias) for d in warp.get_devices()]
+        if device not in names:
+            raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
+    return device
+
+
+def _checked_precision(precision: str) -> str:
+    check_choice("--precision", precision, ("float32", "float64"))
+    return precision
+
+
+def _writable(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    """A file that can be written after the work, or "-"."""
+    if path is None or str(path) == "-":
+        return path
+    option = param.opts[0]
+    if not path.parent.is_dir():
+        raise VsfsimError(f"{option} is '{path}', but there is no folder '{path.parent}'. Make it first, or choose "
+                          f"another place.")
+    if path.is_dir():
+        raise VsfsimError(f"{option} is '{path}', which is a folder. Give the name of a file in it.")
+    return path
+
+
+def _archive(param: typer.CallbackParam, path: Path | None) -> Path | None:
+    if path is not None and path.suffix != ".npz":
+        raise VsfsimError(f"{param.opts[0]} is '{path}'; it must end in .npz, the format that is written.")
+    return _writable(param, path)
+
+
+def picture_option(help: str, *names: str) -> Any:
+    """An option for a PNG to write."""
+    return typer.Option(*names, metavar="PNG", help=help, callback=_writable)
+
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE",
+                                          help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
+Tier = Annotated[str | None, typer.Option("--tier",
+                                          help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
+Device = Annotated[str, typer.Option("--device", help="Warp device: cpu or cuda:0.", callback=_checked_device)]
+Precision = Annotated[str, typer.Option("--precision", help="float64 or float32.", callback=_checked_precision)]
+Seed = Annotated[int, typer.Option("--seed", min=0, help="Root of all random numbers.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", metavar="FILE", callback=_writable,
+                                               help="Write the numbers here as JSON; - for standard output, instead of "
+                                                    "the table.")]
+ArchiveFile = Annotated[Path | None, typer.Option("--save", metavar="FILE", callback=_archive,
+                                                  help="Write mesh, displacements and contact forces of every frame "
+                                                       "(.npz).")]
+Objects = Annotated[int | None, typer.Option("--objects", min=1, help="How many objects; default: the scene's.")]
+Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each object; default: the scene's.")]
+Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]
+Workers = Annotated[int | None, typer.Option("--workers", min=1,
+                                             help="Processes; default: one a CPU core, or 1 on a GPU.")]
+MethodName = Annotated[str, typer.Argument(metavar="METHOD",
+                                           help="Name of a method (`vsfsim methods`), or module:attribute.")]
+TaskName = Annotated[str, typer.Option("--task",
+                                       help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
+DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
+                                                    help="Folder of the dataset; default: the task's, under datasets/ "
+                                                         "or $VSFSIM_DATASETS.")]
+Parameters = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE",
+                                                      help="Parameter of the method; may be given again.")]
+
+
+def parameters_of(words: list[str] | None) -> dict[str, Any]:
+    """Values of ``--set key=value``: TOML where it is TOML, else text.
+
+    Raises:
+        MethodError: a word without key or equals sign.
+    """
+    import tomllib
+
+    out: dict[str, Any] = {}
+    for word in words or []:
+        key, equals, text = word.partition("=")
+        if not equals or not key:
+            raise MethodError(f"--set {word}: give KEY=VALUE, e.g. --set spacing=0.005.")
+        try:
+            out[key.strip()] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            out[key.strip()] = text
+    return out
+
+
+def result_path(out: Path | None, task: str, method: str) -> Path:
+    """The file of a result; default: results/TASK/METHOD.json.
+
+    Raises:
+        VsfsimError: it is a folder, or lies below a file.
+    """
+    path = out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    there = next(folder for folder in path.parents if folder.exists())  # The folders below it are made with the file.
+    if path.is_dir() or not there.is_dir():
+        raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is "
+                          f"{'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
+    return path
