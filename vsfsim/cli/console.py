@@ -7,10 +7,7 @@ import sys
 import time
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from rich.progress import Progress as RichProgress
+from typing import Any
 
 LOG_INTERVAL = 20.0  # between two lines of progress in a log [s]
 
@@ -23,7 +20,7 @@ class Progress:
 
     def __init__(self, label: str):
         self.label = label
-        self._bar: RichProgress | None = None
+        self._bar: Any = None  # rich.progress.Progress; importing rich costs as much as `vsfsim --help`
         self._total = -1
         self._start = self._logged = time.perf_counter()
 
