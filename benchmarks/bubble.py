@@ -28,7 +28,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.coupled import CoupledSolver
 from vsfsim.physics.solve.frames import Frames, Reason
-from vsfsim.physics.solve.kernels import pair_kernels
+from vsfsim.physics.solve.kernels import coupled_kernels
 
 SCENE = "shoes-punyo-mini"
 TIER, RESOLUTION = "fem", 0.0095  # m: 5,256 tetrahedra
@@ -220,7 +220,7 @@ def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAM
     s = prepare(count, frames=frames, tier=tier, resolution=resolution, nodes=nodes)
     progress(f"{len(s.body.mesh.tets)} tetrahedra, {len(s.sensor.mesh.points)} nodes of the bubble, built in "
              f"{s.seconds:.1f} s; compiling kernels")
-    compile_kernels(pair_kernels("float64", touch_bubble.KINDS), device)
+    compile_kernels(coupled_kernels("float64", touch_bubble.KINDS), device)
     one = poke(s, tier, device, progress)
     progress(f"one touch: {one.seconds:.3f} s a frame, {one.newton:.1f} Newton, {one.cg:.1f} CG")
     return {"poke": asdict(one), "batch": asdict(batch(s, count, tier, device, progress, compare=compare))}

@@ -15,7 +15,7 @@ from vsfsim.core.shape import Plane
 from vsfsim.physics.bubble import inflation
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.bubble.sheet import Sheet
-from vsfsim.physics.contact.rigid_points import WEIGHTS
+from vsfsim.physics.contact.patch import WEIGHTS
 from vsfsim.physics.elements import gas, hinge, triangle
 from vsfsim.physics.mesh import membrane as membrane_mesh
 from vsfsim.physics.mesh.quadratic import assemble

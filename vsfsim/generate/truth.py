@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from vsfsim.data.records import Touch, Truth, View
 from vsfsim.generate.cloud import cloud_normals, voxel_sample
-from vsfsim.physics.contact.rigid_points import shape_values
+from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.model import Model
 from vsfsim.vsf.dynamics import simulate
 from vsfsim.vsf.estimate.map import map_estimate

@@ -31,7 +31,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.coupled import CoupledSolver, free_way
 from vsfsim.physics.solve.frames import Frames, SolverOptions
-from vsfsim.physics.solve.kernels import pair_kernels, solver_kernels
+from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import press_path
 from vsfsim.sensing.bubble import readout_of
@@ -266,7 +266,7 @@ def _on_object(scene: Scene, model: bubble.BubbleModel, mount: np.ndarray, axis:
                              f"= \"fem-coarse\" or finer would do.")
         chosen = "fem-coarse"
     body = tiers.build(scene, chosen, seed=seed, cache=cache)
-    compile_kernels(pair_kernels(precision, [block.kind for block in (*body.blocks, *model.blocks)]), device,
+    compile_kernels(coupled_kernels(precision, [block.kind for block in (*body.blocks, *model.blocks)]), device,
                     progress=progress)
     first = mount[0].copy()
     first[:3, 3] = start

@@ -90,7 +90,7 @@ def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray) -> tuple[np.
         vertices (v, 3) [m]; triangles (g, 3); the boundary triangle each lies on (g,); length of the displacement at
         its middle (g,) [m].
     """
-    from vsfsim.physics.contact.rigid_points import shape_values
+    from vsfsim.physics.contact.patch import shape_values
 
     n = _SPLIT
     at = np.array([(i, j, n - i - j) for i in range(n, -1, -1) for j in range(n - i, -1, -1)]) / n

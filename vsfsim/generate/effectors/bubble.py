@@ -35,7 +35,7 @@ from vsfsim.physics.elements import gas
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver
 from vsfsim.physics.solve.frames import Frames, SolverOptions
-from vsfsim.physics.solve.kernels import pair_kernels
+from vsfsim.physics.solve.kernels import coupled_kernels
 from vsfsim.robot.path import times, touch_path, turn_to
 from vsfsim.sensing.bubble import readout_of
 from vsfsim.sensing.bubble_camera import BubbleCamera
@@ -93,7 +93,7 @@ class BubbleEffector:
         from vsfsim.sensing import render_bubble
 
         assert scene.sensor is not None
-        return [*pair_kernels(precision, KINDS), *([render_bubble._inside] if scene.sensor.camera is not None else [])]
+        return [*coupled_kernels(precision, KINDS), *([render_bubble._inside] if scene.sensor.camera is not None else [])]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""

@@ -12,14 +12,14 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from vsfsim.physics.contact.rigid_points import Patch
+from vsfsim.physics.contact.patch import Patch
 
 
 class FaceSums:
     """Which corners of which faces meet at each node, and at each pair of nodes, of B patches.
 
     Args:
-        table: shape values of the points of a face's parts (parts, 6, 6), see `contact.shape_table`. patches: B of
+        table: shape values of the points of a face's parts (parts, 6, 6), see `patch.shape_table`. patches: B of
         them. faces: most faces of a patch F.
         nodes: most nodes of a patch s. device: torch device.
     """

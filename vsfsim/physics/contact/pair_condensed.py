@@ -1,70 +1,79 @@
-"""The condensed contact problem of two deformable surfaces: both bodies answer the contact as at rest, and only the
+"""The condensed contact problem of two deformable surfaces: both bodies respond to contact as at rest, and only the
 patches are unknown.
 
 As in `condensed`, u = u0 + A q and q = f(u) - f0 on the patch. A membrane is slack across its surface: between the
-nodes that hold it, it dives through the object, and Newton's method with a line search crawls. So every iteration takes
-the gaps as they are linearised at u and solves for the forces with their signs, a linear complementarity problem
+nodes that hold it, it passes through the object, and Newton's method with a line search converges slowly. So every
+iteration linearises the gaps at u and solves for the forces with their signs, a linear complementarity problem
 (`complementarity`),
 
     0 <= lambda  _|_  g + J (u' - u) + lambda / w >= 0,     u' = u0 + A (J^T lambda + t - S (u' - u) - f0)
 
-with t and S the tangential forces and stiffness of the points that friction holds; a few such iterations find the
-forces of the curved surfaces.
+with t and S the tangential forces and stiffness of the points with friction; a few such iterations find the forces of
+the curved surfaces.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import torch
 
 from vsfsim.physics.contact import complementarity
-from vsfsim.physics.contact.pair_links import times
+from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.pair_links import Links, times
 
-if TYPE_CHECKING:
-    from vsfsim.physics.contact.pair import PairTouching
-
-_MOST = 8  # iterations: what has not converged then goes round in a circle of facets
-# of the displacement, at the most: what is left of a gap must be small beside the penetration, which is a thousandth of
-# it
-_TIGHT = 1e-5
-_STALLED = 0.5  # an error that shrinks by less is as small as the facets let it be
-_CLOSE = 0.2  # of the margin of a step: nearer nodes are asked whether they touch
+_MOST_ITERATIONS = 8  # what has not converged by then cycles over facets
+_TIGHT = 1e-5  # tolerance at most: a gap's error must be small beside the penetration, a thousandth of the displacement
+_STALLED = 0.5  # an error that shrinks by less than this factor is as small as the facets allow
+_CLOSE = 0.2  # of the margin of a step: nodes nearer than this are unknowns of the problem
 
 
-def solve(touching: PairTouching, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+class LinkedContact(Contact, Protocol):
+    """What this problem asks of a contact besides: `pair_contact.PairContact` answers it."""
+
+    def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
+        """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``asked`` before."""
+
+    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
+                                                                                 torch.Tensor, torch.Tensor]:
+        """Links, gaps [m], penalty compliances [m/N] and contact (k, p) of the nodes ``asked``."""
+
+    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
+        """Friction forces (k, 3 s) [N], and the links of their stiffness."""
+
+
+def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
           tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
     """As `condensed.solve`."""
-    compliance = touching.compliance
+    compliance = contact.compliance
     q = torch.zeros_like(base)
     u = base.clone()
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     asked = None
-    for step in range(min(iterations, _MOST)):
-        touching.evaluate(columns, u)
-        miss = compliance.respond(columns, touching.nodal(columns) - pushed - q)
+    for step in range(min(iterations, _MOST_ITERATIONS)):
+        contact.evaluate(columns, u)
+        miss = compliance.respond(columns, contact.nodal(columns) - pushed - q)
         off = miss.abs().amax(dim=1) / u.abs().amax(dim=1).clamp(min=1e-9)
         better, stuck = off < error, off > _STALLED * error
         best = torch.where(better[:, None], q, best)
         error = torch.where(better, off, error)
         if bool(((error < _TIGHT) | (stuck & (error < tolerance))).all()):
             break
-        asked = touching.near(columns, _CLOSE, asked)
-        normal, gap, give, held = touching.meeting(columns, asked)
-        # rubber mostly sticks: begin with all of it stuck, since from far past its anchor a point would seem to slip
-        # for ever
-        drag, across = touching.tangential(columns, stuck=step == 0)
+        asked = contact.near(columns, _CLOSE, asked)
+        normal, gap, give, held = contact.meeting(columns, asked)
+        # rubber mostly sticks: begin with every point stuck, since one far from its anchor would be taken to slip
+        drag, across = contact.tangential(columns, stuck=step == 0)
         change = base - u + compliance.respond(columns, drag - pushed)
         force = drag - pushed
         if across is not None:
-            # points that stick give way like springs: Woodbury's formula for A' = (A^-1 + S)^-1
-            inside = across.answers(compliance, columns)
+            # stuck points are springs: Woodbury's formula for A' = (A^-1 + S)^-1
+            inside = across.responses(compliance, columns)
             inner = across.gram(inside)
             inner.diagonal(dim1=1, dim2=2).add_(1.0)
             inner = torch.linalg.cholesky(0.5 * (inner + inner.mT))
             change = change - _sum(inside, torch.cholesky_solve(across.jump(change)[:, :, None], inner)[:, :, 0])
         if normal is not None:
-            answer = normal.answers(compliance, columns)
+            answer = normal.responses(compliance, columns)
             matrix = normal.gram(answer)
             if across is not None:
                 mixed = across.gram(answer)  # (k, rows across, p)

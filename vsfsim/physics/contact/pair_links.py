@@ -1,8 +1,7 @@
-"""What ties the points in contact of two surfaces to the patches' displacements.
+"""Links between the points in contact of two surfaces, as sparse rows over the displacements of the patches.
 
-A link is a point of one surface and its place on the other, with one or more directions: row J of the relative
-displacement along each.
-It holds on to a handful of the patches' nodes. The compliance of both bodies at rest is A.
+A link is a point of one surface and its place on the other, with one or more directions; J v is the relative
+displacement along each. A row depends on a few nodes of the patch. A is the compliance of both bodies at rest.
 """
 
 from __future__ import annotations
@@ -17,14 +16,12 @@ from vsfsim.physics.contact import pair_rows
 
 @dataclass(frozen=True)
 class Compliance:
-    """How both bodies answer forces on the patches of B touches at rest; 0 where held or padded.
-
-    on_object: (B, 3 o, 3 o) [m/N], o object nodes in the patch, world. on_sensor: (B, 3 c, 3 c) [m/N], c sensor nodes,
-    in its frame.
-    """
+    """Compliance of both bodies at rest on the patches of B touches; 0 where held or padded."""
 
     on_object: torch.Tensor
+    """Of the o object nodes in the patch, world (B, 3 o, 3 o) [m/N]."""
     on_sensor: torch.Tensor
+    """Of the c sensor nodes, in the sensor's frame (B, 3 c, 3 c) [m/N]."""
 
     def respond(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (k, 3 s) [m] of the patches of ``columns`` (k,) under forces (k, 3 s) [N] on them."""
@@ -35,27 +32,27 @@ class Compliance:
 
 @dataclass(frozen=True)
 class Links:
-    """Links of k touches, a each, m directions; padded ones have weight 0.
-
-    node: the patch nodes (k, a, n) int32 that each holds on to, the object's before ``split``, the sensor's from there
-    on. weight: of these (k, a, n) [-].
-    world, own: directions in the world and in the sensor's frame (k, a, m, 3), with any factor of the rows in them.
-    table: the weights (k, a, s) by node.
-    """
+    """Links of k touches, a each, with m directions; padding has weight 0."""
 
     split: int
+    """First patch node of the sensor; the object's come before it."""
     node: torch.Tensor
+    """Patch nodes that each link depends on (k, a, n), int32."""
     weight: torch.Tensor
+    """Their weights (k, a, n) [-]."""
     world: torch.Tensor
+    """Directions in the world, times any factor of the rows (k, a, m, 3)."""
     own: torch.Tensor
+    """The same directions in the sensor's frame (k, a, m, 3)."""
     table: torch.Tensor
+    """The weights of all patch nodes (k, a, s) [-]."""
 
     @classmethod
     def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, world: torch.Tensor,
            own: torch.Tensor) -> Links:
-        """Of a patch with ``count`` nodes; the nodes of a link that have a weight must differ."""
+        """Links on a patch with ``count`` nodes; the nodes of a link that have a weight must differ."""
         table = torch.zeros((*node.shape[:2], count), dtype=torch.float64, device=node.device)
-        table.scatter_add_(2, node, weight)  # what is added to a node beside its own weight is 0
+        table.scatter_add_(2, node, weight)  # padding adds 0
         return cls(split, node.to(torch.int32), weight, world, own, table)
 
     def pick(self, which: torch.Tensor) -> Links:
@@ -99,15 +96,14 @@ class Links:
                 wp.from_torch(self.world.contiguous(), dtype=vec3),
                 wp.from_torch(self.own.contiguous(), dtype=vec3)]
 
-    def answers(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
-        """J A (k, a m, s, 3): the displacements of the patches of ``columns`` (k,) under a unit force along each
+    def responses(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
+        """J A (k, a m, s, 3) [m/N]: displacements of the patches of ``columns`` (k,) under a unit force along each
         row."""
         kernels, (k, a, m, _), s = pair_rows.kernels(), self.world.shape, self.table.shape[2]
         out = torch.empty((k, a * m, s, 3), dtype=torch.float64, device=self.node.device)
-        wp.launch(kernels.answers, dim=(k, a * m, s), device=str(out.device), inputs=[
-            wp.from_torch(columns.to(torch.int32)),
-                                                                                      self.split, wp.from_torch(compliance.on_object), wp.from_torch(compliance.on_sensor), *self._arrays(),
-            wp.from_torch(out, dtype=kernels.vec3)])
+        wp.launch(kernels.responses, dim=(k, a * m, s), device=str(out.device), inputs=[
+            wp.from_torch(columns.to(torch.int32)), self.split, wp.from_torch(compliance.on_object),
+            wp.from_torch(compliance.on_sensor), *self._arrays(), wp.from_torch(out, dtype=kernels.vec3)])
         return out
 
     def gram(self, rows: torch.Tensor) -> torch.Tensor:
@@ -150,18 +146,19 @@ class LinkStiffness:
 
 @dataclass(frozen=True)
 class LinkBlock:
-    """As `touching.ContactBlock`: ``apply`` gives T v with T = J^T (1 + J A J^T)^-1 J. inner: Cholesky factor of the
-    bracket."""
+    """As `ContactBlock`: ``apply`` returns T v with T = J^T (1 + J A J^T)^-1 J."""
 
     links: Links
     inner: torch.Tensor
+    """Cholesky factor of 1 + J A J^T (k, r, r)."""
     free: torch.Tensor
+    """1 where the patches may move (k, 3 s) [-]."""
 
     @classmethod
     def of(cls, links: Links, compliance: Compliance, columns: torch.Tensor, free: torch.Tensor) -> LinkBlock:
-        """From links whose directions carry the roots of the stiffness [sqrt(N/m)]; free: 1 where the patches of
-        ``columns`` (k,) may move (k, 3 s)."""
-        inner = links.gram(links.answers(compliance, columns))
+        """From links whose directions carry the roots of the stiffness [sqrt(N/m)], for the touches ``columns``
+        (k,)."""
+        inner = links.gram(links.responses(compliance, columns))
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         return cls(links, torch.linalg.cholesky(0.5 * (inner + inner.mT)), free)
 

@@ -1,12 +1,13 @@
 """Products of sparse rows with compliances: X = J A and G = J X^T, for the links of two bodies that touch.
 
-Row r of J is one direction d of a link: over the nodes i that the link holds on to, J_r = sum_i w_i d^T on the columns
-of node i. A is block diagonal, A_o of the object (in the world) and A_s of the sensor (in its frame), and d is given in
-both frames. A row holds on to a handful of nodes, so a product costs (rows x patch x handful) where a dense J would
-cost (rows x patch x patch).
+Row r of J is one direction d of a link: over the nodes i that the link depends on, J_r = sum_i w_i d^T on the columns
+of node i. A is block diagonal, A_o of the object (in the world) and A_s of the sensor (in its frame), and d is given
+in both frames. A row depends on n nodes, so a product costs (rows x patch x n) where a dense J would cost (rows x
+patch x patch).
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
@@ -22,7 +23,7 @@ def kernels() -> Any:
     module = "vsfsim_pair_rows"
 
     @wp.kernel(module=module, enable_backward=False)
-    def answers(
+    def responses(
         # model
         columns: wp.array(dtype=wp.int32),
         split: int,
@@ -92,9 +93,4 @@ def kernels() -> Any:
         for j in range(m):
             gram_out[k, a * m + j, s] = wp.dot(world_in[k, a, j], at_object) + wp.dot(own_in[k, a, j], at_sensor)
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.answers, out.gram, out.vec3 = answers, gram, vec3
-    return out
+    return SimpleNamespace(responses=responses, gram=gram, vec3=vec3)

@@ -9,20 +9,24 @@ import torch
 
 @dataclass(frozen=True)
 class ContactBlock:
-    """The contact stiffness C = R^T R of k touches and the compliance A of the body on the nodes that touch.
+    """The contact stiffness C = R^T R of k touches, inverted together with the compliance A of the body.
 
-    ``apply`` gives T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury), for displacements v of the patches:
-    the contact forces that answer v when the body gives way as at rest. If ``joined``, rows is C and inner (1 + A
-    C)^-1, T = C (1 + A C)^-1; with
-    ``pivots`` inner is the LU factor of the bracket instead, a third of the work where many nodes touch.
+    ``apply`` returns T v with T = (C^-1 + A)^-1 = R^T (1 + R A R^T)^-1 R (Woodbury): the contact forces under
+    displacements v of the patches, when the body responds as at rest. Where the rows outnumber the degrees of freedom,
+    T is formed as C (1 + A C)^-1 instead.
     """
 
     dof: torch.Tensor
+    """Degrees of freedom of the nodes that touch (k, m)."""
     rows: torch.Tensor
+    """R (k, r, m) [sqrt(N/m)], or C (k, m, m) [N/m] if `joined`."""
     inner: torch.Tensor
+    """Cholesky factor of 1 + R A R^T (k, r, r); if `joined`, (1 + A C)^-1 (k, m, m), or its LU factor with `pivots`."""
     width: int
+    """Degrees of freedom of a patch, 3 s."""
     joined: bool = False
     pivots: torch.Tensor | None = None
+    """Pivots of the LU factor (k, m): a third of the work of the inverse where many nodes touch."""
 
     @classmethod
     def of(cls, rows: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
@@ -86,3 +90,11 @@ def _dof(nodes: torch.Tensor) -> torch.Tensor:
 def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
     """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m)."""
     return matrix[torch.arange(len(matrix), device=matrix.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
+
+
+def assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
+    """Sum over points q of N_q^T stiff_q N_q (k, 3 s, 3 s), from shape values (k, q, s) and stiffness (k, q, 3, 3)."""
+    k, q, s = points.shape
+    right = (stiff[:, :, :, :, None] * points[:, :, None, None, :]).reshape(k, q, 9 * s)
+    out = points.mT @ right
+    return out.view(k, s, 3, 3, s).permute(0, 1, 2, 4, 3).reshape(k, 3 * s, 3 * s)

@@ -1,28 +1,30 @@
 """A soft sensor that is carried against a soft object: both find one equilibrium, frame by frame.
 
-The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and the
-factor of its rest state stay what they are while it is carried along); `pair.PairTouching` is the contact between them,
-and everything else is `Solver`.
+The unknowns are the displacements of the object (world) and of the sensor (its own frame, in which its elements and
+its rest-state factor stay the same while it is carried along). `PairContact` is the contact between them; everything
+else is `Solver`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
 
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.contact.pair import PairTouching
-from vsfsim.physics.contact.pair_surfaces import SENSOR_NODES, farthest
+from vsfsim.physics.contact.pair_contact import PairContact
+from vsfsim.physics.contact.pair_response import SENSOR_NODES
+from vsfsim.physics.contact.pair_surfaces import farthest
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
-from vsfsim.physics.solve.touches import HARD, Memory, Rows, Solver
+from vsfsim.physics.solve.touches import FAR, Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
@@ -31,18 +33,20 @@ _TRIES = 60
 
 @dataclass(frozen=True)
 class Points:
-    """The nodes of two bodies. points: the object's (world), then the sensor's (its frame) (N, 3) [m]."""
+    """The nodes of two bodies."""
 
     points: np.ndarray
+    """The object's (world), then the sensor's (its frame) (N, 3) [m]."""
 
 
 @dataclass(frozen=True)
-class BothFactors:
-    """The rest-state factors of two bodies that do not touch. object, sensor: theirs. split: 3 x the object's nodes."""
+class PairFactors:
+    """The rest-state factors of two bodies that do not touch."""
 
     object: RestFactor
     sensor: RestFactor
     split: int
+    """Degrees of freedom of the object, which come first."""
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Displacements (3 N, k) [m] under forces (3 N, k) [N]."""
@@ -50,45 +54,44 @@ class BothFactors:
 
 
 @dataclass(frozen=True)
-class Both:
-    """Two bodies as one model for `Solver`; fields as `Model`.
-
-    object, sensor: the bodies. mesh: the nodes of both. blocks: the elements of both, the sensor's with its node
-    numbers after the object's.
-    free: 1 where a degree of freedom may move (3 N,) [-]. load: the object's weight (3 N,) [N]. factor: of both at
-    rest.
-    """
+class PairModel:
+    """Two bodies as one model for `Solver`; the fields are those of `Model`."""
 
     object: Model
     sensor: Model
     mesh: Points
+    """The nodes of both."""
     blocks: tuple[Block, ...]
+    """The elements of both; the node numbers of the sensor's follow the object's."""
     free: np.ndarray
+    """1 where a degree of freedom may move (3 N,) [-]."""
     load: np.ndarray
-    factor: BothFactors
+    """The object's weight (3 N,) [N]."""
+    factor: PairFactors
+    """The rest-state factors of both."""
 
     @classmethod
-    def of(cls, model: Model, sensor: Model) -> Both:
+    def of(cls, model: Model, sensor: Model) -> PairModel:
         """Put an object and a sensor side by side."""
         count = len(model.mesh.points)
         moved = tuple(replace(block, nodes=block.nodes + np.int32(count)) for block in sensor.blocks)
         return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])),
                    (*model.blocks, *moved),
                    np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
-                   BothFactors(model.factor, sensor.factor, 3 * count))
+                   PairFactors(model.factor, sensor.factor, 3 * count))
 
     def grounding(self) -> np.ndarray:
         """As `Model.grounding`."""
         return np.concatenate([self.object.grounding(), self.sensor.grounding()])
 
     def least_force(self) -> float:
-        """As `Model.least_force`: a sensor that has just let go balances its own gas to that only, however little the
-        object's forces are."""
+        """As `Model.least_force`: a sensor that has just lost contact balances its own gas to that force only, however
+        small the object's forces are."""
         return max(self.object.least_force(), 100.0 * self.sensor.least_force())
 
 
-class _Carried:
-    """What `path` asks of a rigid body: how far it reaches from its origin."""
+class _SensorReach:
+    """What `path` needs to know of a moving body: how far it reaches from its origin."""
 
     def __init__(self, sensor: Model):
         self._reach = farthest(sensor)
@@ -105,22 +108,25 @@ class CoupledSolver(Solver):
     """Touches of one object by one soft sensor.
 
     Args:
-        model: the object, in the world. sensor: in its own frame, +z towards the object; its displacements are 0 in the
-        free state.
-        friction: Coulomb's coefficient of the pair [-]. device, precision, options: see `Solver`.
+        model: the object, in the world.
+        sensor: the sensor in its own frame, +z towards the object; its displacements are 0 in the free state.
+        friction: Coulomb's coefficient of the pair [-].
+        device, precision, options: see `Solver`.
+
+    Raises:
+        SceneError: the sensor has more than `SENSOR_NODES` nodes.
     """
 
     def __init__(self, model: Model, sensor: Model, *, friction: float = 0.0, device: str = "cpu",
-                 precision: str = "float64",
-                 options: SolverOptions | None = None):
+                 precision: str = "float64", options: SolverOptions | None = None):
         if len(sensor.mesh.points) > SENSOR_NODES:
             raise SceneError(f"[sensor] has {len(sensor.mesh.points)} nodes; against an object up to {SENSOR_NODES} "
                              f"are allowed, since its compliance is kept whole. Give fewer nodes.")
-        self._setup(Both.of(model, sensor), _Carried(sensor), np.array([float(friction)]), device, precision, options,
-                    False)
+        self._setup(PairModel.of(model, sensor), _SensorReach(sensor), np.array([float(friction)]), device, precision,
+                    options, False)
         self.object, self.sensor = model, sensor
-        # displacements, friction's memory before the prediction, poses before
-        self._predicted: tuple[torch.Tensor, Memory, np.ndarray] | None = None
+        # displacements, friction state before the prediction, poses before
+        self._predicted: tuple[torch.Tensor, Any, np.ndarray] | None = None
         height = float(np.ptp(sensor.mesh.points[:, 2]))
         self._stride = _STRIDE * height
 
@@ -128,14 +134,13 @@ class CoupledSolver(Solver):
         """Follow the sensor through all frames.
 
         Args:
-            poses: sensor to world (T, B, 4, 4). keep, progress: see `Solver.run`; with ``keep``,
-            ``self.sensor_position`` holds T entries
-                (m, 3, B) of the sensor's nodes in the world [m] and ``self.sensor_force`` (m, 3, B) the contact force
-                on each [N].
+            poses: sensor to world (T, B, 4, 4).
+            keep, progress: see `Solver.run`; with ``keep``, ``self.sensor_position`` holds T entries (m, 3, B) of the
+                sensor's nodes in the world [m], and ``self.sensor_force`` the contact force on each (m, 3, B) [N].
 
         Returns:
-            Frames: force is the one on the sensor; ``pressure`` [Pa] and ``volume`` [m^3] (T, B) of a sensor with gas
-            are in `self`.
+            The frames; ``force`` is the one on the sensor. ``self.pressure`` [Pa] and ``self.volume`` [m^3] hold T
+            entries (B,) of a sensor with gas.
         """
         self.pressure: list[np.ndarray] = []
         self.volume: list[np.ndarray] = []
@@ -143,30 +148,30 @@ class CoupledSolver(Solver):
         self.sensor_force: list[np.ndarray] = []
         return super().run(poses, keep=keep, progress=progress)
 
-    def _meet(self, poses: np.ndarray) -> tuple[PairTouching, np.ndarray]:
-        touching = PairTouching(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device,
-                                stride=self._stride)
-        return touching, self._outside(touching, poses[0])
+    def _make_contact(self, poses: np.ndarray) -> tuple[PairContact, np.ndarray]:
+        contact = PairContact(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device,
+                              stride=self._stride)
+        return contact, self._outside(contact, poses[0])
 
-    def _outside(self, touching: PairTouching, pose: np.ndarray) -> np.ndarray:
+    def _outside(self, contact: PairContact, pose: np.ndarray) -> np.ndarray:
         """First poses (B, 1, 4, 4) to come in from: drawn back along the sensor's axis until nothing touches."""
         out = pose.copy()
-        every = torch.arange(touching.batch, device=self.device)
-        u = torch.zeros((len(self.model.free), touching.batch), dtype=torch.float64, device=self.device)
+        every = torch.arange(contact.batch, device=self.device)
+        u = torch.zeros((len(self.model.free), contact.batch), dtype=torch.float64, device=self.device)
         step = _BACK * self.bodies.reach(0)
         for _ in range(_TRIES):
-            touching.begin(out, u)
-            touching.move(out, every)
-            touching.evaluate(every, touching.gather(u))
-            inside = (touching.touches(every) | (touching.astray(every) > 0)).cpu().numpy() | self._within_sensor(out)
+            contact.begin_step(out, u)
+            contact.move(out, every)
+            contact.evaluate(every, contact.gather(u))
+            inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy() | self._within_sensor(out)
             if not inside.any():
                 break
             out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]
         return out
 
     def _within_sensor(self, pose: np.ndarray) -> np.ndarray:
-        """Is any surface node of the object at rest between the sensor's surface and its base (B,)? Only nearer nodes
-        are seen by the contact."""
+        """Whether any surface node of the object at rest is between the sensor's surface and its base (B,) bool: the
+        contact finds only nodes near the surface."""
         at = self.object.mesh.points[self.object.mesh.surface_nodes()]
         own = self.sensor.mesh.points
         sheet = own[self.sensor.mesh.faces[:, :3]]
@@ -180,14 +185,14 @@ class CoupledSolver(Solver):
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         super()._start(columns, before, pose)
         self._predicted = None
-        if bool(self.touching.touches(columns).any()):
-            self.touching.foresee(columns, self._balance.u)
-            if self.touching.rubs:
-                self._predicted = self._balance.u.clone(), self.touching.memory(), before
-                # what is predicted tells friction's limits better than the step before, and points that touch for the
+        if bool(self.contact.touches(columns).any()):
+            self.contact.predict_candidates(columns, self._balance.u)
+            if self.contact.has_friction:
+                self._predicted = self._balance.u.clone(), self.contact.friction_state(), before
+                # the prediction gives better friction limits than the step before, and points that touch for the
                 # first time have none yet
                 self._balance.evaluate(columns)
-                self.touching.lag(columns)
+                self.contact.update_friction(columns)
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         predicted = self._predicted
@@ -195,47 +200,47 @@ class CoupledSolver(Solver):
         super()._equilibrium(columns, pose, begin, deadline)
         if predicted is None:
             return
-        # limits from a prediction that was far off may lead nowhere: those touches begin again with the limits of the
+        # limits from a poor prediction may not lead to an equilibrium: those touches begin again with the limits of the
         # step before
-        u, memory, before = predicted
-        balance, touching = self._balance, self.touching
+        u, friction, before = predicted
+        balance, contact = self._balance, self.contact
         host = columns.cpu().numpy()
-        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.spent(host),
+        failed = columns[torch.as_tensor((balance.reason[host] != Reason.NONE) & ~balance.exhausted(host),
                                          device=self.device)]
         if len(failed):
             balance.u[:, failed] = u[:, failed]
-            touching.restore(failed, memory)
-            touching.begin(before, begin)
-            touching.move(pose, failed)
-            touching.foresee(failed, balance.u)
+            contact.restore_friction(failed, friction)
+            contact.begin_step(before, begin)
+            contact.move(pose, failed)
+            contact.predict_candidates(failed, balance.u)
             super()._equilibrium(failed, pose, begin, deadline)
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor,
                  pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        # the condensed problem is as dear as a Newton step here, and what is drawn on is the better guess but for a
-        # turn of the path, where it is the other one
+        # the condensed problem costs as much as a Newton step here, and the extrapolation is the better guess except
+        # where the path turns, where there is only the other one
         return super()._guesses(now, last, pose)[-1:]
 
-    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
-        # the condensed problem finds the contact of a soft pair from anywhere; 1 is a membrane a little off its
-        # pressure, as often as not
-        return measure > HARD
+    def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
+        # the condensed problem finds the contact of a soft pair from anywhere; a measure of 1 is often just a membrane
+        # slightly off its pressure
+        return measure > FAR
 
-    def _keep(self) -> None:
+    def _record(self) -> None:
         u = self._balance.u
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         split = 3 * len(self.object.mesh.points)
-        contact = self._pushed.view(-1, 3, u.shape[1])
-        self.surface_force.append(contact[torch.as_tensor(self.object.mesh.surface_nodes(),
-                                                          device=self.device)].cpu().numpy())
-        self.sensor_force.append(self.touching.carried(contact[split // 3:], place=False).cpu().numpy())
-        own = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :,
-                                                                           None] + u[split:].view(-1,
-                                                                                                  3, u.shape[1]).to(torch.float64)
-        self.sensor_position.append(self.touching.carried(own, place=True).cpu().numpy())
+        force = self._contact_force.view(-1, 3, u.shape[1])
+        surface = torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)
+        self.surface_force.append(force[surface].cpu().numpy())
+        carried = self.contact.surfaces.carried
+        self.sensor_force.append(carried(force[split // 3:], place=False).cpu().numpy())
+        rest = torch.as_tensor(self.sensor.mesh.points, device=self.device)[:, :, None]
+        own = rest + u[split:].view(-1, 3, u.shape[1]).to(torch.float64)
+        self.sensor_position.append(carried(own, place=True).cpu().numpy())
 
     def _report(self, state: State) -> Rows:
-        # the object's balance only: the sensor's forces stand in its own frame, and end at its rim
+        # the balance of the object only: the sensor's forces are in its own frame, and end at its rim
         split = 3 * len(self.object.mesh.points)
         mask = torch.zeros_like(self._balance.free)
         mask[:split] = 1.0

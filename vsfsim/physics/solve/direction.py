@@ -1,5 +1,4 @@
-"""One Newton direction for a batch of touches: elements and contact in the matrix, both answered by the
-preconditioner."""
+"""One Newton direction for a batch of touches: elements and contact are in the matrix and in the preconditioner."""
 
 from __future__ import annotations
 
@@ -7,31 +6,34 @@ import torch
 import warp as wp
 
 from vsfsim.physics import clock
-from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 
 
-def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.Tensor, residual: torch.Tensor, *,
-                     near: torch.Tensor,
-                     tolerance: torch.Tensor, iterations: int,
+def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
+                     near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
                      plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
-        elasticity: with the tangent of ``columns`` made. touching: evaluated at the present state.
-        columns: touches (k,). residual: unbalanced forces (3 n, k) [N].
-        near: whose contact counts with its geometric term (k,) bool; deep inside a body that term is large, and wrong.
-        tolerance: relative residual of each column (k,). iterations: limit. plain: see `pcg.solve`.
+        elasticity: elements, with the tangent of ``columns`` computed.
+        contact: contact, evaluated at the present state.
+        columns: touches (k,).
+        residual: unbalanced forces (3 n, k) [N].
+        near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
+        tolerance: relative residual of each column (k,).
+        iterations: limit.
+        plain: see `pcg.solve`.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); who met negative curvature (k,) bool; the contact stiffness
+        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool; the contact stiffness
         used (k, 3 s, 3 s) [N/m].
     """
-    response = touching.response
-    stiffness = touching.stiffness(columns, near)
-    block = touching.block(columns) if bool(touching.touches(columns).any()) else None
+    response = contact.response
+    stiffness = contact.stiffness(columns, near)
+    block = contact.block(columns) if bool(contact.touches(columns).any()) else None
     size = len(residual)
 
     class Part:
@@ -40,14 +42,14 @@ def newton_direction(elasticity: Elasticity, touching: Touching, columns: torch.
         def __init__(self, which: torch.Tensor | None):
             own = columns if which is None else columns[which]
             self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
-            self.dof, self.real = touching.dof[own], touching.real[own]
+            self.dof, self.mask = contact.dof[own], contact.mask[own]
             self.at = self.dof.clamp(min=0).T
             if block is not None:
                 self.stiffness = stiffness if which is None else stiffness[which]
                 self.block = block if which is None else block.pick(which)
 
         def patch(self, x: torch.Tensor) -> torch.Tensor:
-            return x.gather(0, self.at).T.to(torch.float64) * self.real
+            return x.gather(0, self.at).T.to(torch.float64) * self.mask
 
     parts: dict[int, Part] = {}
 

@@ -17,7 +17,7 @@ class Reason(IntEnum):
     STALLED = 3
     NOT_FINITE = 4
     PATCH = 5
-    ASTRAY = 6
+    WRONG_SIDE = 6
     INVERTED = 7
 
     @property

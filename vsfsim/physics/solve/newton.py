@@ -2,8 +2,10 @@
 
     Pi(u) = sum of element energies - load . u + energy of the contact    ->    minimum
 
-Each linear system goes to `pcg`, preconditioned by the rest-state inverse with the contact block inverted exactly. Far
-from the solution the tangent is projected to positive semi-definite; near it the true one converges quadratically.
+Each linear system is solved by `pcg`, preconditioned by the rest-state inverse with the contact block inverted exactly.
+Far from the solution the tangent is projected to positive semi-definite; near it the true one converges quadratically.
+
+The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import torch
 import warp as wp
 
 from vsfsim.physics import clock
-from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import newton_direction
@@ -23,38 +25,49 @@ from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 State = dict[str, torch.Tensor]
+"""Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
+body (wrong_side) and measure of some touches, one column or entry each."""
 
 
 class Equilibrium:
-    """Displacements u (3 n, B) [m] of a batch and the means to bring them into balance.
-
-    newton, cg: iterations of every touch since `count` (B,). reason: why a touch is not in balance, `Reason` (B,).
+    """The displacements of a batch of touches, and Newton's method on them.
 
     Args:
-        model: the body. elasticity: its elements, begun for the batch. touching: the contact.
-        options: limits. floor: forces under this are zero [N].
+        model: the body.
+        elasticity: its elements, begun for the batch.
+        contact: the contact.
+        options: limits.
+        floor: forces under this count as zero [N].
     """
 
-    def __init__(self, model: Model, elasticity: Elasticity, touching: Touching, options: SolverOptions, *,
+    u: torch.Tensor
+    """Displacements (3 n, B) [m]."""
+    newton: np.ndarray
+    """Newton iterations of every touch since `reset_counts` (B,)."""
+    cg: np.ndarray
+    """Conjugate-gradient iterations of every touch since `reset_counts` (B,)."""
+    reason: np.ndarray
+    """Why a touch is not in equilibrium, `Reason` (B,)."""
+
+    def __init__(self, model: Model, elasticity: Elasticity, contact: Contact, options: SolverOptions, *,
                  floor: float):
-        self.model, self.elasticity, self.touching, self.options, self.floor = (model, elasticity, touching, options,
-                                                                                floor)
-        self.device = touching.device
-        batch = touching.batch
+        self.model, self.elasticity, self.contact = model, elasticity, contact
+        self.options, self.floor = options, floor
+        self.device = contact.device
+        batch = contact.batch
         self.real = torch.float64 if elasticity.real is wp.float64 else torch.float32
         self.u = torch.zeros((3 * len(model.mesh.points), batch), dtype=self.real, device=self.device)
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
-        self.count()
+        self.reset_counts()
 
-    def count(self) -> None:
-        """Begin to count iterations anew."""
-        self.newton, self.cg = np.zeros(len(self.every), int), np.zeros(len(self.every), int)
-        self.reason = np.zeros(len(self.every), int)
+    def reset_counts(self) -> None:
+        """Count iterations from zero."""
+        self.newton, self.cg, self.reason = (np.zeros(len(self.every), int) for _ in range(3))
 
-    def spent(self, host: np.ndarray) -> np.ndarray:
-        """Which of the touches ``host`` (k,) have taken all the iterations that a frame may take (k,) bool."""
+    def exhausted(self, host: np.ndarray) -> np.ndarray:
+        """Which of the touches ``host`` (k,) have used all iterations of a frame (k,) bool."""
         return (self.cg[host] >= self.options.cg_frame) | (self.newton[host] >= self.options.newton_frame)
 
     # ------------------------------------------------------------------------------------------ state
@@ -64,41 +77,41 @@ class Equilibrium:
         index = wp.from_torch(columns.to(torch.int32))
         with clock.measure("forces"):
             self.elasticity.forces(index, wp.from_torch(self.u))
-        dof = self.touching.dof[columns]
         moved = self.u[:, columns]
-        self.touching.evaluate(columns,
-                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
+        self._evaluate_contact(columns, moved)
         return self._state(columns, moved)
 
+    def _evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
+        dof = self.contact.dof[columns]
+        self.contact.evaluate(columns,
+                              moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.contact.mask[columns])
+
     def renew_friction(self, columns: torch.Tensor, state: State) -> State:
-        """The state with friction's limit and tangent plane made present."""
-        if not self.touching.rubs:
+        """The state with the friction limits and tangent planes renewed; the measure counts Coulomb's residual, too."""
+        if not self.contact.has_friction:
             return state
-        self.touching.lag(columns)
-        dof = self.touching.dof[columns]
+        self.contact.update_friction(columns)
         moved = self.u[:, columns]
-        self.touching.evaluate(columns,
-                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.touching.real[columns])
+        self._evaluate_contact(columns, moved)
         out = self._state(columns, moved)
-        out["measure"] = out["measure"] + self.touching.unlawful(columns) / self._acting(out["contact"])
+        out["measure"] = out["measure"] + self.contact.friction_residual(columns) / self._acting(out["contact"])
         return out
 
     def _state(self, columns: torch.Tensor, moved: torch.Tensor) -> State:
         internal = wp.to_torch(self.elasticity.internal)[:, columns].to(torch.float64)
-        pushed = self.touching.nodal(columns)
-        contact = spread(self.touching.dof[columns], pushed, len(internal))
+        contact = spread(self.contact.dof[columns], self.contact.nodal(columns), len(internal))
         energy = wp.to_torch(self.elasticity.energy)[columns]
-        potential = energy + self.touching.energy(columns) - (self.load * moved).sum(dim=0)
+        potential = energy + self.contact.energy(columns) - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
         state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
                  "energy": energy,
                  "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)}
-        state["astray"] = self.touching.astray(columns)
+        state["wrong_side"] = self.contact.wrong_side(columns)
         state["measure"] = self.measure(residual, contact)
         return state
 
     def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
-        """Unbalanced force over acting force (k,): sums of the lengths of nodal vectors."""
+        """Unbalanced over acting force (k,) [-]: sums of the lengths of nodal vectors (3 n, k) [N]."""
         return _size(residual) / self._acting(contact)
 
     def _acting(self, contact: torch.Tensor) -> torch.Tensor:
@@ -107,28 +120,28 @@ class Equilibrium:
     # ------------------------------------------------------------------------------------------ Newton
 
     def solve(self, columns: torch.Tensor, state: State, tolerance: float, deadline: float) -> None:
-        """Newton's method on ``columns`` until each one's measure is under ``tolerance``; updates state, counts and
+        """Newton's method on ``columns`` until the measure of each is under ``tolerance``; updates state, counts and
         reasons."""
-        rubs = self.touching.rubs
+        has_friction = self.contact.has_friction
         stuck = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
-        # whose friction limit is not the present one
-        held = torch.full((len(columns),), rubs, dtype=torch.bool, device=self.device)
-        within = torch.full_like(state["measure"], self.touching.within)  # measure at which the limit is renewed
-        renew = torch.ones_like(stuck)  # whose tangent must be made anew
+        # whose friction limit is not yet Coulomb's, and the measure at which it is renewed
+        held = torch.full((len(columns),), has_friction, dtype=torch.bool, device=self.device)
+        within = torch.full_like(state["measure"], self.contact.friction_updated_below)
+        renew = torch.ones_like(stuck)  # whose tangent must be recomputed
         safe = torch.zeros_like(stuck)  # whose last step failed: they get the projected tangent
-        # measure since friction was renewed, and iterations in which it did not fall by a tenth
+        # least measure since friction was renewed, and iterations in which it did not fall by a tenth
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
-        for _ in range(self.options.newton * (1 + rubs)):
+        for _ in range(self.options.newton * (1 + has_friction)):
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
-            if rubs and bool(ready.any()):
+            if has_friction and bool(ready.any()):
                 at = ready.nonzero()[:, 0]
                 for key, value in self.renew_friction(columns[at], state).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
-                # balanced under the present limit: done. If not, a tenth of what is missing is asked for before it is
-                # renewed again
+                # in equilibrium under the renewed limit: done. If not, the measure must fall to a tenth before the
+                # limit is renewed again
                 held[at] = present > tolerance
                 within[at] = torch.minimum(0.1 * present, within[at])
                 stuck[at] &= ~(present > tolerance) | (present > 0.5)
@@ -142,14 +155,14 @@ class Equilibrium:
             if time.perf_counter() > deadline:
                 self.reason[host] = Reason.TIME
                 break
-            spent = torch.as_tensor(self.spent(host), device=self.device)
-            if bool(spent.any()):
-                stuck[open_[spent]] = True
-                held[open_[spent]] = False
+            exhausted = torch.as_tensor(self.exhausted(host), device=self.device)
+            if bool(exhausted.any()):
+                stuck[open_[exhausted]] = True
+                held[open_[exhausted]] = False
                 continue
             before = state["measure"][open_]
-            # far off, the projected tangent is the safe one; near by, the true one converges quadratically,
-            # and that of the step before is as good
+            # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
+            # that of the step before is as good
             far = (before > 0.3) | safe[open_]
             fresh = renew[open_] | (before > 0.05)
             for projected, which in ((True, fresh & far), (False, fresh & ~far)):
@@ -157,11 +170,11 @@ class Equilibrium:
                     self._tangent(active[which], projected=projected)
             direction, steps, negative, stiffness = self._direction(active, state["residual"][:, open_], ~far)
             if bool(negative.any()):
-                # not a bowl along some direction: take the projected tangent, which always is
+                # negative curvature along some direction: take the projected tangent, which has none
                 self._tangent(active[negative], projected=True)
-                bowl, more, _, stiffness[negative] = self._direction(
+                convex, more, _, stiffness[negative] = self._direction(
                     active[negative], state["residual"][:, open_[negative]], torch.zeros_like(negative[negative]))
-                direction[:, negative] = bowl
+                direction[:, negative] = convex
                 steps[negative] += more
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
@@ -170,17 +183,17 @@ class Equilibrium:
             if len(still):
                 moved[still] = self._step(active[still], open_[still], direction[:, still], state, tolerance)
             renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
-            # no step helps, not even a projected one: rounding's floor, or nothing to be found
+            # not even a projected step helps: the floor of rounding, or no equilibrium
             stuck[open_] = ~moved & safe[open_]
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], state["measure"][open_])
-            lost = open_[idle[open_] >= self.touching.patience]
+            lost = open_[idle[open_] >= self.contact.patience]
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         balanced = (state["measure"] <= tolerance) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
-        self.reason[columns[balanced & (state["astray"] > 0)].cpu().numpy()] = Reason.ASTRAY
+        self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
@@ -190,40 +203,40 @@ class Equilibrium:
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
                    near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
-        return newton_direction(self.elasticity, self.touching, columns, residual.to(self.real), near=near,
+        return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor) -> torch.Tensor:
-        """Give Newton's step the right contact: it was found for the points that touch now, not for those that will.
+        """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
 
-        The difference between the true contact forces at the end of the step and the linearised ones is worked off by
-        the condensed problem. Where the contact stays as it is this changes nothing.
+        The condensed problem removes the difference between the true contact forces at the end of the step and the
+        linearised ones. Where the contact stays the same this changes nothing.
         """
-        touching = self.touching
-        at = touching.dof[columns].clamp(min=0).T
-        real = touching.real[columns]
-        change = direction.gather(0, at).T.to(torch.float64) * real
-        base = self.u[:, columns].gather(0, at).T.to(torch.float64) * real + change
-        pushed = touching.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
+        contact = self.contact
+        at = contact.dof[columns].clamp(min=0).T
+        mask = contact.mask[columns]
+        change = direction.gather(0, at).T.to(torch.float64) * mask
+        base = self.u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
+        pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
         with clock.measure("contact"):
-            force, error = touching.condensed(columns, base, pushed, iterations=12, tolerance=1e-3)
+            force, error = contact.condensed(columns, base, pushed, iterations=12, tolerance=1e-3)
         useful = (error < 0.1) & (force != 0.0).any(dim=1)
         if bool(useful.any()):
-            more = touching.response.patch(columns[useful], force[useful])
+            more = contact.response.patch(columns[useful], force[useful])
             direction = direction.clone()
             direction[:, useful] += more.to(direction.dtype)
         return direction
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
               tolerance: float) -> torch.Tensor:
-        """Halve the step until the potential falls by Armijo's rule (or the residual shrinks, where rounding hides the
-        fall).
+        """Halve the step until the potential falls by Armijo's rule, or the residual decreases where rounding hides the
+        fall.
 
-        ``at``: entries of ``columns`` in ``state``, which is updated. Returns who moved (k,) bool.
+        ``at``: entries of ``columns`` in ``state``, which is updated. Returns which touches moved (k,) bool.
         """
         base = self.u[:, columns]
-        potential, measure, astray = state["potential"][at], state["measure"][at], state["astray"][at]
+        potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
         slope = (state["residual"][:, at] * direction).sum(dim=0)
         step = torch.ones_like(slope)
         moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
@@ -233,11 +246,11 @@ class Equilibrium:
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            shrinks = (new["measure"] < self.touching.shrinks
-                       * measure[pending]) & (measure[pending] < self.touching.near_balance)
-            if self.touching.rubs:
-                shrinks |= new["measure"] <= tolerance  # forces that depend on the way have no potential that must fall
-            good = (falls | shrinks) & (new["astray"] <= astray[pending])
+            decreases = ((new["measure"] < self.contact.decrease * measure[pending])
+                         & (measure[pending] < self.contact.potential_trusted_above))
+            if self.contact.has_friction:
+                decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
+            good = (falls | decreases) & (new["wrong_side"] <= wrong_side[pending])
             done = pending[good]
             for key in state:
                 state[key][..., at[done]] = new[key][..., good]

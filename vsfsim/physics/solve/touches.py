@@ -1,11 +1,10 @@
 """Quasi-static touches: every frame is an equilibrium of the object against rigid bodies on prescribed paths.
 
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
-two frames drawn on, their contact put right by the condensed problem), is brought into balance by `Equilibrium`, and
-what does not converge is approached again:
-through softer contact, then in halved steps. A frame that fails all of it is marked with the reason, never passed off
-as data.
-With friction the way matters: every step remembers where each point of the surface stuck.
+two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
+`Equilibrium`. A touch that does not converge is approached again through softer contact, then in halved steps. A frame
+in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
+path: every step remembers where each point of the surface stuck.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import fields
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,60 +21,72 @@ import warp as wp
 
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics import clock
-from vsfsim.physics.contact import condensed
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.rigid import Touching
-from vsfsim.physics.linear.rest_factor import spread
+from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import path
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
+from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier
 from vsfsim.physics.solve.newton import Equilibrium, State
 
 Rows = dict[str, np.ndarray]
-Memory = Any  # what `Touching.memory` gives and `Touching.restore` takes
+"""The values of one frame by the fields of `Frames`, (B, ...) each."""
 
 # tolerance aimed at, and the one that counts as converged, in single precision
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3
-HARD = 100.0  # unbalanced over acting force at the start of a frame; 1 is contact that nothing has answered yet
-_SOFTENINGS = (0.003, 0.05)  # of the contact stiffness, one stage after the other
-_WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations that a part of the load may take; the smallest part
-# of friction's limit in a linear frame: how often, and the change that ends it (the `fem` tier's tolerance)
-_RENEWALS, _RENEWED = 60, 5e-4
-_KEPT_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that the way back may begin from
-_SOFT_TOLERANCE = 0.05  # of these stages; they only lead the way
+FAR = 100.0
+"""Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
+_SOFTENINGS, _SOFT_TOLERANCE = (0.003, 0.05), 0.05  # of the contact stiffness, stage by stage; their tolerance
+_WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations for one part of the load; the smallest part
+_EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
+_GROWTHS = 4  # times that the patch may grow in a step
+
+
+class _Known(NamedTuple):
+    """An equilibrium that later frames may begin from."""
+
+    pose: np.ndarray
+    """Poses (B, K, 4, 4)."""
+    u: torch.Tensor
+    """Displacements (3 n, B) [m]."""
+    force: torch.Tensor
+    """Contact forces, see `Contact.remember` [N]."""
 
 
 class Solver:
     """Touches of one object by rigid bodies.
 
     Args:
-        model: the object. shapes: the rigid bodies (K).
+        model: the object.
+        shapes: the rigid bodies (K).
         friction: Coulomb's coefficient with the object, one for all or one for each body [-].
-        device: Warp device, "cpu" or "cuda:0". precision: "float32" or "float64" of elements and vectors (the
-        rest-state inverse and the contact are always double). options: limits.
-        linear: answer with the rest state's linear elasticity (the `linear` tier) instead of Newton's method.
+        device: Warp device, "cpu" or "cuda:0".
+        precision: "float32" or "float64", of elements and vectors; the rest-state inverse and the contact are always
+            float64.
+        options: limits.
+        linear: use the linear elasticity of the rest state (the `linear` tier) instead of Newton's method.
     """
 
     def __init__(self, model: Model, shapes: ProbeShape | Sequence[ProbeShape], *,
-                 friction: float | Sequence[float] = 0.0, device: str = "cpu",
-                 precision: str = "float64", options: SolverOptions | None = None, linear: bool = False):
+                 friction: float | Sequence[float] = 0.0, device: str = "cpu", precision: str = "float64",
+                 options: SolverOptions | None = None, linear: bool = False):
         bodies = RigidBodies(shapes)
         self._setup(model, bodies, np.broadcast_to(np.asarray(friction, float), (len(bodies),)).copy(), device,
                     precision, options, linear)
 
     def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str,
-               options: SolverOptions | None,
-               linear: bool) -> None:
+               options: SolverOptions | None, linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
         options = options or SolverOptions()
         if precision == "float32":
-            # rounding of the nodal forces leaves about 1e-3 unbalanced; asking for less would only burn iterations
+            # rounding of the nodal forces leaves about 1e-3 unbalanced: less would only cost iterations
             options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM),
                                           newton=min(options.newton, 15))
         self.options = options
         self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
-        self._linear_accept = max(self._accept, _RENEWED) if self.friction.any() else self._accept
+        self._linear_accept = max(self._accept, RENEWED) if self.friction.any() else self._accept
         self.device, self.precision, self.linear = device, precision, linear
         self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
@@ -86,12 +97,14 @@ class Solver:
 
         Args:
             poses: bodies to world, (T, B, K, 4, 4) or for one body (T, B, 4, 4), one column a touch. The first may be
-            deep in the object:
-                the bodies then come in from outside.
+                deep in the object: the bodies then come in from outside.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
-            contact force on every
-                surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as `QuadraticMesh.surface_nodes`.
+                contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
+                `QuadraticMesh.surface_nodes`.
             progress: called with the number of finished frames.
+
+        Returns:
+            The frames; those that failed are marked.
         """
         if poses.ndim == 4:
             poses = poses[:, :, None]
@@ -106,41 +119,40 @@ class Solver:
     def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
-        self.touching, previous = self._meet(poses)
-        self._balance = Equilibrium(self.model, self.elasticity, self.touching, self.options, floor=self._floor)
+        self.contact, previous = self._make_contact(poses)
+        self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
         every = self._balance.every
-        self._pushed = self.touching.nothing()
+        self._contact_force = self.contact.no_force()
         if self.linear:
-            sag = self.model.factor.solve((self.model.load * self.model.free)[:, None])
-            self._sag = torch.as_tensor(np.repeat(sag, batch, axis=1), device=self.device)
+            self._linear_tier = LinearTier(self._balance)
         else:
-            self._take_up_weight(previous)
+            self._apply_load(previous)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
-        self._known: list[tuple[np.ndarray, torch.Tensor, torch.Tensor]] = []
+        self._equilibria: list[_Known] = []
         for t in range(frames):
             began = time.perf_counter()
             deadline = began + self.options.seconds
             if self.linear:
                 out = self._linear_frame(previous, poses[t])
             else:
-                self._balance.count()
+                self._balance.reset_counts()
                 way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
                 for pose in way:
-                    begin, memory = self._balance.u.clone(), self.touching.memory()
+                    begin, friction = self._balance.u.clone(), self.contact.friction_state()
                     self._start(every, previous, pose)
-                    self._advance(every, previous, pose, begin, deadline, self.options.halvings, memory)
-                    self._remember(pose, self.touching.remember(every))
+                    self._reach(every, previous, pose, begin, deadline, self.options.halvings, friction)
+                    self._remember(pose, self.contact.remember(every))
                     if pose is not way[-1]:
-                        self.touching.settle(every)
+                        self.contact.end_step(every)
                     previous = pose
-                # only then do the anchors move on: as they were, the forces balance
+                # the anchors move after the report: the forces balance with the old ones
                 out = self._report(self._balance.evaluate(every))
-                self.touching.settle(every)
+                self.contact.end_step(every)
             previous = poses[t]
             if keep:
-                self._keep()
+                self._record()
             out["seconds"] = np.full(batch, time.perf_counter() - began)
             rows.append(out)
             if progress is not None:
@@ -149,41 +161,42 @@ class Solver:
         data["seconds"] = data["seconds"][:, 0]
         return Frames(**data)
 
-    def _meet(self, poses: np.ndarray) -> tuple[Touching, np.ndarray]:
+    def _make_contact(self, poses: np.ndarray) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
-        touching = Touching(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
+        contact = RigidContact(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
         self._stride = path.stride(self.bodies, path.mean_thickness(self.model))
-        return touching, path.outside(self.bodies, self.model, poses[0], touching.first_gap)
+        return contact, path.outside(self.bodies, self.model, poses[0], contact.first_gap)
 
-    def _remember(self, pose: np.ndarray, pushed: torch.Tensor) -> None:
-        """Equilibria that later frames may begin from: all of them without friction, the last two with it."""
-        self._pushed = pushed
-        self._known.append((pose, self._balance.u.clone(), self._pushed))
-        most = _KEPT_BYTES["cpu" if self.device == "cpu" else "cuda"]
-        if self.touching.rubs or self._known[0][1].nbytes * len(self._known) > most:
-            del self._known[:-2]
+    def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
+        """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
+        self._contact_force = force
+        self._equilibria.append(_Known(pose, self._balance.u.clone(), force))
+        most = _EQUILIBRIA_BYTES["cpu" if self.device == "cpu" else "cuda"]
+        if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
+            del self._equilibria[:-2]
 
-    def _keep(self) -> None:
+    def _record(self) -> None:
+        """Keep the displacements and forces of this frame for the caller."""
         u = self._balance.u
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         force = np.zeros((len(self.model.mesh.points), 3, u.shape[1]))
-        for b, (patch, pushed) in enumerate(zip(self.touching.patches, self._pushed.cpu().numpy(), strict=True)):
+        for b, (patch, pushed) in enumerate(zip(self.contact.patches, self._contact_force.cpu().numpy(), strict=True)):
             force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)]
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
 
-    def _take_up_weight(self, pose: np.ndarray) -> None:
-        """The equilibrium under the load alone, which all touches begin from: in parts, as large as they converge in
-        few iterations."""
-        balance, touching = self._balance, self.touching
+    def _apply_load(self, pose: np.ndarray) -> None:
+        """Find the equilibrium under the load alone, from which all touches begin: in parts that are as large as they
+        converge in few iterations."""
+        balance, contact = self._balance, self.contact
         if not self.model.load.any():
             return
         deadline = time.perf_counter() + self.options.seconds
         first, whole = balance.every[:1], balance.load
-        touching.begin(pose, balance.u)
-        touching.move(pose, balance.every)
-        touching.softening[:] = 0.0  # nothing touches yet
+        contact.begin_step(pose, balance.u)
+        contact.move(pose, balance.every)
+        contact.softening[:] = 0.0  # nothing touches yet
         balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
         linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
         slope = torch.as_tensor(linear, dtype=balance.real, device=self.device)
@@ -192,7 +205,7 @@ class Solver:
             share = min(part, 1.0 - done)
             balance.load = (done + share) * whole
             balance.u[:, :1] = u + share * slope
-            balance.count()
+            balance.reset_counts()
             balance.solve(first, balance.evaluate(first), self.options.tolerance, deadline)
             if balance.reason[0] == Reason.NONE:
                 slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
@@ -201,70 +214,72 @@ class Solver:
                 part = 0.5 * share
         balance.load, balance.options = whole, self.options
         balance.u[:] = u
-        touching.softening[:] = 1.0
+        contact.softening[:] = 1.0
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
-        """Begin at the equilibrium of this very pose if it is known (frictionless: the way back is the way in), else
-        predict."""
-        balance, touching = self._balance, self.touching
-        touching.begin(before, balance.u)
-        touching.move(pose, columns)
-        if not touching.rubs:
-            for seen, u, _ in reversed(self._known):
-                if np.array_equal(seen, pose):
-                    balance.u.copy_(u)
+        """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
+        at a prediction."""
+        balance, contact = self._balance, self.contact
+        contact.begin_step(before, balance.u)
+        contact.move(pose, columns)
+        if not contact.has_friction:
+            for known in reversed(self._equilibria):
+                if np.array_equal(known.pose, pose):
+                    balance.u.copy_(known.u)
                     return
         balance.evaluate(columns)
-        last = touching.recall(self._pushed)
-        meets = columns[touching.touches(columns) | (last[columns] != 0.0).any(dim=1)]
+        last = contact.recall(self._contact_force)
+        meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
         if not len(meets):
             return
         now = balance.u.clone()
         guesses = self._guesses(now, last, pose)
         best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
-        astray = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
+        wrong_side = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
         chosen = now.clone()
         for base, pushed in guesses:
             with clock.measure("prediction"):
-                change, _ = touching.condensed(meets, touching.gather(base)[meets], pushed[meets],
+                change, _ = contact.condensed(meets, contact.gather(base)[meets], pushed[meets],
                                                iterations=20, tolerance=1e-4)
-            balance.u[:, meets] = base[:, meets] + touching.response.patch(meets, change).to(balance.real)
+            balance.u[:, meets] = base[:, meets] + contact.response.patch(meets, change).to(balance.real)
             state = balance.evaluate(meets)
-            better = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] < best))
-            best, astray = torch.where(better, state["potential"], best), torch.where(better, state["astray"], astray)
+            better = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
+                                                           & (state["potential"] < best))
+            best = torch.where(better, state["potential"], best)
+            wrong_side = torch.where(better, state["wrong_side"], wrong_side)
             chosen[:, meets[better]] = balance.u[:, meets[better]]
         balance.u.copy_(now)
         state = balance.evaluate(meets)
-        stay = (state["astray"] < astray) | ((state["astray"] == astray) & (state["potential"] <= best))
+        stay = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
+                                                     & (state["potential"] <= best))
         chosen[:, meets[stay]] = now[:, meets[stay]]
         balance.u.copy_(chosen)
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor,
                  pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """What a step may begin from: the last equilibrium, and the last two drawn on. Displacements (3 n, B) [m] and
-        forces on the patches (B, 3 s) [N]."""
+        """What a step may begin from: the last equilibrium, and the last two extrapolated. Displacements (3 n, B) [m]
+        and forces on the patches (B, 3 s) [N]."""
         out = [(now, last)]
-        if len(self._known) > 1 and self._known[-2][2].shape == self._pushed.shape:
-            (p1, u1, f1), (p0, u0, f0) = ((p, u, self.touching.recall(f)) for p, u,
-                                          f in (self._known[-1], self._known[-2]))
+        if len(self._equilibria) > 1 and self._equilibria[-2].force.shape == self._contact_force.shape:
+            (p0, u0, f0), (p1, u1, f1) = self._equilibria[-2:]
+            f0, f1 = self.contact.recall(f0), self.contact.recall(f1)
             ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
             out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
         return out
 
-    def _advance(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
-                 deadline: float,
-                 halvings: int, memory: Memory) -> None:
-        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with friction's ``memory`` from
-        there, into balance at ``pose`` (B, K, 4, 4).
+    def _reach(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
+               deadline: float, halvings: int, friction: Any) -> None:
+        """Bring ``columns`` from their equilibria ``begin`` (3 n, B) at ``before``, with the state of ``friction``
+        there, into equilibrium at ``pose`` (B, K, 4, 4).
 
         The present displacements are the first guess. Touches that fail are approached again in half steps.
         """
-        balance, touching = self._balance, self.touching
-        touching.begin(before, begin)
-        touching.move(pose, columns)
+        balance, contact = self._balance, self.contact
+        contact.begin_step(before, begin)
+        contact.move(pose, columns)
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
-        again = (balance.reason[asked] != Reason.NONE) & ~balance.spent(asked)
+        again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
             return
@@ -272,37 +287,37 @@ class Solver:
         middle = pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
-        touching.restore(failed, memory)
-        self._advance(failed, before, middle, begin, deadline, halvings - 1, memory)
+        contact.restore_friction(failed, friction)
+        self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
         lost = host[balance.reason[host] != Reason.NONE]
         reasons = balance.reason[lost].copy()
-        touching.settle(failed)
-        self._advance(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, touching.memory())
-        if touching.rubs and len(lost):
-            # friction remembers the step that failed: what follows is no equilibrium of the true history
+        contact.end_step(failed)
+        self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
+        if contact.has_friction and len(lost):
+            # friction remembers the step that failed: what follows is no equilibrium of the true path
             balance.reason[lost] = reasons
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
-        balance, touching = self._balance, self.touching
+        balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        # a body that went deep into a soft wall in one frame: come to it through softer contact
-        hard = columns[self._hard(state["measure"])]
-        if len(hard):
-            balance.u[:, hard] = begin[:, hard]
+        # a body that went deep into a soft wall in one frame is approached through softer contact
+        far = columns[self._far_from_balance(state["measure"])]
+        if len(far):
+            balance.u[:, far] = begin[:, far]
             for softening in _SOFTENINGS:
-                touching.softening[hard] = softening
-                balance.solve(hard, balance.evaluate(hard), _SOFT_TOLERANCE, deadline)
-            touching.softening[hard] = 1.0
+                contact.softening[far] = softening
+                balance.solve(far, balance.evaluate(far), _SOFT_TOLERANCE, deadline)
+            contact.softening[far] = 1.0
             state = balance.evaluate(columns)
-        for _ in range(4):
+        for _ in range(_GROWTHS):
             balance.solve(columns, state, self.options.tolerance, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
-            grown = touching.grow(columns, pose, balance.u)
+            grown = contact.extend_patch(columns, pose, balance.u)
             if grown:
-                self._pushed = touching.nothing()
+                self._contact_force = contact.no_force()
                 state = balance.evaluate(columns)
             if len(lost):
                 balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
@@ -310,117 +325,68 @@ class Solver:
                 return
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
-    def _hard(self, measure: torch.Tensor) -> torch.Tensor:
-        """Who is so far from balance at the start of a step, by its ``measure`` (k,), that softer contact should lead
-        the way (k,) bool."""
-        return ((measure - 1.0).abs() < 0.03) | (measure > HARD)
-
-    # ------------------------------------------------------------------------------------------ the linear tier
+    def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
+        """Which touches are so far from equilibrium at the start of a step, by their ``measure`` (k,), that softer
+        contact should lead the way (k,) bool."""
+        return ((measure - 1.0).abs() < 0.03) | (measure > FAR)
 
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray) -> Rows:
-        """One frame of linear elasticity: the condensed contact problem, solved to its tolerance."""
-        balance, touching = self._balance, self.touching
-        every = balance.every
-        touching.begin(before, balance.u)
-        touching.move(pose, every)
-        start = self._guess(pose)
-        for _ in range(4):
-            with clock.measure("contact"):
-                pushed, error = self._condensed(start)
-            # body by body while the contact is where it gave those forces: the stiff contact at the displacements that
-            # they cause tells forces far worse than displacements
-            by_body = {"body_force": touching.on_bodies(every), "body_moment": touching.moment_on_bodies(every)}
-            balance.u.copy_(self._sag + touching.response.patch(every, pushed))
-            if not touching.grow(every, pose, balance.u):
-                break
-            start = torch.zeros_like(touching.rest)
-        state = balance.evaluate(every)
-        u = balance.u.to(torch.float64)
-        internal = self._times_stiffness(u)
-        contact = spread(touching.dof, pushed, len(u))
-        state.update(internal=internal, contact=contact, residual=(balance.load + contact - internal) * balance.free,
-                     energy=0.5 * (u * internal).sum(dim=0), **by_body)
-        state["measure"] = torch.maximum(balance.measure(state["residual"], contact), error)
-        touching.settle(every)
-        self._remember(pose, pushed)
-        balance.count()
+        """One frame of the `linear` tier."""
+        balance = self._balance
+        force, state = self._linear_tier.frame(before, pose, self._first_force(pose))
+        self._remember(pose, force)
+        balance.reset_counts()
         balance.newton += 1
         balance.reason[(state["measure"] > self._linear_accept).cpu().numpy()] = Reason.ITERATIONS
         return self._report(state)
 
-    def _condensed(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Contact forces (B, 3 s) [N] of linear elasticity and their relative errors (B,); friction's limit is renewed
-        until it is the present one."""
-        touching, every = self.touching, self._balance.every
-        sag = touching.gather(self._sag)
-        for _ in range(_RENEWALS if touching.rubs else 1):
-            pushed, error = condensed.solve(touching, every, sag, torch.zeros_like(sag), iterations=100,
-                                            tolerance=self.options.tolerance, start=start)
-            if touching.rubs:
-                moved = sag + (touching.compliance @ pushed[:, :, None])[:, :, 0]
-                touching.evaluate(every, moved)
-                touching.lag(every)
-                touching.evaluate(every, moved)
-                off = ((touching.nodal(every) - pushed).norm(dim=1)
-                       + touching.unlawful(every)) / pushed.norm(dim=1).clamp(min=self._floor)
-                error, start = torch.maximum(error, off), pushed
-                if bool((error <= _RENEWED).all()):
-                    break
-        return pushed, error
-
-    def _guess(self, pose: np.ndarray) -> torch.Tensor:
-        """Contact forces (B, 3 s) [N] to begin with: those of this very pose if it is known, else the last two drawn
-        on."""
-        known = [(seen, pushed) for seen, _, pushed in self._known if pushed.shape == self._pushed.shape]
-        if not self.touching.rubs:
-            for seen, pushed in reversed(known):
-                if np.array_equal(seen, pose):
-                    return pushed
+    def _first_force(self, pose: np.ndarray) -> torch.Tensor:
+        """Contact forces (B, 3 s) [N] that a frame of the `linear` tier begins with: those of this very pose if it is
+        known, else the last two extrapolated."""
+        known = [k for k in self._equilibria if k.force.shape == self._contact_force.shape]
+        if not self.contact.has_friction:
+            for k in reversed(known):
+                if np.array_equal(k.pose, pose):
+                    return k.force
         if len(known) < 2:
-            return self._pushed
-        (p0, f0), (p1, f1) = known[-2:]
+            return self._contact_force
+        (p0, _, f0), (p1, _, f1) = known[-2:]
         return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)[:, None] * (f1 - f0)
-
-    def _times_stiffness(self, u: torch.Tensor) -> torch.Tensor:
-        """Rest stiffness times u (3 n, B)."""
-        if self.device == "cpu":
-            return torch.as_tensor(self.model.factor.stiffness @ u.numpy())
-        return self.model.factor.stiffness_on(self.device) @ u
 
     # ------------------------------------------------------------------------------------------ audit
 
     def _report(self, state: State) -> Rows:
-        """The rows of one frame from the state of all touches."""
-        balance, touching = self._balance, self.touching
+        """The values of one frame from the state of all touches."""
+        balance, contact = self._balance, self.contact
         every = balance.every
         batch = len(every)
-        contact, internal = state["contact"], state["internal"]
-        on_object = contact.view(-1, 3, batch).sum(dim=0).T
-        held = (internal - balance.load - contact) * (1.0 - balance.free)
-        # anchors tie the object to the ground: what they pull is a reaction of the supports
+        acting, internal = state["contact"], state["internal"]
+        on_object = acting.view(-1, 3, batch).sum(dim=0).T
+        held = (internal - balance.load - acting) * (1.0 - balance.free)
+        # anchor elements tie the object to the ground: their force is a reaction of the supports
         held = (held - self._grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
         weight = balance.load.view(-1, 3).sum(dim=0)
         unbalanced = (held + on_object + weight).norm(dim=1)
         largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)
         values = {
             "force": -on_object, "reaction": held, "residual": state["measure"],
-            "body_force": state["body_force"] if "body_force" in state else touching.on_bodies(every),
-            "body_moment": state["body_moment"] if "body_moment" in state else touching.moment_on_bodies(every),
+            "body_force": state["body_force"] if "body_force" in state else contact.on_bodies(every),
+            "body_moment": state["body_moment"] if "body_moment" in state else contact.moment_on_bodies(every),
             "force_balance": unbalanced / largest, "min_det_f": state["det"], "energy": state["energy"],
-            "penetration": touching.penetration(every), "slipping": touching.slipping(every),
+            "penetration": contact.penetration(every), "slipping": contact.slipping(every),
         }
         out = {key: value.cpu().numpy() for key, value in values.items()}
         reason = balance.reason.copy()
         if self.linear:
-            # small strain has no det F of its own; the displacements are what a viewer would draw
-            reason[(state["astray"] > 0).cpu().numpy() & (reason == Reason.NONE)] = Reason.ASTRAY
-        # with friction the limit that was renewed last counts; without, this is the state that Newton's method left
+            # the elements' det F does not count: small strain has none
+            reason[(state["wrong_side"] > 0).cpu().numpy() & (reason == Reason.NONE)] = Reason.WRONG_SIDE
+        # with friction the limit renewed last counts; without, this is the state that Newton's method left
         accept = self._linear_accept if self.linear else self._accept
         reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
-        if not touching.rubs:
-            # a step that stalled at rounding's floor may still be good enough; nothing of its way is remembered
-            reason[(out["residual"] <= accept) & ~np.isin(reason,
-                                                          (Reason.PATCH, Reason.ASTRAY, Reason.INVERTED))] = Reason.NONE
+        if not contact.has_friction:
+            # a step that stalled at the floor of rounding may still be good enough, since the path does not matter
+            final = np.isin(reason, (Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED))
+            reason[(out["residual"] <= accept) & ~final] = Reason.NONE
         out["reason"], out["converged"] = reason, reason == Reason.NONE
         out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
         return out

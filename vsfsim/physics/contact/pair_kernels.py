@@ -1,33 +1,36 @@
-"""Contact of two deformable surfaces, one of which (the sensor's) is carried along: a stiff penalty along the normal,
-Coulomb friction across it.
+"""The kernels of the contact of two deformable surfaces, one of which, the sensor's, is carried along: a stiff penalty,
+and Coulomb friction.
 
     Pi_n = sum_q w_q/2 <-g>^2,     g = +-|x_q - c(x_q)|,    c the nearest point of the other surface
-    Pi_t as in `contact`,          d = tangential part of x_q - X(anchor),  the anchor a material point of the other
-    surface
 
+The anchor of `friction` is a material point X of the other surface, and the slip is the tangential part of x_q - X.
 Both surfaces push: every node of the sensor against the object's quadratic triangles, and every surface node of the
-object against the sensor's triangles, so that neither a bump of the one nor an edge of the other gets through between
-nodes; w_q is the node's share of its faces' area times a pressure for each metre. At the nearest point
-the way along the surface costs nothing, so the force on x_q is -w_q g n and the one on the other surface is its
-opposite, shared out by the
-shape functions at c: forces balance exactly. n is not the normal of the one face at c, which jumps where a node rolls
-from face to face and would never let the forces settle, but blended from those of the faces around (where they meet
-smoothly), as they were when the step began. The change of n with the deformation is left out of the stiffness (where
-points stick, as they do on rubber, its part vanishes).
-Positions and forces are in the world; `pair` turns the sensor's into its own frame.
+object against the sensor's triangles, so that neither a bump of one nor an edge of the other passes between nodes. w_q
+is the node's share of the area of its faces times a pressure per metre.
+
+At the nearest point c the distance is stationary along the surface, so the force on x_q is -w_q g n and the one on the
+other surface is its opposite, distributed by the shape functions at c: forces balance exactly. n is not the normal of
+the face at c, which jumps where a node rolls from face to face, so that the forces would never settle. It is blended
+from the normals of the faces around where they meet smoothly, as they were when the step began. The change of n with
+the deformation is left out of the stiffness; where points stick, as they do on rubber, its part vanishes.
+
+Positions and forces are in the world; `pair_contact` rotates the sensor's into its own frame.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact import closest_point, relaxation
-from vsfsim.physics.contact.rigid_points import FACING
+from vsfsim.physics.contact import closest_point, friction
+from vsfsim.physics.contact.rigid_kernels import FACING
 
-CANDIDATES = 12  # faces of the other surface that one point may meet in one step
-FIXED, NEW = 1, 2  # an anchor: from a step before, or made in this one, which may still move it
+CANDIDATES = 12
+"""Number of faces of the other surface that one node may meet in one step."""
+FIXED, NEW = 1, 2
+"""States of an anchor: from a step before, or made in this one, which may still move it; 0 is none."""
 
 
 @functools.cache
@@ -40,10 +43,9 @@ def kernels() -> Any:
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = "vsfsim_pair_contact"
     near = closest_point.functions(real, module)
-    relaxed = relaxation.function(real, module)
     facing = wp.constant(real(FACING))
     most = wp.constant(CANDIDATES)
-    most_anchorings = wp.constant(relaxation.ANCHORINGS)
+    most_anchorings = wp.constant(friction.ANCHORINGS)
     fixed, new = wp.constant(FIXED), wp.constant(NEW)
 
     @wp.func(module=module)
@@ -57,7 +59,7 @@ def kernels() -> Any:
         gap = real(1e30)
         normal = vec3()
         least = real(1e30)
-        plumb = real(0.0)
+        best_height = real(0.0)
         for k in range(most):
             face = candidates[b, q, k]
             if face >= 0:
@@ -65,10 +67,10 @@ def kernels() -> Any:
                 delta = p - c
                 far = wp.length(delta)
                 height = wp.dot(delta, out)
-                # two faces that share the nearest point: the one that sees the point more plainly knows the side
-                if far < least - real(1e-12) or (far < least + real(1e-12) and wp.abs(height) > plumb):
+                # of two faces that share the nearest point, the one that the point is higher over tells the side
+                if far < least - real(1e-12) or (far < least + real(1e-12) and wp.abs(height) > best_height):
                     least = far
-                    plumb = wp.abs(height)
+                    best_height = wp.abs(height)
                     found = face
                     shape = n
                     gap = far
@@ -85,13 +87,6 @@ def kernels() -> Any:
         for i in range(nodes):
             out += shape[i] * x[b, faces[b, face, i]]
         return out
-
-    @wp.func(module=module)
-    def axis_across(m: vec3):
-        out = wp.cross(m, vec3(real(0.0), real(0.0), real(1.0)))
-        if wp.abs(m[2]) > real(0.9):
-            out = wp.cross(m, vec3(real(1.0), real(0.0), real(0.0)))
-        return wp.normalize(out)
 
     @wp.kernel(module=module, enable_backward=False)
     def search(
@@ -154,7 +149,7 @@ def kernels() -> Any:
         # state out
         near_out: wp.array2d(dtype=wp.int32),
     ):
-        # nodes that may take part in this step: all writers write the same
+        # nodes that may take part in this step; all threads write the same value
         q, k = wp.tid()
         b = columns[k]
         if candidates_in[b, q, 0] >= 0 or anchored_in[b, q] > 0:
@@ -195,10 +190,10 @@ def kernels() -> Any:
         normal_out: wp.array2d(dtype=vec3),
         push_out: wp.array2d(dtype=vec3),
         drag_out: wp.array2d(dtype=vec3),
-        way_out: wp.array2d(dtype=vec3),
+        slip_out: wp.array2d(dtype=vec3),
         rows_out: wp.array2d(dtype=mat33),
         slips_out: wp.array2d(dtype=wp.int32),
-        astray_out: wp.array2d(dtype=wp.int32),
+        wrong_side_out: wp.array2d(dtype=wp.int32),
         energy_out: wp.array2d(dtype=real),
     ):
         q, k = wp.tid()
@@ -210,7 +205,7 @@ def kernels() -> Any:
         energy = real(0.0)
         gap = real(1e30)
         slips = int(0)  # noqa: UP018, RUF046
-        astray = int(0)  # noqa: UP018, RUF046
+        wrong = int(0)  # noqa: UP018, RUF046
         face = int(-1)  # noqa: UP018, RUF046
         shape = vec6()
         n = vec3()
@@ -227,8 +222,8 @@ def kernels() -> Any:
                     y0 = x_in[b, facet[b, q, 0]]
                     own = wp.normalize(wp.cross(x_in[b, facet[b, q, 1]] - y0, x_in[b, facet[b, q, 2]] - y0))
                     if wp.dot(n, own) > facing:
-                        # the nearest way out leads on: the point has come past the other body's middle
-                        astray = 1
+                        # the nearest way out leads on: the point has passed the middle of the other body
+                        wrong = 1
                         gap = real(0.0)
                 if gap < real(0.0):
                     push = -w * gap * n
@@ -238,40 +233,31 @@ def kernels() -> Any:
             limit = limit_in[b, q]
             if limit > real(0.0):
                 m = across_in[b, q]
-                d = p - place(b, anchor_face_in[b, q], nodes, anchor_shape_in[b, q], faces, x_in)
-                d = d - wp.dot(d, m) * m
-                way = wp.length(d)
-                e = axis_across(m)
-                if way > real(0.0):
-                    e = d / way
-                side = wp.cross(m, e)
+                d = friction.tangential(p - place(b, anchor_face_in[b, q], nodes, anchor_shape_in[b, q], faces, x_in),
+                                        m)
                 v = stick * w
-                if v * way <= limit:
-                    drag = -v * d
-                    energy += real(0.5) * v * way * way
-                    for c in range(3):
-                        rows[1, c] = wp.sqrt(v) * e[c]
-                        rows[2, c] = wp.sqrt(v) * side[c]
-                else:
-                    drag = -limit * e
-                    energy += limit * way - real(0.5) * limit * limit / v
+                drag = -friction.force(d, v, limit)
+                energy += friction.energy(wp.length(d), v, limit)
+                along, sideways = friction.hessian_roots(d, m, v, limit)
+                for c in range(3):
+                    rows[1, c] = along[c]
+                    rows[2, c] = sideways[c]
+                if not friction.sticks(wp.length(d), v, limit):
                     slips = 1
-                    for c in range(3):
-                        rows[2, c] = wp.sqrt(limit / way) * side[c]
         gap_out[b, q] = gap
         face_out[b, q] = face
         shape_out[b, q] = shape
         normal_out[b, q] = n
         push_out[b, q] = push
         drag_out[b, q] = drag
-        way_out[b, q] = d
+        slip_out[b, q] = d
         rows_out[b, q] = rows
         slips_out[b, q] = slips
-        astray_out[b, q] = astray
+        wrong_side_out[b, q] = wrong
         energy_out[b, q] = energy
 
     @wp.kernel(module=module, enable_backward=False)
-    def lag(
+    def update_friction(
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
@@ -279,7 +265,7 @@ def kernels() -> Any:
         stiffness: wp.array2d(dtype=real),
         faces: wp.array3d(dtype=wp.int32),
         softening: wp.array(dtype=real),
-        friction: real,
+        coefficient: real,
         # state in
         candidates_in: wp.array3d(dtype=wp.int32),
         x_before: wp.array2d(dtype=vec3),
@@ -297,21 +283,20 @@ def kernels() -> Any:
         anchorings_out: wp.array2d(dtype=wp.int32),
         damping_out: wp.array2d(dtype=real),
         change_out: wp.array2d(dtype=real),
-        miss_out: wp.array2d(dtype=real),
+        residual_out: wp.array2d(dtype=real),
     ):
-        # the limit and the tangent plane of the next iteration; anchors of points that have come into touch in this
-        # step
+        # the limit and the tangent plane of the next iteration; anchors of points that came into contact in this step
         q, k = wp.tid()
         b = columns[k]
         limit = real(0.0)
         g = gap_in[b, q]
         if g < real(0.0):
-            limit = -friction * softening[b] * stiffness[b, q] * g
+            limit = -coefficient * softening[b] * stiffness[b, q] * g
             across_out[b, q] = normal_in[b, q]
             if anchored_out[b, q] == 0 or (anchored_out[b, q] == new and anchorings_out[b, q] < most_anchorings):
                 anchorings_out[b, q] = anchorings_out[b, q] + 1
-                # where the other surface came upon the point in this step, had both kept their shapes; where it is now,
-                # if it bulged up
+                # where the other surface met the point in this step if both had kept their shapes; where the point is
+                # now if it did not, because a surface bulged up
                 face = face_in[b, q]
                 shape = shape_in[b, q]
                 face0, _shape0, g0, _n0 = meet(x_before[b, first + q], b, q, nodes, candidates_in, faces, x_before)
@@ -322,24 +307,23 @@ def kernels() -> Any:
                     if face0 >= 0 and g0 > real(0.0):
                         part = g0 / (g0 - g1)
                         p = (real(1.0) - part) * x_before[b, first + q] + part * x_swept[b, first + q]
-                        # the face that it met, half-way between its two places
+                        # the face that it met, at that part of its way
                         c0 = place(b, face1, nodes, shape1, faces, x_before)
                         c1 = place(b, face1, nodes, shape1, faces, x_swept)
-                        shift = p - ((real(1.0) - part) * c0 + part * c1)
-                        shift = shift - wp.dot(shift, n1) * n1
-                        moved = c1 + shift
+                        moved = c1 + friction.tangential(p - ((real(1.0) - part) * c0 + part * c1), n1)
                         face, shape, _g2, _n2 = meet(moved, b, q, nodes, candidates_in, faces, x_swept)
                 anchor_face_out[b, q] = face
                 anchor_shape_out[b, q] = shape
                 anchored_out[b, q] = new
-        limit, damping, change, miss = relaxed(limit, limit_out[b, q], damping_out[b, q], change_out[b, q])
+        limit, damping, change, residual = friction.relaxed(limit, limit_out[b, q], damping_out[b, q],
+                                                            change_out[b, q])
         limit_out[b, q] = limit
         damping_out[b, q] = damping
         change_out[b, q] = change
-        miss_out[b, q] = miss
+        residual_out[b, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)
-    def settle(
+    def end_step(
         # model
         nodes: int,
         columns: wp.array(dtype=wp.int32),
@@ -358,7 +342,7 @@ def kernels() -> Any:
         anchor_face_out: wp.array2d(dtype=wp.int32),
         anchor_shape_out: wp.array2d(dtype=vec6),
     ):
-        # the step is done: points that slipped drag their anchor along, points that left forget it
+        # points that slipped drag their anchor along, points that left lose it
         q, k = wp.tid()
         b = columns[k]
         if gap_in[b, q] >= real(0.0):
@@ -367,13 +351,12 @@ def kernels() -> Any:
             anchored_out[b, q] = fixed
             m = across_in[b, q]
             at = place(b, anchor_face_out[b, q], nodes, anchor_shape_out[b, q], faces, x_in)
-            d = x_in[b, first + q] - at
-            d = d - wp.dot(d, m) * m
+            d = friction.tangential(x_in[b, first + q] - at, m)
             way = wp.length(d)
             v = stick * stiffness[b, q]
-            if v * way > limit_in[b, q]:
-                # the place on the surface that the point pulls at with just its limit; surfaces are curved, so it is
-                # come to in a few steps
+            if not friction.sticks(way, v, limit_in[b, q]):
+                # the place on the surface that the point pulls at with its limit; the surfaces are curved, so it takes
+                # a few steps to find
                 left = limit_in[b, q] / v
                 for _i in range(4):
                     face, shape, _g, _n = meet(at + (real(1.0) - left / way) * d, b, q, nodes, candidates_in, faces,
@@ -382,14 +365,8 @@ def kernels() -> Any:
                         anchor_face_out[b, q] = face
                         anchor_shape_out[b, q] = shape
                         at = place(b, face, nodes, shape, faces, x_in)
-                        d = x_in[b, first + q] - at
-                        d = d - wp.dot(d, m) * m
+                        d = friction.tangential(x_in[b, first + q] - at, m)
                         way = wp.max(wp.length(d), real(1e-15))
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.search, out.mark, out.evaluate, out.lag, out.settle = search, mark, evaluate, lag, settle
-    out.vec3, out.vec6, out.mat33 = vec3, vec6, mat33
-    return out
+    return SimpleNamespace(search=search, mark=mark, evaluate=evaluate, update_friction=update_friction,
+                           end_step=end_step, vec3=vec3, vec6=vec6, mat33=mat33)

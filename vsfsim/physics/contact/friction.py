@@ -1,0 +1,124 @@
+"""Coulomb's law of friction, the one place of it: regularised, and solved as a sequence of Tresca problems.
+
+    Pi_t = { k/2 |u|^2                     k |u| <= tau   (the point sticks)
+           { tau |u| - tau^2/(2 k)         else           (the point slips)
+
+u is the tangential way of a point from its anchor, the place where it last stuck, and k its tangential stiffness. The
+limit tau = mu f_n is held fixed while Newton's method brings the forces into balance: the problem then has a potential.
+Afterwards it is renewed from the normal force that was found, until it no longer changes, and the law is Coulomb's.
+Rigid bodies (`rigid_kernels`), two deformable surfaces (`pair_kernels`) and rods (`rods.kernels.touching`) use these
+functions; each keeps its anchors in its own way.
+
+Where friction lifts a point off and the next iteration brings it back, the full change of its limit would be made and
+undone for ever. So the change is damped point by point by the secant of the last two changes (Aitken's relaxation;
+Irons and Tuck 1969). The part that is held back counts as a residual of Coulomb's law: a frame with any of it left is
+not in equilibrium. A point that comes into contact where the object bulges up is anchored where it is; an anchor that
+followed its point in every iteration would creep on for ever, so it is set `ANCHORINGS` times in a step at most.
+"""
+
+import torch
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+
+ANCHORINGS = 3
+"""How often an anchor that a step makes may be set in this step."""
+_LEAST_DAMPING = wp.constant(wp.float64(1.0 / 16.0))
+_ZERO, _HALF, _ONE = (wp.constant(wp.float64(value)) for value in (0.0, 0.5, 1.0))
+
+
+@wp.func
+def tangential(v: wp.vec3d, normal: wp.vec3d):
+    """The part of a vector across a unit normal."""
+    return v - wp.dot(v, normal) * normal
+
+
+@wp.func
+def sticks(way: wp.float64, stiffness: wp.float64, limit: wp.float64):
+    """Whether a point sticks at the tangential way ``way`` = |u| [m] from its anchor."""
+    return stiffness * way <= limit
+
+
+@wp.func
+def energy(way: wp.float64, stiffness: wp.float64, limit: wp.float64):
+    """Pi_t [J]."""
+    if sticks(way, stiffness, limit):
+        return _HALF * stiffness * way * way
+    return limit * way - _HALF * limit * limit / stiffness
+
+
+@wp.func
+def force(u: wp.vec3d, stiffness: wp.float64, limit: wp.float64):
+    """Gradient of Pi_t by u [N], minus the force on the point: Coulomb's return map."""
+    way = wp.length(u)
+    if sticks(way, stiffness, limit):
+        return stiffness * u
+    return limit * (u / way)
+
+
+@wp.func
+def axis_across(normal: wp.vec3d):
+    """A unit vector across a unit normal."""
+    out = wp.cross(normal, wp.vec3d(_ZERO, _ZERO, _ONE))
+    if wp.abs(normal[2]) > wp.float64(0.9):
+        out = wp.cross(normal, wp.vec3d(_ONE, _ZERO, _ZERO))
+    return wp.normalize(out)
+
+
+@wp.func
+def hessian_roots(u: wp.vec3d, normal: wp.vec3d, stiffness: wp.float64, limit: wp.float64):
+    """The Hessian of Pi_t as r r^T + s s^T in the tangent plane of ``normal``: the rows r, along the slip, and s,
+    across it [sqrt(N/m)]. A slipping point has r = 0: along the slip the force is constant."""
+    way = wp.length(u)
+    along = axis_across(normal)
+    if way > _ZERO:
+        along = u / way
+    across = wp.cross(normal, along)
+    if sticks(way, stiffness, limit):
+        root = wp.sqrt(stiffness)
+        return root * along, root * across
+    return wp.vec3d(), wp.sqrt(limit / way) * across
+
+
+@wp.func
+def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_change: wp.float64):
+    """Aitken's relaxation of one limit [N].
+
+    From the limit that Coulomb's law asks for, the present one, its damping [-] and its last full change [N]: the next
+    limit, its damping, this full change, and the part of it that is held back, the residual of the law [N].
+    """
+    change = asked - present
+    part = damping
+    if (last_change - change) * last_change > _ZERO:
+        part = wp.clamp(damping * last_change / (last_change - change), _LEAST_DAMPING, _ONE)
+    return present + part * change, part, change, (_ONE - part) * wp.abs(change)
+
+
+class Relaxation:
+    """State of Aitken's relaxation within a step: one value for every contact point of B touches.
+
+    Args:
+        size: shape (B, ...) of the tensors. device: torch device.
+    """
+
+    def __init__(self, size: tuple[int, ...], device: str):
+        self.change = torch.zeros(size, dtype=torch.float64, device=device)
+        """Last full change of the limits (B, ...) [N]."""
+        self.residual = torch.zeros_like(self.change)
+        """Part of the last change that was held back (B, ...) [N]."""
+        self.damping = torch.ones_like(self.change)
+        """Damping of the changes (B, ...) [-]."""
+        self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
+        """How often the anchor of each point was set in this step (B, ...) [-]."""
+        self.arrays = [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.residual)]
+        """The tensors as Warp arrays, in the order that the kernels take them; all are only ever written in place."""
+
+    def begin_step(self) -> None:
+        """Forget the step before."""
+        self.damping.fill_(1.0)
+        for value in (self.anchorings, self.change, self.residual):
+            value.zero_()
+
+    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
+        """Sum of the residuals of Coulomb's law of the touches ``columns`` (k,): (k,) [N]."""
+        return self.residual[columns].flatten(1).sum(dim=1)

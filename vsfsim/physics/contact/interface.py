@@ -1,0 +1,124 @@
+"""What the solver asks of a contact: `rigid_contact` (rigid bodies) and `pair_contact` (a soft sensor) answer it.
+
+A batch has B touches, one column each. The *patch* of a touch is the surface nodes that it can reach; all patches are
+padded to s nodes. ``columns`` (k,) are the touches that a call is about; its results have their order.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+
+class Contact(Protocol):
+    """State of the contact of B touches on one device."""
+
+    device: str
+    """Torch and Warp device."""
+    batch: int
+    """Number of touches B."""
+    has_friction: bool
+    """Whether any pair of surfaces has a friction coefficient above 0."""
+    stick: float
+    """Tangential stiffness of a stuck point over the normal one [-]."""
+    softening: torch.Tensor
+    """Factor on the contact stiffness (B,) [-]: 1, but on the way to a frame that is hard to reach."""
+    dof: torch.Tensor
+    """Degrees of freedom of the patches (B, 3 s); -1 is padding."""
+    mask: torch.Tensor
+    """1 where `dof` is no padding (B, 3 s) [-]."""
+    free: torch.Tensor
+    """1 where a degree of freedom may move (B, 3 s) [-]."""
+    response: Any
+    """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
+    compliance: Any
+    """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair_links.Compliance`."""
+
+    potential_trusted_above: float
+    """Measure under which a step is accepted for its residual alone, because rounding hides the potential [-]."""
+    decrease: float
+    """Sufficient-decrease factor of the residual for such a step [-]."""
+    friction_updated_below: float
+    """Measure at which the friction limit is renewed for the first time in a step [-]."""
+    patience: int
+    """Iterations in which the measure may fail to fall by a tenth before a touch is given up."""
+
+    def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """Begin a step at the poses ``before`` (B, K, 4, 4) and the displacements u (3 n, B) [m]: slip counts from
+        here."""
+
+    def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
+        """Move the bodies to ``pose`` (B, K, 4, 4); ``columns`` are about to be solved there."""
+
+    def gather(self, u: torch.Tensor) -> torch.Tensor:
+        """Displacements of all patches (B, 3 s) [m] out of u (3 n, B)."""
+
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """Find gaps, forces and stiffness at displacements (k, 3 s) [m] of the patches. The methods below report what
+        the last evaluation found."""
+
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Potential of the contact (k,) [J]."""
+
+    def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
+        """Number of points beyond the middle of the other body (k,); a solution has none."""
+
+    def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces on the nodes of the patches (k, 3 s) [N]."""
+
+    def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Force on every touching body (k, K, 3) [N], world."""
+
+    def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """Moment on every touching body about its origin (k, K, 3) [N m], world."""
+
+    def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """Whether any point is inside the other body (k,) bool."""
+
+    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
+        """Depth of the deepest point (k,) [m]."""
+
+    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """Share of the points in contact that slip (k,) [-]; 0 without contact."""
+
+    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
+        """Contact stiffness on the patches (k, 3 s, 3 s) [N/m], a tensor or an operator.
+
+        ``geometric``: the touches whose stiffness has its geometric term (k,) bool; deep inside a body that term is
+        large and wrong."""
+
+    def block(self, columns: torch.Tensor) -> Any:
+        """The contact stiffness, ready to be inverted together with the compliance of the bodies at rest."""
+
+    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """Change of the contact forces where the bodies are now, see `condensed.solve`."""
+
+    def update_friction(self, columns: torch.Tensor) -> None:
+        """Renew the friction limit and the tangent plane from the last evaluation."""
+
+    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
+        """Sum of the differences of the friction limits from Coulomb's after `update_friction` (k,) [N]."""
+
+    def end_step(self, columns: torch.Tensor) -> None:
+        """End the step: slipping points drag their anchors along, points that left contact lose them."""
+
+    def friction_state(self) -> Any:
+        """A copy of the anchors, limits and tangent planes, for `restore_friction`."""
+
+    def restore_friction(self, columns: torch.Tensor, state: Any) -> None:
+        """Return to a friction state after a step that failed."""
+
+    def remember(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces in a form that later steps, whose patches may differ, can read [N]."""
+
+    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
+        """Remembered forces on the present patches (B, 3 s) [N]."""
+
+    def no_force(self) -> torch.Tensor:
+        """What `remember` returns without contact."""
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """Extend the patches by surface that came into contact outside them at u (3 n, B); whether any changed."""

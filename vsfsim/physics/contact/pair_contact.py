@@ -1,0 +1,415 @@
+"""Contact of a batch of touches between an object and the deformable surface of a sensor that is carried along.
+
+A step knows, for every node of either surface, the faces of the other surface that it may meet; all their nodes are the
+*patch* of the step (`pair_surfaces`). It is small, and differs from step to step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.physics.contact import pair_condensed
+from vsfsim.physics.contact.pair_links import LinkBlock, Links, LinkStiffness
+from vsfsim.physics.contact.pair_response import PairResponse
+from vsfsim.physics.contact.pair_sides import Side
+from vsfsim.physics.contact.pair_surfaces import PairPatch, PairSurfaces
+from vsfsim.physics.contact.rigid_kernels import STICK
+from vsfsim.physics.model import Model
+
+_TURNED = 0.01  # change of a blended normal [rad] in a step above which it is blended again
+_NEW_GAP = 1e-9  # change of a gap [m] with renewed candidates above which the old one was wrong
+
+
+@dataclass(frozen=True)
+class _Evaluated:
+    """The points in contact of some touches, as they were evaluated last."""
+
+    columns: torch.Tensor
+    """The touches (k,)."""
+    normal: Links | None
+    """Links along the normals; their rows carry the roots of the stiffness."""
+    across: Links | None
+    """Links across the normals, with friction only."""
+    push: torch.Tensor
+    """Nodal normal forces (k, 3 s) [N]."""
+    drag: torch.Tensor
+    """Nodal friction forces (k, 3 s) [N]."""
+
+
+@dataclass(frozen=True)
+class _Chosen:
+    """Some nodes of a side, padded to the largest number a of any touch."""
+
+    side: Side
+    at: tuple[torch.Tensor, torch.Tensor]
+    """Touches (k, 1) and nodes (k, a)."""
+    on: torch.Tensor
+    """1, or 0 at padding (k, a) [-]."""
+
+    def of(self, name: str) -> torch.Tensor:
+        """What the kernels wrote for them (k, a, ...)."""
+        return self.side.state[name][self.at]
+
+    def stiffness(self) -> torch.Tensor:
+        """Their penalty stiffness (k, a) [N/m]."""
+        return self.side.stiffness[self.at]
+
+    def anchor(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Their anchors: a face (k, a) and shape values (k, a, 6)."""
+        return self.side.memory["anchor_face"][self.at], self.side.memory["anchor_shape"][self.at]
+
+
+class PairContact:
+    """`Contact` of an object with the surface of a sensor (K = 1); the patch is that of the present step.
+
+    Args:
+        model: the object.
+        sensor: the body with the touching surface, in its own frame; its displacements are 0 in the free state.
+        friction: Coulomb's coefficient of the pair [-].
+        poses: all poses to come, sensor to world (T, B, 4, 4): they tell what is in reach.
+        device: Warp device.
+        stride: longest way of the sensor in a step [m].
+    """
+
+    # with blended normals the forces are not quite those of a potential
+    potential_trusted_above, decrease = 1.0, 0.9
+    # rubber mostly sticks, and the limits of the prediction are nearly right
+    friction_updated_below = 0.3
+    # over flat facets a step may cycle, and half of such steps end elsewhere
+    patience = 8
+
+    def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
+        self.model, self.sensor, self.device = model, sensor, device
+        self.has_friction, self._coefficient = friction > 0.0, float(friction)
+        self.stick = STICK
+        self.surfaces = PairSurfaces(model, sensor, poses, device=device, stride=stride)
+        self._sides, self._kernels, self.batch = self.surfaces.sides, self.surfaces.kernels, self.surfaces.batch
+        self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
+        self.response = PairResponse(model, sensor, self.surfaces)
+        self._evaluated: _Evaluated | None = None
+        # whose normals were blended once more in this step
+        self._blended = torch.zeros(self.batch, dtype=torch.bool, device=device)
+
+    @property
+    def _patch(self) -> PairPatch:
+        return self.surfaces.patch
+
+    @property
+    def dof(self) -> torch.Tensor:
+        """See `Contact`."""
+        return self._patch.dof
+
+    @property
+    def mask(self) -> torch.Tensor:
+        """See `Contact`."""
+        return self._patch.mask
+
+    @property
+    def free(self) -> torch.Tensor:
+        """See `Contact`."""
+        return self._patch.free
+
+    # ------------------------------------------------------------------------------------------ steps
+
+    def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """See `Contact`."""
+        for side in self._sides:
+            side.relaxation.begin_step()
+        self.surfaces.begin_step(before, u)
+
+    def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
+        """See `Contact`; finds what the touches ``columns`` (k,) may meet on the way."""
+        if self.surfaces.move(pose, columns):
+            self._blended[columns] = False
+            self._use_patch()
+
+    def _use_patch(self) -> None:
+        self.compliance = self.response.compliance()
+        self._evaluated = None
+
+    def _find_candidates(self, columns: torch.Tensor, *, blend: torch.Tensor) -> None:
+        self.surfaces.find_candidates(self.surfaces.margin, columns, blend=blend)
+        self._use_patch()
+
+    def predict_candidates(self, columns: torch.Tensor, u: torch.Tensor) -> None:
+        """Find what may meet what again, with the normals at the predicted displacements u (3 N, B) [m]."""
+        self.surfaces.place_at(columns, u)
+        self._find_candidates(columns, blend=columns)
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """See `Contact`: finds what may meet what again from where the surfaces are now. True if that finds new
+        contact, or normals that have turned."""
+        before = [side.state["gap"][columns].clamp(max=0.0) for side in self._sides]
+        self.surfaces.place_at(columns, u)
+        turned = columns[(self._turned() & ~self._blended)[columns]]
+        self._blended[turned] = True  # once in a step: more would chase the last digit
+        self._find_candidates(columns, blend=turned)
+        self.evaluate(columns, self.gather(u)[columns])
+        return len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
+                                      for side, old in zip(self._sides, before, strict=True))
+
+    def _turned(self) -> torch.Tensor:
+        """Whose normals have turned where they touch since they were blended (B,) bool."""
+        out = torch.zeros(self.batch, dtype=torch.bool, device=self.device)
+        for side in self._sides:
+            at, node = (side.state["gap"] < 0.0).nonzero(as_tuple=True)
+            face = side.state["face"][at, node].long()
+            change = (side.blended(self.surfaces.x)[at, face] - side.smooth[at, face]).norm(dim=2).amax(dim=1)
+            out[at[change > _TURNED]] = True
+        return out
+
+    # ------------------------------------------------------------------------------------------ evaluation
+
+    def gather(self, u: torch.Tensor) -> torch.Tensor:
+        """See `Contact`; the sensor's displacements are in its frame."""
+        return u.gather(0, self._patch.index.T).T.to(torch.float64) * self.mask
+
+    def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
+        """Run a kernel over the nodes of a side of the touches ``columns`` (k,)."""
+        shared = [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
+        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device, inputs=[*shared, *inputs])
+
+    def _positions(self, x: torch.Tensor) -> wp.array:
+        return wp.from_torch(x, dtype=self._kernels.vec3)
+
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """See `Contact`."""
+        self.surfaces.displace(columns, displacement)
+        here, softening = self._positions(self.surfaces.x), wp.from_torch(self.softening)
+        for side in self._sides:
+            self._launch(self._kernels.evaluate, side, columns, [
+                *side.arrays("facet stiffness faces smooth"), softening, self.stick, here,
+                *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
+                *side.arrays("gap face shape normal push drag slip rows slips wrong_side energy")])
+        self._evaluated = None
+
+    def update_friction(self, columns: torch.Tensor) -> None:
+        """See `Contact`."""
+        if not self.has_friction:
+            return
+        softening = wp.from_torch(self.softening)
+        before, swept = self._positions(self.surfaces.x_before), self._positions(self.surfaces.x_swept)
+        for side in self._sides:
+            self._launch(self._kernels.update_friction, side, columns, [
+                *side.arrays("stiffness faces"), softening, self._coefficient,
+                *side.arrays("candidates"), before, swept,
+                *side.arrays("gap face shape normal anchored anchor_face anchor_shape limit across"),
+                *side.arrays("anchorings damping change residual")])
+
+    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return sum(side.relaxation.friction_residual(columns) for side in self._sides)
+
+    def end_step(self, columns: torch.Tensor) -> None:
+        """See `Contact`."""
+        if not self.has_friction or not len(columns):
+            return
+        here = self._positions(self.surfaces.x)
+        for side in self._sides:
+            self._launch(self._kernels.end_step, side, columns, [
+                *side.arrays("stiffness faces"), STICK, here,
+                *side.arrays("candidates gap limit across anchored anchor_face anchor_shape")])
+
+    def friction_state(self) -> list[dict[str, torch.Tensor]]:
+        """See `Contact`; empty without friction."""
+        if not self.has_friction:
+            return []
+        return [{key: value.clone() for key, value in side.memory.items()} for side in self._sides]
+
+    def restore_friction(self, columns: torch.Tensor, state: list[dict[str, torch.Tensor]]) -> None:
+        """See `Contact`."""
+        for side, kept in zip(self._sides, state, strict=False):
+            for key, value in kept.items():
+                side.memory[key][columns] = value[columns]
+
+    # ------------------------------------------------------------------------------------------ results
+
+    def _sum(self, name: str, columns: torch.Tensor) -> torch.Tensor:
+        return sum(side.state[name][columns].sum(dim=1) for side in self._sides)
+
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._sum("energy", columns)
+
+    def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._sum("wrong_side", columns)
+
+    def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return torch.stack([(side.state["gap"][columns] < 0.0).any(dim=1) for side in self._sides]).any(dim=0)
+
+    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0).clamp(min=0.0)
+
+    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
+        return self._sum("slips", columns) / inside.clamp(min=1)
+
+    def _chosen(self, columns: torch.Tensor, masks: list[torch.Tensor]) -> list[_Chosen]:
+        """The nodes of each side that its mask (k, Q) names; sides without any are left out."""
+        out = []
+        for side, mask in zip(self._sides, masks, strict=True):
+            most = int(mask.sum(dim=1).amax())
+            if most:
+                on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
+                out.append(_Chosen(side, (columns[:, None], order[:, :most]), on[:, :most].to(torch.float64)))
+        return out
+
+    def _links(self, columns: torch.Tensor, chosen: list[_Chosen], places: list[tuple[torch.Tensor, torch.Tensor]],
+               directions: list[torch.Tensor]) -> Links | None:
+        """Links of the chosen nodes to ``places`` on the other side, each a face (k, a) and shape values (k, a, 6),
+        with ``directions`` (k, a, m, 3) in the world."""
+        if not chosen:
+            return None
+        place = self._patch.place[columns]
+        rows = torch.arange(len(columns), device=self.device)[:, None, None]
+        width = 1 + max(own.side.faces.shape[2] for own in chosen)
+        nodes, weights = [], []
+        for own, (face, shape) in zip(chosen, places, strict=True):
+            side = own.side
+            there = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
+            node = torch.cat([place.gather(1, side.first + own.at[1])[:, :, None], there], dim=2)
+            held = (own.on * (face >= 0))[:, :, None]
+            weight = torch.cat([own.on[:, :, None], -shape[:, :, :side.faces.shape[2]] * held], dim=2)
+            spare = (0, width - node.shape[2])
+            nodes.append(torch.nn.functional.pad(node, spare))
+            weights.append(torch.nn.functional.pad(weight, spare))
+        world = torch.cat(directions, dim=1)
+        return Links.of(self._patch.split, self._patch.nodes.shape[1], torch.cat(nodes, dim=1),
+                        torch.cat(weights, dim=1), world, world @ self.surfaces.turn[columns][:, None])
+
+    def _in_contact(self, columns: torch.Tensor) -> _Evaluated:
+        """The points in contact, as they were evaluated last."""
+        if self._evaluated is not None and torch.equal(self._evaluated.columns, columns):
+            return self._evaluated
+        push = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
+        drag = torch.zeros_like(push)
+        chosen = self._chosen(columns, [(side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
+                                        for side in self._sides])
+        roots = [own.of("rows") * own.on[:, :, None, None] for own in chosen]
+        normal = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
+                             [r[:, :, :1] for r in roots])
+        across = None
+        if normal is not None:
+            pushes = [own.of("push") * own.on[:, :, None] for own in chosen]
+            push = self._share(columns, normal, torch.cat(pushes, dim=1))
+            if self.has_friction:
+                across = self._links(columns, chosen, [own.anchor() for own in chosen], [r[:, :, 1:] for r in roots])
+                drags = [own.of("drag") * own.on[:, :, None] for own in chosen]
+                drag = self._share(columns, across, torch.cat(drags, dim=1))
+        self._evaluated = _Evaluated(columns.clone(), normal, across, push, drag)
+        return self._evaluated
+
+    def _share(self, columns: torch.Tensor, links: Links, force: torch.Tensor) -> torch.Tensor:
+        """Nodal forces (k, 3 s) [N] of forces (k, a, 3) [N] of the world at the links."""
+        return links.share(force, force @ self.surfaces.turn[columns])
+
+    def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`; in the frames of the unknowns."""
+        found = self._in_contact(columns)
+        return found.push + found.drag
+
+    def _on_sensor(self, columns: torch.Tensor) -> torch.Tensor:
+        """Contact forces on the sensor's nodes of the patches (k, c, 3) [N], world."""
+        own = self.nodal(columns).view(len(columns), -1, 3)[:, self._patch.split:]
+        return own @ self.surfaces.turn[columns].mT
+
+    def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`: the force on the sensor (k, 1, 3) [N]."""
+        return self._on_sensor(columns).sum(dim=1, keepdim=True)
+
+    def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`: the moment on the sensor (k, 1, 3) [N m]."""
+        index = self._patch.nodes[columns][:, self._patch.split:, None].expand(-1, -1, 3)
+        lever = self.surfaces.x[columns].gather(1, index) - self.surfaces.origins(columns)
+        return torch.linalg.cross(lever, self._on_sensor(columns)).sum(dim=1, keepdim=True)
+
+    # ------------------------------------------------------------------------------------------ stiffness
+
+    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> LinkStiffness:
+        """See `Contact`: an operator. It has no geometric term, and ``geometric`` is ignored."""
+        return LinkStiffness(self._all_links(columns), self.free[columns])
+
+    def block(self, columns: torch.Tensor) -> LinkBlock:
+        """See `Contact`."""
+        links = self._all_links(columns)
+        assert links is not None, "the contact block exists only where there is contact"
+        return LinkBlock.of(links, self.compliance, columns, self.free[columns])
+
+    def _all_links(self, columns: torch.Tensor) -> Links | None:
+        found = self._in_contact(columns)
+        return found.normal if found.normal is None or found.across is None else found.normal.beside(found.across)
+
+    # ------------------------------------------------------------------------------------------ the condensed problem
+
+    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Contact`."""
+        return pair_condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
+
+    def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
+        """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those
+        ``asked`` before."""
+        now = [side.state["gap"][columns] < part * self.surfaces.margin for side in self._sides]
+        return now if asked is None else [a | b for a, b in zip(now, asked, strict=True)]
+
+    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
+                                                                                 torch.Tensor, torch.Tensor]:
+        """The nodes ``asked``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
+        compliances (k, p) [m/N], and whether they touch (k, p) bool. Padding has a gap of 1 m."""
+        chosen = self._chosen(columns, asked)
+        if not chosen:
+            none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
+            return None, none, none, none > 0.0
+        links = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
+                            [own.of("normal")[:, :, None] for own in chosen])
+        on = torch.cat([own.on for own in chosen], dim=1) > 0.0
+        gap = torch.cat([own.of("gap") for own in chosen], dim=1)
+        stiffness = self.softening[columns][:, None] * torch.cat([own.stiffness() for own in chosen], dim=1)
+        give = torch.where(on, 1.0 / stiffness.clamp(min=1e-12), 1.0)
+        return links, torch.where(on, gap, 1.0), give, on & (gap < 0.0)
+
+    def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
+        """Friction forces (k, 3 s) [N] on the patches, and the links whose rows [sqrt(N/m)] make their stiffness (None
+        without friction).
+
+        ``stuck``: treat every point with a friction limit as stuck, however far it is from its anchor.
+        """
+        if not stuck or not self.has_friction:
+            found = self._in_contact(columns)
+            return found.drag, found.across
+        chosen = self._chosen(columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
+        if not chosen:
+            return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
+        penalty = torch.cat([own.stiffness() * own.on for own in chosen], dim=1)
+        stiffness = self.stick * self.softening[columns][:, None] * penalty
+        normal = torch.cat([own.side.memory["across"][own.at] for own in chosen], dim=1)
+        axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
+        first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
+        directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
+        links = self._links(columns, chosen, [own.anchor() for own in chosen], [directions])
+        slip = torch.cat([own.of("slip") for own in chosen], dim=1)
+        return self._share(columns, links, -stiffness[:, :, None] * slip), links
+
+    # ------------------------------------------------------------------------------------------ between steps
+
+    def remember(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`: nodal forces (3 N, B) [N] on all nodes of both bodies; ``columns`` are all touches."""
+        return self.no_force().scatter_add_(0, self._patch.index.T, self.nodal(columns).T)
+
+    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return remembered.gather(0, self._patch.index.T).T * self.mask
+
+    def no_force(self) -> torch.Tensor:
+        """See `Contact`."""
+        size = 3 * (len(self.model.mesh.points) + len(self.sensor.mesh.points))
+        return torch.zeros((size, self.batch), dtype=torch.float64, device=self.device)

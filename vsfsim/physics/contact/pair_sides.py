@@ -1,0 +1,237 @@
+"""The two sides of a pair of deformable surfaces: the nodes of one surface, and the faces of the other one that they
+may meet.
+
+Both bodies are at rest here; `pair_surfaces` moves them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+from scipy.spatial import cKDTree
+
+from vsfsim.physics.contact.friction import Relaxation
+from vsfsim.physics.contact.pair_kernels import CANDIDATES, kernels
+from vsfsim.physics.contact.patch import PENALTY
+from vsfsim.physics.model import Model
+
+_BULGE = 0.25
+"""Part of the sensor's height by which a surface may leave the space that the free sensor passes through: the sensor
+swells sideways, and the object bulges."""
+_AWAY = 0.5  # cosine between a face's normal and the sensor's axis above which the face has its back to the sensor
+_MOST_PARTS = 16  # along the edge of a face
+_SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly; faces that meet at an edge have a lower one
+_LEAST_MODULUS = 1e-3  # of the sensor's modulus: for softer objects the penalty of its nodes decreases no further
+_SECOND = 0.1
+"""Factor on the stiffness of the object's nodes: the sensor's nodes bear the load, the object's only keep its edges
+from passing between them."""
+_BARY = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
+_SLOPES = np.stack([  # derivatives of the shape functions of a quadratic face along two of its edges, at its six nodes
+    np.stack([1 - 4 * _BARY[:, 0], *((4 * _BARY[:, 1] - 1, 0 * _BARY[:, 0]) if k == 1
+                                     else (0 * _BARY[:, 0], 4 * _BARY[:, 2] - 1)),
+              4 * (_BARY[:, 0] - _BARY[:, 1]) if k == 1 else -4 * _BARY[:, 1],
+              4 * (_BARY[:, 2] if k == 1 else _BARY[:, 1]),
+              -4 * _BARY[:, 2] if k == 1 else 4 * (_BARY[:, 0] - _BARY[:, 2])], axis=1) for k in (1, 2)])
+
+
+@dataclass
+class Side:
+    """The nodes of one surface (Q) and the faces of the other one (F), of B touches; node numbers are those of a touch.
+
+    All tensors are only ever written in place.
+    """
+
+    first: int
+    """Number of the first node; the others follow it."""
+    facet: torch.Tensor
+    """Corners of a face that each node is on (B, Q, 3), int32."""
+    stiffness: torch.Tensor
+    """Penalty stiffness of each node (B, Q) [N/m]; 0 is padding."""
+    faces: torch.Tensor
+    """Nodes of the faces of the other surface (B, F, 3 or 6), int32."""
+    count: torch.Tensor
+    """Faces in use (B,), int32."""
+    candidates: torch.Tensor
+    """Faces that each node may meet in this step (B, Q, CANDIDATES), int32; -1 is padding."""
+    state: dict[str, torch.Tensor]
+    """What the kernels wrote in the last evaluation, by name (B, Q, ...)."""
+    memory: dict[str, torch.Tensor]
+    """Friction state by name: anchors, limits, normals of the tangent planes (B, Q, ...)."""
+    relaxation: Relaxation
+    """Iteration of the friction limits in this step."""
+    around: torch.Tensor
+    """Corners that share the node of each corner (B, F n, most), as face x n + node with n nodes a face; -1 is
+    padding."""
+    smooth: torch.Tensor
+    """Normals at the corners of the faces, blended over smoothly joined faces (B, F, n, 3) [-]."""
+    views: dict[str, wp.array]
+    """All tensors as Warp arrays, by name."""
+
+    def arrays(self, names: str) -> list[wp.array]:
+        """Views by their names, separated by blanks."""
+        return [self.views[name] for name in names.split()]
+
+    def blended(self, x: torch.Tensor) -> torch.Tensor:
+        """`smooth` at the positions x (B, S, 3) [m] of all nodes."""
+        batch, faces, nodes = self.faces.shape
+        at = torch.arange(batch, device=x.device)[:, None, None]
+        x = x[at, self.faces.long()]  # (B, F, n, 3)
+        first, second = x[:, :, 1] - x[:, :, 0], x[:, :, 2] - x[:, :, 0]
+        if nodes == 3:
+            own = torch.linalg.cross(first, second)[:, :, None].expand(-1, -1, 3, -1)
+        else:
+            slope = torch.as_tensor(_SLOPES, device=x.device)  # (2, 6 places, 6 nodes)
+            own = torch.linalg.cross(*(torch.einsum("pn,bfnc->bfpc", s, x) for s in slope))
+        own = torch.nn.functional.normalize(own, dim=3).reshape(batch, faces * nodes, 3)
+        others = own[at, self.around.clamp(min=0)]  # (B, F n, most, 3)
+        counts = (self.around >= 0) & ((others * own[:, :, None]).sum(dim=3) > _SMOOTH)
+        return torch.nn.functional.normalize((others * counts[..., None]).sum(dim=2),
+                                             dim=2).view(batch, faces, nodes, 3)
+
+
+def make_sides(model: Model, sensor: Model, reach: Sequence[np.ndarray], nodes: Sequence[np.ndarray], width: int, *,
+               device: str) -> tuple[Side, Side]:
+    """The sensor's nodes against the object's faces, and the object's nodes against the sensor's faces.
+
+    Args:
+        model: the object.
+        sensor: the body with the touching surface.
+        reach: boundary triangles of the object that each touch may meet, see `reachable`.
+        nodes: their nodes, increasing; they come first in the numbers of a touch.
+        width: their largest number; the sensor's nodes come after them.
+        device: Warp device.
+    """
+    mesh, own = model.mesh, sensor.mesh
+    batch, m = len(reach), len(own.points)
+    most = max(1, max(len(f) for f in reach))
+    faces = np.zeros((batch, most, 6), np.int32)
+    normal_of = np.zeros((batch, width, 3), np.int32)
+    tied = np.zeros((batch, width))
+    area, modulus = mesh.face_area(), model.surface_modulus
+    own_area, own_modulus = own.face_area(), sensor.surface_modulus
+    soft = float(np.median(own_modulus))
+    for b, (f, n) in enumerate(zip(reach, nodes, strict=True)):
+        if not len(f):
+            continue
+        local = np.searchsorted(n, mesh.faces[f])
+        faces[b, :len(f)] = local
+        # a node has a share of its faces; the softer body bounds the pressure, so it sets the stiffness
+        w = PENALTY * np.minimum(modulus[f], soft) * np.sqrt(area[f]) / 6.0
+        np.add.at(tied[b], local, _SECOND * w[:, None])
+        normal_of[b, local] = local[:, None, :3]
+    corners = own.faces.shape[1]
+    object_modulus = np.array([np.median(modulus[f]) if len(f) else soft for f in reach])
+    softer = np.maximum(object_modulus[:, None], _LEAST_MODULUS * own_modulus[None, :])
+    pressed = PENALTY * np.minimum(own_modulus[None, :], softer) * np.sqrt(own_area)
+    carried_stiffness = np.zeros((batch, m))
+    for b in range(batch):
+        np.add.at(carried_stiffness[b], own.faces, pressed[b][:, None] / corners)
+    carried_normal = np.zeros((m, 3), np.int64)
+    carried_normal[own.faces] = own.faces[:, None, :3]
+    at = own.faces + width
+
+    def many(values: np.ndarray) -> np.ndarray:
+        return np.broadcast_to(values, (batch, *values.shape))
+
+    return (_side(width, many(width + carried_normal), carried_stiffness, faces, [len(f) for f in reach], device),
+            _side(0, normal_of, tied, many(at), [len(at)] * batch, device))
+
+
+def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarray, count: Sequence[int],
+          device: str) -> Side:
+    size = stiffness.shape
+    k = kernels()
+
+    def zeros(*more: int, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+        return torch.zeros((*size, *more), dtype=dtype, device=device)
+
+    def whole(values: Any) -> torch.Tensor:
+        return torch.as_tensor(np.array(values), dtype=torch.int32, device=device)
+
+    state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3),
+             "push": zeros(3), "drag": zeros(3), "slip": zeros(3), "rows": zeros(3, 3),
+             "slips": zeros(dtype=torch.int32), "wrong_side": zeros(dtype=torch.int32), "energy": zeros()}
+    memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32),
+              "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
+    relaxation = Relaxation(size, device)
+    model = {"facet": whole(facet), "stiffness": torch.as_tensor(stiffness, device=device), "faces": whole(faces),
+             "count": whole(count), "candidates": zeros(CANDIDATES, dtype=torch.int32) - 1}
+    smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=device)
+    types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33,
+             **dict.fromkeys(("normal", "push", "drag", "slip", "across", "smooth"), k.vec3)}
+    named = {**model, "smooth": smooth, **state, **memory}
+    views = {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()},
+             **dict(zip(("anchorings", "damping", "change", "residual"), relaxation.arrays, strict=True))}
+    return Side(first, **model, state=state, memory=memory, relaxation=relaxation,
+                around=torch.as_tensor(_around(np.asarray(faces), count), device=device), smooth=smooth, views=views)
+
+
+def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:
+    """`Side.around` of faces (B, F, n) of which the first ``count`` (B) are in use."""
+    batch, width, nodes = faces.shape
+    tables = []
+    for b in range(batch):
+        if b and np.array_equal(faces[b], faces[b - 1]) and count[b] == count[b - 1]:
+            tables.append(tables[-1])
+            continue
+        flat = faces[b, :count[b]].ravel()
+        order = np.argsort(flat, kind="stable")
+        valence = np.bincount(flat, minlength=1) if len(flat) else np.zeros(1, int)
+        start = np.concatenate([[0], np.cumsum(valence)])
+        table = np.full((width * nodes, max(1, int(valence.max()))), -1)
+        for slot in range(table.shape[1]):
+            has = valence[flat] > slot
+            table[:len(flat)][has, slot] = order[start[flat[has]] + slot]
+        tables.append(table)
+    most = max(t.shape[1] for t in tables)
+    return np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables])
+
+
+def reachable(model: Model, sensor: Model, poses: np.ndarray) -> list[np.ndarray]:
+    """Boundary triangles of the object that each touch's sensor may meet (B).
+
+    They are those that the free sensor's surface, thickened by a margin, passes through, and that do not face away from
+    it. The set is kept small, since a column of the inverse is solved for every node of it.
+
+    Args:
+        model: the object.
+        sensor: the body with the touching surface.
+        poses: sensor to world (T, B, 4, 4).
+    """
+    mesh, own = model.mesh, sensor.mesh.points
+    margin = _BULGE * float(np.ptp(own[:, 2]))
+    over = cKDTree(own[:, :2])
+    spots = _spots(model, sensor)
+    corners = mesh.points[mesh.faces[:, :3]]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    low, high = own.min(axis=0) - margin, own.max(axis=0) + margin
+    out = []
+    for b in range(poses.shape[1]):
+        met = np.zeros(len(mesh.faces), bool)
+        for pose in poses[:, b]:
+            faces = np.flatnonzero(~met & (normal @ pose[:3, 2] < _AWAY))
+            local = (spots[faces] - pose[:3, 3]) @ pose[:3, :3]
+            face, spot = ((local > low) & (local < high)).all(axis=2).nonzero()
+            local = local[face, spot]
+            far, nearest = over.query(local[:, :2])
+            inside = (far < margin + sensor.element_size) & (local[:, 2] < own[nearest, 2] + margin)
+            met[faces[face[inside]]] = True
+        out.append(np.flatnonzero(met))
+    return out
+
+
+def _spots(model: Model, sensor: Model) -> np.ndarray:
+    """Places on every face of the object at rest (f, k, 3) [m], at most half the sensor's width apart: a face may be
+    larger than the sensor."""
+    corners = model.mesh.points[model.mesh.faces[:, :3]]
+    longest = float(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max())
+    parts = int(np.clip(np.ceil(2.0 * longest / float(np.ptp(sensor.mesh.points[:, :2], axis=0).min())), 2,
+                        _MOST_PARTS))
+    grid = np.array([(i, j, parts - i - j) for i in range(parts + 1) for j in range(parts + 1 - i)]) / parts
+    return np.einsum("kc,fcx->fkx", grid, corners)

@@ -1,0 +1,120 @@
+"""The part of an object's surface that a touch can reach, and the quadrature over its faces.
+
+Contact is integrated over six Gauss points of every quadratic surface triangle, which is exact to degree 4, or of every
+part of a linear one; never at vertices alone. Each point q carries the penalty stiffness
+
+    w_q = area x PENALTY x modulus / element size:
+
+stiff enough that the penetration stays far under 1 % of the element size (it is measured and stored in every frame),
+and soft enough that float64 keeps its digits. The solver inverts this block exactly, so stiffness costs no iterations.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.shape import Capsule, Plane, Sphere
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.mesh.quadratic import QuadraticMesh
+
+PENALTY = 1000.0
+"""Contact pressure at a penetration of one element size, in units of the modulus under the surface [-]."""
+_MOST_CUTS = 4  # of a linear face along its edge
+_FACTOR = (0.1, 20.0)  # bounds of the factor on the contact stiffness of a sheet
+
+# Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973); the weights add up to 1.
+_A, _WA = 0.445948490915965, 0.223381589678011
+_B, _WB = 0.091576213509771, 0.109951743655322
+POINTS = np.array([[1 - 2 * a if i == k else a for i in range(3)] for a in (_A, _B) for k in range(3)])
+"""Barycentric coordinates of the Gauss points (6, 3)."""
+WEIGHTS = np.array([_WA] * 3 + [_WB] * 3)
+"""Their weights (6,)."""
+
+
+def shape_values(bary: np.ndarray) -> np.ndarray:
+    """Quadratic shape functions of a triangle's six nodes (k, 6) at barycentric coordinates (k, 3)."""
+    return np.stack([*(bary[:, k] * (2 * bary[:, k] - 1) for k in range(3)),
+                     *(4 * bary[:, i] * bary[:, j] for i, j in ((0, 1), (1, 2), (2, 0)))], axis=1)
+
+
+def shape_table(corners: int, cuts: int = 1) -> np.ndarray:
+    """Shape values of the six Gauss points of every part of a surface triangle (parts, 6 points, 6 nodes).
+
+    Args:
+        corners: nodes of the triangle: 6 (quadratic), or 3 (linear), whose last three columns are 0.
+        cuts: parts along each edge; a face has ``cuts`` ** 2 in all.
+    """
+    parts = []
+    for i in range(cuts):
+        for j in range(cuts - i):
+            ways = [((i, j), (i + 1, j), (i, j + 1))]
+            if i + j < cuts - 1:
+                ways.append(((i + 1, j), (i + 1, j + 1), (i, j + 1)))
+            parts += [[[1.0 - (a + b) / cuts, a / cuts, b / cuts] for a, b in way] for way in ways]
+    bary = np.einsum("qk,pkc->pqc", POINTS, np.array(parts))
+    if corners == 3:
+        return np.concatenate([bary, np.zeros_like(bary)], axis=2)
+    return shape_values(bary.reshape(-1, 3)).reshape(len(parts), len(POINTS), 6)
+
+
+def shape_grid(steps: int) -> np.ndarray:
+    """Shape values (s, 6) of a linear triangle on a grid of ``steps`` along each edge."""
+    bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+    return np.hstack([bary, np.zeros_like(bary)])
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The boundary triangles that one touch can reach."""
+
+    faces: np.ndarray
+    """Indices of the triangles (f,), increasing."""
+    nodes: np.ndarray
+    """Their nodes (s,), increasing."""
+    local: np.ndarray
+    """Positions in `nodes` of the nodes of each part of a face (f parts, 6), the parts of one face together. A linear
+    face has three nodes, and any number in the other columns."""
+    stiffness: np.ndarray
+    """w_q of each Gauss point (f parts, 6) [N/m]."""
+
+
+def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, *, parts: int = 1,
+               factor: float = 1.0) -> Patch:
+    """The patch of some boundary triangles.
+
+    Args:
+        mesh: the mesh; its faces have six nodes, or three.
+        faces: indices of the triangles (f,).
+        area: their areas (f,) [m^2].
+        modulus: Young's modulus under them (f,) [Pa].
+        parts: number of parts that each face is cut into, see `shape_table`.
+        factor: on the stiffness [-].
+    """
+    corners = mesh.faces.shape[1]
+    nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
+    padded = np.zeros((len(faces), 6), np.int64)
+    padded[:, :corners] = local.reshape(len(faces), corners)
+    pressure_per_metre = factor * PENALTY * modulus / np.sqrt(area)
+    stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
+    return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0))
+
+
+def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
+    """How a sheet of linear faces with the mean ``edge`` [m] touches these bodies: number of parts along the edge of a
+    face, and factor on its contact stiffness [-].
+
+    The six points of a part leave holes of radius 0.25 edge, and a dent stretches them by half. Over such a hole a
+    ball of radius R is (0.4 edge)^2/(2 R) deep, under one per cent of an edge with these parts. The pressure under a
+    body is that of the gas and of the sheet's tension over R, of the order E h/R, and few points carry it where a
+    faceted sheet rests on its edges. So the penetration stays well under one per cent of an edge if the stiffness
+    grows with edge / R: 10 times that suffices for a ball of 3 mm, and a plate needs a hundredth of it. A stiffer
+    contact costs iterations, since the sheet itself is soft. Bodies with edges get the most.
+    """
+    def least_radius(k: int) -> float:
+        shape = bodies.shapes[k]
+        if isinstance(shape, Plane):
+            return float("inf")
+        return shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
+
+    ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
+    return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))

@@ -1,0 +1,403 @@
+"""Contact of a batch of touches with rigid bodies: what they can reach, gaps, forces, and the stiffness that they add.
+
+Each touch (column) has a patch: the boundary triangles that its bodies can reach. All tensors are over all touches,
+padded to the largest patch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import warp as wp
+
+from vsfsim.physics.contact import condensed, rigid_kernels
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.face_sums import FaceSums
+from vsfsim.physics.contact.friction import Relaxation
+from vsfsim.physics.contact.patch import Patch, make_patch, shape_grid, shape_table, sheet_contact
+from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble
+from vsfsim.physics.linear.rest_factor import Response, response
+from vsfsim.physics.model import Model
+
+
+class RigidContact:
+    """`Contact` of an object with K rigid bodies; f are the faces of a patch, or the parts that they are cut into.
+
+    Args:
+        model: the object.
+        bodies: the rigid bodies (K).
+        friction: Coulomb's coefficient of each body with the object (K,) [-].
+        poses: all poses to come, bodies to world (T, B, K, 4, 4): they tell what is in reach.
+        device: Warp device.
+        exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
+    """
+
+    potential_trusted_above, decrease = 0.05, 0.5
+    friction_updated_below = 0.03
+    patience = 10**9  # never: the limit on iterations ends a touch
+
+    patches: list[Patch]
+    """The patch of each touch (B)."""
+    first_gap: np.ndarray
+    """Least gap of the object at rest at the first poses (B,) [m]."""
+    gap: torch.Tensor
+    """Gap of each Gauss point (B, 6 f) [m]."""
+    body: torch.Tensor
+    """Nearest body of each Gauss point (B, 6 f)."""
+    normal: torch.Tensor
+    """Outward normal of that body where it touches (B, 6 f, 3) [-]."""
+    force: torch.Tensor
+    """Contact force at each Gauss point (B, 6 f, 3) [N]."""
+    slips: torch.Tensor
+    """1 where a Gauss point slips (B, 6 f)."""
+
+    def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
+                 exact: bool = True):
+        self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
+        self.kernels = rigid_kernels.kernels()
+        self.has_friction = bool((friction > 0.0).any())
+        self.stick = rigid_kernels.STICK
+        self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
+        self._set = bodies.upload(self.kernels.sdf, device)
+        corners = model.mesh.faces.shape[1]
+        cuts, self._factor = (1, 1.0) if corners == 6 else sheet_contact(bodies, model.element_size)
+        self._table = shape_table(corners, cuts)
+        self._parts = len(self._table)
+        self._shape = wp.array(self._table, dtype=wp.float64, device=device)
+        # penetration is also measured at corners, on edges and inside of every linear face; a quadratic face has its
+        # Gauss points
+        self._fine = torch.as_tensor(shape_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
+        self._surface = model.mesh.surface_nodes()
+        self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
+        rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
+        self.first_gap = self._nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
+        self._area = model.mesh.face_area()
+        reachable = self._reachable(self._nearest(poses, rest)).cpu().numpy()
+        self.patches = [self._patch(np.flatnonzero(within)) for within in reachable]
+        self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
+        self._upload()
+
+    def _nearest(self, poses: np.ndarray, points: torch.Tensor) -> torch.Tensor:
+        """Least gap (s, B) [m] of points (s, 1 or B, 3) over the poses (T, B, K, 4, 4)."""
+        k = self.kernels
+        out = torch.empty((len(points), poses.shape[1]), dtype=torch.float64, device=self.device)
+        wp.launch(k.nearest, dim=out.shape, device=self.device, inputs=[
+            self._set, len(self.bodies), wp.array(poses[..., :3, 3], dtype=k.vec3, device=self.device),
+            wp.array(poses[..., :3, :3], dtype=k.mat33, device=self.device),
+            wp.from_torch(points.contiguous(), dtype=k.vec3), wp.from_torch(out)])
+        return out
+
+    def _reachable(self, gap: torch.Tensor) -> torch.Tensor:
+        """Boundary triangles (B, f) bool that may come into contact: by the least gaps (s, B) [m] of the surface nodes
+        at rest, with a margin for surface that bulges up."""
+        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype,
+                             device=self.device)
+        nearest[torch.as_tensor(self._surface, device=self.device)] = gap
+        margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
+        return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
+
+    @property
+    def batch(self) -> int:
+        """Number of touches B."""
+        return len(self.patches)
+
+    def _patch(self, faces: np.ndarray) -> Patch:
+        return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
+                          parts=self._parts, factor=self._factor)
+
+    def _upload(self) -> None:
+        batch, k = len(self.patches), self.kernels
+        faces = self._parts * max(1, max(len(p.faces) for p in self.patches))
+        nodes = max(1, max(len(p.nodes) for p in self.patches))
+        listed = np.full((batch, nodes), -1, np.int64)
+        local = np.zeros((batch, faces, 6), np.int32)
+        stiffness = np.zeros((batch, faces, 6))
+        member = np.zeros((batch, len(self.model.mesh.faces)), bool)
+        for b, p in enumerate(self.patches):
+            f = len(p.local)
+            listed[b, :len(p.nodes)], local[b, :f] = p.nodes, p.local
+            stiffness[b, :f], member[b, p.faces] = p.stiffness, True
+
+        def tensor(values: np.ndarray) -> torch.Tensor:
+            return torch.as_tensor(values, device=self.device)
+
+        def zeros(*size: int) -> torch.Tensor:
+            return torch.zeros(size, dtype=torch.float64, device=self.device)
+
+        dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
+        self.dof = tensor(dof)
+        self._index = self.dof.clamp(min=0)
+        self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
+        self.mask = (self.dof >= 0).to(torch.float64)
+        self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
+        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
+        at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
+        values = tensor(self._table.reshape(-1, 6)).repeat(faces // self._parts, 1).expand(batch, -1, -1)
+        # added: the columns that a linear face does not use are 0, and may name any node
+        self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
+        self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
+                              device=self.device) if self.model.mesh.faces.shape[1] == 3 else None
+        self._member = tensor(member)
+        self._local = wp.array(local, dtype=wp.int32, device=self.device)
+        self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
+        size = (batch, 6 * faces)
+        self.gap = torch.full(size, 1e30, dtype=torch.float64, device=self.device)
+        self._energy = zeros(batch, faces)
+        self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
+        self._wrong_side = torch.zeros((batch, faces), dtype=torch.int32, device=self.device)
+        self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
+        self._rows, self._geometric = zeros(*size, 3, 3), zeros(*size, 3, 3)
+        self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
+        # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
+        self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(*size)
+        self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
+        cut = (batch, faces, 6)
+        self._relaxation = Relaxation(cut, self.device)
+        scalars = {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner}
+        vectors = {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across}
+        matrices = {"rows": self._rows, "geometric": self._geometric}
+        self._arrays = {
+            **{name: wp.from_torch(t.view(cut)) for name, t in scalars.items()},
+            **{name: wp.from_torch(t.view(*cut, 3), dtype=k.vec3) for name, t in vectors.items()},
+            **{name: wp.from_torch(t.view(*cut, 3, 3), dtype=k.mat33) for name, t in matrices.items()},
+            "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
+            "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
+            "softening": wp.from_torch(self.softening)}
+        self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
+        self.compliance = self.response.compliance()
+
+    # ------------------------------------------------------------------------------------------ poses and history
+
+    def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
+        k = self.kernels
+        return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device),
+                wp.array(pose[..., :3, :3], dtype=k.mat33, device=self.device))
+
+    def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
+        """See `Contact`."""
+        self._before, self._u_before = self._placed(before), u.clone()
+        self._relaxation.begin_step()
+        self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
+
+    def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
+        """See `Contact`; here the touches ``columns`` make no difference."""
+        self._pose = self._placed(pose)
+
+    def gather(self, u: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return u.gather(0, self._index.T).T.to(torch.float64) * self.mask
+
+    def positions(self, displacement: torch.Tensor) -> torch.Tensor:
+        """Positions (B, 3 s) [m] of the patches' nodes."""
+        return self.rest + displacement
+
+    # ------------------------------------------------------------------------------------------ evaluation
+
+    def _launch(self, kernel: object, columns: torch.Tensor, model: list[object], names: str,
+                *more: wp.array) -> None:
+        """Run a kernel over the faces of ``columns``: after its ``model`` come the present poses and the arrays with
+        these ``names``; those of the poses before stand for "<"."""
+        state = [a for name in names.split() for a in (self._before if name == "<" else (self._arrays[name],))]
+        wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device,
+                  inputs=[self._shape, *model, *self._pose, *state, *more])
+
+    def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
+        """See `Contact`."""
+        self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
+        self._launch(self.kernels.evaluate, columns,
+                     [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
+                      self._stiffness, self._arrays["softening"], self.stick],
+                     "x anchor owner limit across gap body normal force rows geometric slips wrong_side energy")
+
+    def update_friction(self, columns: torch.Tensor) -> None:
+        """See `Contact`."""
+        if self.has_friction:
+            self._launch(self.kernels.update_friction, columns,
+                         [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
+                          self._arrays["softening"], self._coefficient],
+                         "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
+
+    def end_step(self, columns: torch.Tensor) -> None:
+        """See `Contact`."""
+        if self.has_friction and len(columns):
+            self._launch(self.kernels.end_step, columns,
+                         [wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, rigid_kernels.STICK],
+                         "x gap body limit across anchor owner")
+
+    def friction_state(self) -> tuple[torch.Tensor, ...]:
+        """See `Contact`; empty without friction."""
+        return tuple(t.clone() for t in self._friction_tensors()) if self.has_friction else ()
+
+    def _friction_tensors(self) -> tuple[torch.Tensor, ...]:
+        return self._anchor, self._owner, self._limit, self._across
+
+    def restore_friction(self, columns: torch.Tensor, state: tuple[torch.Tensor, ...]) -> None:
+        """See `Contact`."""
+        for mine, theirs in zip(self._friction_tensors(), state, strict=False):
+            if mine.shape == theirs.shape:
+                mine[columns] = theirs[columns]
+
+    def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._relaxation.friction_residual(columns)
+
+    # ------------------------------------------------------------------------------------------ results
+
+    def energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._energy[columns].sum(dim=1)
+
+    def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._wrong_side[columns].sum(dim=1)
+
+    def nodal(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        if self._sums is not None:
+            return self._sums.nodal(columns, self.force[columns])
+        return (self._points[columns].mT @ self.force[columns]).flatten(1)
+
+    def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+        return -(held.mT @ self.force[columns])
+
+    def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+        places = self._points[columns] @ self._x[columns]
+        origin = wp.to_torch(self._pose[0])[columns]  # (k, K, 3)
+        about_world = held.mT @ torch.linalg.cross(places, -self.force[columns])
+        return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
+
+    def touches(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return (self.gap[columns] < 0.0).any(dim=1)
+
+    def penetration(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`: over the Gauss points, and on linear faces over a finer grid as well."""
+        deepest = (-self.gap[columns].amin(dim=1)).clamp(min=0.0)
+        if len(self._fine):
+            local = wp.to_torch(self._local)[columns, ::self._parts].long()  # (k, f, 6)
+            count, f = local.shape[:2]
+            corner = self._x[columns].gather(1, local.reshape(count, 6 * f, 1).expand(-1, -1, 3)).view(count, f, 6, 3)
+            spots = torch.einsum("sa,kfac->fskc", self._fine, corner).reshape(-1, count, 3)
+            origin, turn = (wp.to_torch(a)[columns][None].contiguous() for a in self._pose)
+            gap = torch.empty(spots.shape[:2], dtype=torch.float64, device=self.device)
+            k = self.kernels
+            wp.launch(k.nearest, dim=gap.shape, device=self.device, inputs=[
+                self._set, len(self.bodies), wp.from_torch(origin, dtype=k.vec3), wp.from_torch(turn, dtype=k.mat33),
+                wp.from_torch(spots.contiguous(), dtype=k.vec3), wp.from_torch(gap)])
+            used = torch.as_tensor(wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0)  # not padding
+            gap = torch.where(used.T.repeat_interleave(len(self._fine), dim=0), gap, torch.inf)
+            deepest = torch.maximum(deepest, -gap.amin(dim=0))
+        return deepest
+
+    def slipping(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        inside = (self.gap[columns] < 0.0).sum(dim=1)
+        return self.slips[columns].sum(dim=1) / inside.clamp(min=1)
+
+    # ------------------------------------------------------------------------------------------ stiffness
+
+    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
+        """See `Contact`."""
+        curved = geometric is not None and bool(geometric.any())
+        if self._sums is not None:
+            own = self._rows[columns].mT @ self._rows[columns]
+            if curved:
+                own[geometric] += self._geometric[columns[geometric]]
+            return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
+        rows = self.rows(columns)
+        out = rows.mT @ rows
+        if curved:
+            some = columns[geometric]
+            points, which = self._active(some)
+            out[geometric] += (assemble(points, which(self._geometric)) * self.free[some][:, :, None]
+                               * self.free[some][:, None, :])
+        return out
+
+    def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
+        """The points in contact, padded to the largest number a: their shape values (k, a, s), 0 at padding, and a
+        function that picks them from a table (B, 6 f, ...)."""
+        active = (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
+        most = max(1, int(active.sum(dim=1).amax()))
+        on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
+        order = order[:, :most]
+        return (self._points[columns[:, None], order] * on[:, :most, None],
+                lambda table: table[columns[:, None], order])
+
+    def rows(self, columns: torch.Tensor) -> torch.Tensor:
+        """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
+        without its geometric term."""
+        points, which = self._active(columns)
+        roots = which(self._rows)
+        if not self.has_friction:
+            roots = roots[:, :, :1]
+        k, a, s = points.shape
+        rows = (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)
+        return rows * self.free[columns][:, None, :]
+
+    def block(self, columns: torch.Tensor) -> ContactBlock:
+        """See `Contact`."""
+        if self._sums is None:
+            return ContactBlock.of(self.rows(columns), self.compliance[columns])
+        own = self._rows[columns].mT @ self._rows[columns]
+        nodes = self._sums.pushed(columns, own)
+        touch = torch.arange(len(columns), device=self.device)[:, None]
+        free = self.free[columns].view(len(columns), -1, 3)[touch, nodes].flatten(1)
+        stiffness = self._sums.matrix(columns, own, nodes) * free[:, :, None] * free[:, None, :]
+        return ContactBlock.joined_of(nodes, stiffness, self.compliance[columns])
+
+    def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+                  tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Contact`."""
+        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
+
+    # ------------------------------------------------------------------------------------------ between steps
+
+    def remember(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`: the nodal forces (k, 3 s), since the patches stay the same."""
+        return self.nodal(columns)
+
+    def recall(self, remembered: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return remembered
+
+    def no_force(self) -> torch.Tensor:
+        """See `Contact`."""
+        return torch.zeros_like(self.rest)
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+        """See `Contact`."""
+        mesh = self.model.mesh
+        surface = torch.as_tensor(self._surface, device=self.device)
+        rest = torch.as_tensor(mesh.points[self._surface], device=self.device)[:, None]
+        points = rest + u.view(-1, 3, u.shape[1])[surface].transpose(1, 2)
+        inside = torch.zeros((len(mesh.points), u.shape[1]), dtype=torch.bool, device=self.device)
+        inside[surface] = self._nearest(pose[None], points) < 0.0
+        met = inside[self._faces].any(dim=1).T & ~self._member  # (B, faces)
+        if not bool(met[columns].any()):
+            return False
+        old = [p.faces for p in self.patches]
+        kept = self.friction_state()
+        for b in columns.tolist():
+            extra = np.flatnonzero(met[b].cpu().numpy())
+            if len(extra):
+                near = np.zeros(len(mesh.points), bool)
+                near[mesh.faces[extra]] = True
+                faces = np.union1d(self.patches[b].faces, np.flatnonzero(near[mesh.faces].any(axis=1)))
+                self.patches[b] = self._patch(faces)
+        self._upload()
+        if self.has_friction:
+            for b, faces in enumerate(old):
+                each = 6 * self._parts
+                at = torch.as_tensor(each * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(each),
+                                     device=self.device).flatten()
+                for mine, theirs in zip(self._friction_tensors(), kept, strict=True):
+                    mine[b, at] = theirs[b, :len(at)]
+            self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
+        return True

@@ -1,0 +1,93 @@
+"""The `linear` tier: linear elasticity of the rest state against the exact contact, as one condensed problem a
+frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from vsfsim.physics import clock
+from vsfsim.physics.contact import condensed
+from vsfsim.physics.linear.rest_factor import spread
+from vsfsim.physics.solve.newton import Equilibrium, State
+
+# renewals of the friction limit in a frame, and the relative change that ends them (the `fem` tier's tolerance)
+_RENEWALS, RENEWED = 60, 5e-4
+_GROWTHS = 4  # times that the patch may grow in a frame
+
+
+class LinearTier:
+    """Frames of linear elasticity for a batch of touches.
+
+    Args:
+        balance: the batch; its displacements are set, its Newton iterations are not used.
+    """
+
+    def __init__(self, balance: Equilibrium):
+        self._balance, self._contact = balance, balance.contact
+        model = balance.model
+        sag = model.factor.solve((model.load * model.free)[:, None])
+        self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
+
+    def frame(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor) -> tuple[torch.Tensor, State]:
+        """Solve one frame.
+
+        Args:
+            before: poses of the frame before (B, K, 4, 4).
+            pose: poses of this frame (B, K, 4, 4).
+            start: first guess of the contact forces (B, 3 s) [N].
+
+        Returns:
+            The contact forces on the patches (B, 3 s) [N] and the state of all touches.
+        """
+        balance, contact = self._balance, self._contact
+        every = balance.every
+        contact.begin_step(before, balance.u)
+        contact.move(pose, every)
+        for _ in range(_GROWTHS):
+            with clock.measure("contact"):
+                force, error = self._solve(start)
+            # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
+            # stiff contact reports forces with a far larger error than that of the displacements
+            on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
+            balance.u.copy_(self._sag + contact.response.patch(every, force))
+            if not contact.extend_patch(every, pose, balance.u):
+                break
+            start = contact.no_force()
+        state = balance.evaluate(every)
+        u = balance.u.to(torch.float64)
+        internal = self._times_stiffness(u)
+        acting = spread(contact.dof, force, len(u))
+        state.update(internal=internal, contact=acting, residual=(balance.load + acting - internal) * balance.free,
+                     energy=0.5 * (u * internal).sum(dim=0), **on_bodies)
+        state["measure"] = torch.maximum(balance.measure(state["residual"], acting), error)
+        contact.end_step(every)
+        return force, state
+
+    def _solve(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Contact forces (B, 3 s) [N] and their relative errors (B,); the friction limit is renewed until it no longer
+        changes."""
+        contact, balance = self._contact, self._balance
+        every = balance.every
+        sag = contact.gather(self._sag)
+        for _ in range(_RENEWALS if contact.has_friction else 1):
+            force, error = condensed.solve(contact, every, sag, torch.zeros_like(sag), iterations=100,
+                                           tolerance=balance.options.tolerance, start=start)
+            if contact.has_friction:
+                moved = sag + (contact.compliance @ force[:, :, None])[:, :, 0]
+                contact.evaluate(every, moved)
+                contact.update_friction(every)
+                contact.evaluate(every, moved)
+                off = ((contact.nodal(every) - force).norm(dim=1)
+                       + contact.friction_residual(every)) / force.norm(dim=1).clamp(min=balance.floor)
+                error, start = torch.maximum(error, off), force
+                if bool((error <= RENEWED).all()):
+                    break
+        return force, error
+
+    def _times_stiffness(self, u: torch.Tensor) -> torch.Tensor:
+        """Rest stiffness times u (3 n, B)."""
+        factor, device = self._balance.model.factor, self._balance.device
+        if device == "cpu":
+            return torch.as_tensor(factor.stiffness @ u.numpy())
+        return factor.stiffness_on(device) @ u
