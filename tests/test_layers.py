@@ -77,8 +77,6 @@ MOST_MODULES = 20  # at one level of a folder
 KNOWN_CIRCLES: list[tuple[str, ...]] = [
     ("vsfsim.cli.main", "vsfsim.cli.measure"),
     ("vsfsim.generate.effectors.arm", "vsfsim.generate.plants.batches", "vsfsim.generate.run"),
-    ("vsfsim.physics.contact.condensed", "vsfsim.physics.contact.rigid"),
-    ("vsfsim.physics.contact.pair", "vsfsim.physics.contact.pair_condensed"),
     ("vsfsim.press.probe", "vsfsim.press.text"),
     ("vsfsim.robot.arm", "vsfsim.robot.menagerie"),
     ("vsfsim.sensing.camera", "vsfsim.sensing.render_pyrender", "vsfsim.sensing.render_warp"),

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
-from vsfsim.physics.contact import rigid_points as contact
+from vsfsim.physics.contact import patch
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.contact.rigid_contact import RigidContact
 
 SIZE = (0.04, 0.04, 0.03)
 E = 1e5
@@ -22,10 +22,10 @@ def model(block):
 
 def test_shape_functions_are_a_partition_of_unity_and_nodal():
     bary = np.random.default_rng(0).dirichlet([1, 1, 1], 20)
-    values = contact.shape_values(bary)
+    values = patch.shape_values(bary)
     assert np.abs(values.sum(axis=1) - 1.0).max() < 1e-14
     nodes = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
-    assert np.abs(contact.shape_values(nodes) - np.eye(6)).max() < 1e-14
+    assert np.abs(patch.shape_values(nodes) - np.eye(6)).max() < 1e-14
     # a quadratic field is interpolated exactly
     def field(b):
         return b[:, 0] ** 2 + 3 * b[:, 1] * b[:, 2] - b[:, 2]
@@ -41,7 +41,7 @@ def test_six_point_rule_is_exact_to_degree_four(degree):
             c = degree - a - b
             # mean over a triangle of L1^a L2^b L3^c = 2 a! b! c! / (a + b + c + 2)!
             exact = 2 * math.factorial(a) * math.factorial(b) * math.factorial(c) / math.factorial(degree + 2)
-            worst = max(worst, abs(contact.WEIGHTS @ np.prod(contact._BARY ** [a, b, c], axis=1) - exact))
+            worst = max(worst, abs(patch.WEIGHTS @ np.prod(patch.POINTS ** [a, b, c], axis=1) - exact))
     # the constants are given to 15 digits
     if degree <= 4:
         assert worst < 2e-15
@@ -52,31 +52,31 @@ def test_six_point_rule_is_exact_to_degree_four(degree):
 def touch(model, probe, poses, device, friction=0.0):
     bodies = RigidBodies(probe)
     poses = poses if poses.ndim == 5 else poses[:, :, None]
-    return Touching(model, bodies, np.full(len(bodies), friction), poses, device=device)
+    return RigidContact(model, bodies, np.full(len(bodies), friction), poses, device=device)
 
 
 def states(model, probe, pose, u, device):
-    """Contact of the same probe with many displacement fields u (3 n, B): a `Touching` that has been evaluated."""
+    """Contact of the same probe with many displacement fields u (3 n, B): an evaluated `RigidContact`."""
     batch = u.shape[1]
     poses = np.tile(pose, (1, batch, 1, 1))
-    touching = touch(model, probe, poses, device)
-    touching.move(poses[0][:, None])
-    touching.evaluate(torch.arange(batch, device=device), touching.gather(torch.as_tensor(u, device=device)))
-    return touching
+    contact = touch(model, probe, poses, device)
+    contact.move(poses[0][:, None])
+    contact.evaluate(torch.arange(batch, device=device), contact.gather(torch.as_tensor(u, device=device)))
+    return contact
 
 
-def nodal(touching, b):
+def nodal(contact, b):
     """Contact forces (3 s,) [N] of touch ``b``, on the host, the padding cut off."""
-    return touching.nodal(torch.tensor([b],
-                                       device=touching.device))[0].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
+    found = contact.nodal(torch.tensor([b], device=contact.device))[0]
+    return found.cpu().numpy()[:3 * len(contact.patches[b].nodes)]
 
 
-def dof(touching, b):
-    return touching.dof[b].cpu().numpy()[:3 * len(touching.patches[b].nodes)]
+def dof(contact, b):
+    return contact.dof[b].cpu().numpy()[:3 * len(contact.patches[b].nodes)]
 
 
-def energy(touching):
-    return touching.energy(torch.arange(len(touching.patches), device=touching.device)).cpu().numpy()
+def energy(contact):
+    return contact.energy(torch.arange(len(contact.patches), device=contact.device)).cpu().numpy()
 
 
 def tilted(at):
@@ -103,12 +103,12 @@ def test_force_is_minus_the_gradient_of_the_energy(model, device, probe, pose):
     u = 3e-4 * rng.standard_normal(model.mesh.points.size)
     x = rng.standard_normal((len(u), 20))
     h = 1e-8  # m
-    touching = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
-    e = energy(touching)
+    contact = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
+    e = energy(contact)
     assert e[40] > 0.0
     slope = (e[:20] - e[20:40]) / (2 * h)
-    force = nodal(touching, 40)
-    expected = -(x[dof(touching, 40)] * force[:, None]).sum(axis=0)
+    force = nodal(contact, 40)
+    expected = -(x[dof(contact, 40)] * force[:, None]).sum(axis=0)
     # energy over force is about the penetration, 1e-3 m: rounding 1e-16 * 1e-3 / h = 1e-11, some 1e3 terms; truncation
     # (h / 1e-2 m)^2; a Gauss point that crosses the surface or a fillet within h changes the force by h / penetration =
     # 1e-5 of its own share
@@ -122,41 +122,41 @@ def test_rows_and_geometric_block_are_the_derivative_of_the_force(model, device,
     u = 3e-4 * rng.standard_normal(model.mesh.points.size)
     x = rng.standard_normal((len(u), 10)) * model.free[:, None]
     h = 1e-9
-    touching = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
-    slope = np.stack([(nodal(touching, k) - nodal(touching, 10 + k)) / (2 * h) for k in range(10)], axis=1)
+    contact = states(model, probe, pose, np.column_stack([u[:, None] + h * x, u[:, None] - h * x, u]), device)
+    slope = np.stack([(nodal(contact, k) - nodal(contact, 10 + k)) / (2 * h) for k in range(10)], axis=1)
     last, yes = torch.tensor([20], device=device), torch.tensor([True], device=device)
-    whole = touching.stiffness(last, yes)[0].cpu().numpy()
-    bend = whole - touching.stiffness(last)[0].cpu().numpy()
-    at = dof(touching, 20)
+    whole = contact.stiffness(last, yes)[0].cpu().numpy()
+    geometric = whole - contact.stiffness(last)[0].cpu().numpy()
+    at = dof(contact, 20)
     free = model.free[at][:, None]
     found = whole[:len(at), :len(at)] @ x[at]
     # forces of ~10 N have rounding 1e-15 N, over 2 h: 1e-6 of slopes ~ 1e6
     assert np.abs((found + slope) * free).max() < 1e-5 * np.abs(slope).max()
-    assert np.linalg.eigvalsh(0.5 * (bend
-                                     + bend.T)).max() < 1e-9 * np.abs(slope).max(), "the geometric part only ever softens"
+    largest = np.linalg.eigvalsh(0.5 * (geometric + geometric.T)).max()
+    assert largest < 1e-9 * np.abs(slope).max(), "the geometric part only ever softens"
 
 
 def test_a_plane_on_a_flat_top_meets_stiffness_times_penetration_times_area(model, device):
     depth = 1e-4
     pose = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, SIZE[2] - depth], [0, 0, 0, 1.0]])
-    touching = states(model, Plane(), pose, np.zeros((model.mesh.points.size, 1)), device)
+    contact = states(model, Plane(), pose, np.zeros((model.mesh.points.size, 1)), device)
     top = np.flatnonzero((model.mesh.points[model.mesh.faces][:, :, 2] == SIZE[2]).all(axis=1))
     area, modulus = model.mesh.face_area()[top], model.surface_modulus[top]
     # pressure = PENALTY x modulus x penetration / element size, with the size the root of the face's area
-    by_hand = (area * contact.PENALTY * modulus * depth / np.sqrt(area)).sum()
-    force = nodal(touching, 0).reshape(-1, 3).sum(axis=0)
+    by_hand = (area * patch.PENALTY * modulus * depth / np.sqrt(area)).sum()
+    force = nodal(contact, 0).reshape(-1, 3).sum(axis=0)
     assert force == pytest.approx([0.0, 0.0, -by_hand], rel=1e-12, abs=1e-12 * by_hand)
-    assert float(touching.penetration(torch.tensor([0], device=device))) == pytest.approx(depth, rel=1e-9)
-    assert energy(touching)[0] == pytest.approx(0.5 * by_hand * depth, rel=1e-9)
+    assert float(contact.penetration(torch.tensor([0], device=device))) == pytest.approx(depth, rel=1e-9)
+    assert energy(contact)[0] == pytest.approx(0.5 * by_hand * depth, rel=1e-9)
 
 
 def test_a_probe_out_of_reach_has_an_empty_patch_and_no_force(model, device):
     pose = np.eye(4)
     pose[:3, 3] = [0.0, 0.0, 0.2]
-    touching = states(model, Sphere(0.01), pose, np.zeros((model.mesh.points.size, 1)), device)
+    contact = states(model, Sphere(0.01), pose, np.zeros((model.mesh.points.size, 1)), device)
     first = torch.tensor([0], device=device)
-    assert len(touching.patches[0].faces) == 0 and not touching.touches(first)
-    assert touching.penetration(first) == 0.0 and energy(touching)[0] == 0.0 and not touching.nodal(first).any()
+    assert len(contact.patches[0].faces) == 0 and not contact.touches(first)
+    assert contact.penetration(first) == 0.0 and energy(contact)[0] == 0.0 and not contact.nodal(first).any()
 
 
 def test_batched_touches_do_not_see_each_other(model, device):
@@ -165,17 +165,17 @@ def test_batched_touches_do_not_see_each_other(model, device):
     poses[0, 1, :3, 3] = [0, 0, 0.5]
 
     def evaluated(poses):
-        touching = touch(model, Sphere(0.012), poses, device)
-        touching.move(poses[0][:, None])
-        touching.evaluate(torch.arange(poses.shape[1], device=device), torch.zeros_like(touching.rest))
-        return touching
+        contact = touch(model, Sphere(0.012), poses, device)
+        contact.move(poses[0][:, None])
+        contact.evaluate(torch.arange(poses.shape[1], device=device), torch.zeros_like(contact.rest))
+        return contact
 
     together = evaluated(poses)
     for b in range(3):
         alone = evaluated(poses[:, b:b + 1])
         # the same sums in the same order up to the blocking of the matrix product, which depends on the padding
-        assert np.allclose(nodal(alone, 0), nodal(together, b), rtol=1e-13,
-                           atol=1e-16) and energy(alone)[0] == pytest.approx(energy(together)[b], rel=1e-13)
+        assert np.allclose(nodal(alone, 0), nodal(together, b), rtol=1e-13, atol=1e-16)
+        assert energy(alone)[0] == pytest.approx(energy(together)[b], rel=1e-13)
 
 
 def test_of_several_bodies_the_nearest_pushes_and_each_knows_its_force(model, device):

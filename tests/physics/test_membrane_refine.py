@@ -9,9 +9,9 @@ from vsfsim.core.bubble import Bubble
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.bubble.sensor import build_bubble
-from vsfsim.physics.contact import rigid_points as contact
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.face_sums import FaceSums
+from vsfsim.physics.contact.patch import make_patch, shape_table
 from vsfsim.physics.mesh import membrane_refine
 from vsfsim.press import bubble as press_bubble
 from vsfsim.press import refine_bubble
@@ -84,10 +84,10 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
 
 def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     rng = np.random.default_rng(0)
-    table = contact.shape_table(3, 2)
+    table = shape_table(3, 2)
     mesh, parts = even.mesh, len(table)
     area = mesh.face_area()
-    patches = [contact.make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n],
+    patches = [make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n],
                                   parts=parts) for n in (40, 25)]
     faces, nodes = 40, max(len(p.nodes) for p in patches)
     points = np.zeros((2, 6 * parts * faces, nodes))

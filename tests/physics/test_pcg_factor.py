@@ -6,7 +6,7 @@ import torch
 
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.rigid import Touching
+from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear import rest_factor as factor
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
 from vsfsim.physics.solve import pcg
@@ -176,19 +176,19 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     poses[0, 0, :3, 3], poses[0, 1, :3, 3] = [0.0, 0.0, 0.0585], [0.01, -0.01, 0.0575]
     solver = Solver(model, probe, device=device)
     solver.elasticity.begin(2)
-    touching = Touching(model, RigidBodies(probe), np.zeros(1), poses[:, :, None], device=device)
-    balance = Equilibrium(model, solver.elasticity, touching, SolverOptions(cg_tolerance=1e-6, cg_far=1.0), floor=1e-12)
-    touching.begin(poses[0][:, None], balance.u)
-    touching.move(poses[0][:, None])
+    contact = RigidContact(model, RigidBodies(probe), np.zeros(1), poses[:, :, None], device=device)
+    balance = Equilibrium(model, solver.elasticity, contact, SolverOptions(cg_tolerance=1e-6, cg_far=1.0), floor=1e-12)
+    contact.begin_step(poses[0][:, None], balance.u)
+    contact.move(poses[0][:, None])
     state = balance.evaluate(balance.every)
-    assert touching.touches(balance.every).all()
+    assert contact.touches(balance.every).all()
     balance._tangent(balance.every, projected=False)
     direction, steps, negative, stiffness = balance._direction(balance.every, state["residual"],
                                                                torch.zeros(2, dtype=torch.bool, device=device))
     assert (steps == 1).all() and not negative.any()
     # and it is the solution of that system
     for b in range(2):
-        dof = touching.dof[b].cpu().numpy()
+        dof = contact.dof[b].cpu().numpy()
         real = dof >= 0
         d = direction[:, b].cpu().numpy()
         product = (model.factor.stiffness @ d) * model.free

@@ -202,7 +202,7 @@ def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, line
     assert top[-1] < -0.003, "the ball must stay well clear of the plate at rest"
     sizes = []
     frames = solver.run(line(np.stack([np.full(4, 0.03), np.zeros(4), top - 0.01], axis=1), ball), keep=True,
-                        progress=lambda _: sizes.append(len(solver.touching.patches[0].faces)))
+                        progress=lambda _: sizes.append(len(solver.contact.patches[0].faces)))
     assert free.converged.all() and frames.converged.all()
     assert sizes[0] == 0 and sizes[-1] > 0
     # the ball holds up part of the weight: the supports are left the rest

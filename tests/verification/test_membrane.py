@@ -334,12 +334,11 @@ def test_flat_plate_carries_the_pressure_times_its_area(tmp_path, line, device, 
     frames = solver.run(line([[0, 0, top - depth * k / 3] for k in range(1, 4)], Plane()), keep=True)
     assert frames.converged.all() and frames.force_balance[-1, 0] < 1e-3
     area = frames.force[-1, 0, 2] / float(solver.elasticity.pressure.numpy()[0])
-    corners = (model.mesh.points + solver.history[-1][:,
-                                                      0].reshape(-1,
-                                                                 3))[model.mesh.faces[solver.touching.patches[0].faces]]
+    moved = model.mesh.points + solver.history[-1][:, 0].reshape(-1, 3)
+    corners = moved[model.mesh.faces[solver.contact.patches[0].faces]]
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
-    touch = (solver.touching.gap[0].numpy() < 0.0).reshape(len(size), 6)
+    touch = (solver.contact.gap[0].numpy() < 0.0).reshape(len(size), 6)
     measured = (size[:, None] * WEIGHTS * touch).sum()
     # the contact's edge runs through a row of triangles: a third of that row may be off
     margin = 2.0 * math.sqrt(math.pi * measured) * model.element_size / 3.0

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
-from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+from vsfsim.core.shape import Capsule, ProbeShape
 
 REACH = 0.005
 """A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
@@ -37,23 +38,7 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
 
 def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
-    match probe:
-        case Sphere(radius):
-            return np.linalg.norm(local, axis=1) - radius
-        case Capsule(radius, length):
-            along = np.clip(local[:, 2], -length / 2, length / 2)
-            return np.linalg.norm(local - along[:, None] * np.array([0.0, 0.0, 1.0]), axis=1) - radius
-        case Cylinder(radius, height):
-            out = np.stack([np.linalg.norm(local[:, :2], axis=1) - radius, np.abs(local[:, 2]) - height / 2], axis=1)
-            return np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0)
-        case Box(size):
-            out = np.abs(local) - 0.5 * np.asarray(size)
-            return np.linalg.norm(np.maximum(out, 0.0), axis=1) + np.minimum(out.max(axis=1), 0.0)
-        case Plane():
-            return local[:, 2]
-        case Dome():
-            return _from_dome(local, probe)
-    raise AssertionError(probe)
+    return _from_dome(local, probe) if isinstance(probe, Dome) else signed_distance.distance(probe, local)
 
 
 def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:

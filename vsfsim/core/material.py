@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.core import signed_distance
 from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
+from vsfsim.core.shape import Box, Sphere
 
 _INCLUSIONS = {"sphere": ("x", "y", "z", "radius"), "box": ("x0", "y0", "z0", "x1", "y1", "z1"),
                "capsule": ("x0", "y0", "z0", "x1", "y1", "z1", "radius")}
@@ -31,15 +33,11 @@ class Inclusion:
         """Signed distance (...,) [m] of ``points`` (..., 3) [m], negative inside (box: Chebyshev inside)."""
         n = np.asarray(self.numbers)
         if self.kind == "sphere":
-            return np.linalg.norm(points - n[:3], axis=-1) - n[3]
+            return signed_distance.distance(Sphere(n[3]), points - n[:3])
         if self.kind == "box":
             low, high = np.minimum(n[:3], n[3:]), np.maximum(n[:3], n[3:])
-            q = np.abs(points - 0.5 * (low + high)) - 0.5 * (high - low)
-            outside = np.linalg.norm(np.maximum(q, 0.0), axis=-1)
-            return outside + np.minimum(q.max(axis=-1), 0.0)
-        start, axis = n[:3], n[3:6] - n[:3]
-        t = np.clip((points - start) @ axis / max(float(axis @ axis), 1e-30), 0.0, 1.0)
-        return np.linalg.norm(points - start - t[..., None] * axis, axis=-1) - n[6]
+            return signed_distance.distance(Box(tuple(high - low)), points - 0.5 * (low + high))
+        return signed_distance.segment_distance(points, n[:3], n[3:6]) - n[6]
 
 
 @dataclass(frozen=True)

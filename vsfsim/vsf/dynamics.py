@@ -21,9 +21,11 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core import signed_distance
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import VsfError
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
+from vsfsim.physics.contact import sdf
 from vsfsim.vsf.displacements import Displacements
 from vsfsim.vsf.stick_slip import stick_slip_kernel
 from vsfsim.vsf.sticking import stick
@@ -104,8 +106,8 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
     shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
     real = wp.float64 if precision == "float64" else wp.float32
     dtype = np.float64 if precision == "float64" else np.float32
-    kernel, vec3, mat33 = stick_slip_kernel(real)
-    kind, size = _kernel_shape(probe)
+    kernel, vec3, vec4, mat33 = stick_slip_kernel(real)
+    kind, size = sdf.encode(probe, fillet=0.0)
     with wp.ScopedDevice(device):
         turn_array = wp.array(rotation.astype(dtype), dtype=mat33)
         origin_array = wp.array((origin - shift).astype(dtype), dtype=vec3)
@@ -117,7 +119,7 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
             rest = wp.array((particles[index] - shift).astype(dtype), dtype=vec3)
             moved = wp.zeros((frames, len(index)), dtype=vec3)
             wp.launch(kernel, dim=len(index), inputs=[
-                kind, vec3(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
+                kind, vec4(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
             ], outputs=[moved])
             # what a launch reads stays until it is done
             launched.append((moved, index, (turn_array, origin_array, frame_array, rest)))
@@ -146,37 +148,20 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]], frames: int)
     return Displacements(pointer, particle[order].astype(np.int64), moved[order])
 
 
-def _kernel_shape(probe: ProbeShape) -> tuple[int, tuple[float, float, float]]:
-    """Code and sizes as `stick_slip` reads them."""
-    match probe:
-        case Sphere(radius):
-            return 0, (radius, 0.0, 0.0)
-        case Capsule(radius, length):
-            return 1, (radius, 0.5 * length, 0.0)
-        case Cylinder(radius, height):
-            return 2, (radius, 0.5 * height, 0.0)
-        case Box(size):
-            # As a probe, too, a box has its centre at the origin of its frame.
-            return 3, (0.5 * size[0], 0.5 * size[1], 0.5 * size[2])
-        case Plane():
-            return 4, (0.0, 0.0, 0.0)
-    raise AssertionError(probe)
-
-
 def _reach(probe: ProbeShape) -> tuple[float, float]:
     """Radius of the sphere around the origin that holds the probe, and its thinnest half-width [m]."""
     match probe:
-        case Sphere(radius):
-            return radius, radius
-        case Capsule(radius, length):
-            return radius + 0.5 * length, radius
-        case Cylinder(radius, height):
-            return math.hypot(radius, 0.5 * height), min(radius, 0.5 * height)
-        case Box(size):
-            return 0.5 * math.hypot(*size), 0.5 * min(size)
         case Dome():
             return probe.reach, probe.height
-    return math.inf, math.inf
+        case Sphere(radius) | Capsule(radius, _):
+            thin = radius
+        case Cylinder(radius, height):
+            thin = min(radius, 0.5 * height)
+        case Box(size):
+            thin = 0.5 * min(size)
+        case _:
+            thin = math.inf
+    return signed_distance.reach(probe), thin
 
 
 def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import functools
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import sdf
 
 # Compiling is told by whoever shows progress, not by Warp's own chatter.
 if wp.config.log_level == wp.LOG_INFO:
@@ -24,9 +25,10 @@ def stick_slip_kernel(real: type) -> tuple:
         real: `wp.float64` or `wp.float32`.
 
     Returns:
-        The kernel, and its vector and matrix types.
+        The kernel, and its vector and matrix types (3, 4 and 3 x 3 numbers).
     """
-    vec3 = wp.types.vector(length=3, dtype=real)
+    shapes = sdf.functions(real, "vsfsim_stick_slip")
+    distance, normal, vec3, vec4 = shapes.analytic_gap, shapes.analytic_normal, shapes.vec3, shapes.vec4
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     # Roots are bracketed by bisection down to the last digits of the type.
     halvings = wp.constant(48 if real is wp.float64 else 22)
@@ -36,84 +38,12 @@ def stick_slip_kernel(real: type) -> tuple:
     probe_ahead = wp.constant(real(1e-5 if real is wp.float64 else 1e-3))
 
     @wp.func
-    def distance(kind: int, size: vec3, p: vec3) -> real:
-        """Signed distance to the probe, negative inside."""
-        zero = real(0.0)
-        if kind == 0:
-            return wp.length(p) - size[0]
-        if kind == 1:
-            z = p[2] - wp.clamp(p[2], -size[1], size[1])
-            return wp.sqrt(p[0] * p[0] + p[1] * p[1] + z * z) - size[0]
-        if kind == 2:
-            a = wp.sqrt(p[0] * p[0] + p[1] * p[1]) - size[0]
-            b = wp.abs(p[2]) - size[1]
-            ao = wp.max(a, zero)
-            bo = wp.max(b, zero)
-            return wp.sqrt(ao * ao + bo * bo) + wp.min(wp.max(a, b), zero)
-        if kind == 3:
-            q = vec3(wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2])
-            o = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-            return wp.length(o) + wp.min(wp.max(q[0], wp.max(q[1], q[2])), zero)
-        return p[2]
-
-    @wp.func
-    def sign(x: real) -> real:
-        return wp.where(x < real(0.0), real(-1.0), real(1.0))
-
-    @wp.func
-    def radial(x: real, y: real) -> vec3:
-        """Unit vector away from the z axis; +x on the axis itself."""
-        r = wp.sqrt(x * x + y * y)
-        if r > real(0.0):
-            return vec3(x / r, y / r, real(0.0))
-        return vec3(real(1.0), real(0.0), real(0.0))
-
-    @wp.func
-    def normal(kind: int, size: vec3, p: vec3) -> vec3:
-        """Outward unit normal: the gradient of `distance`, with a fixed choice where there is none."""
-        zero = real(0.0)
-        up = vec3(zero, zero, real(1.0))
-        if kind == 0:
-            r = wp.length(p)
-            if r > zero:
-                return p / r
-            return up
-        if kind == 1:
-            d = vec3(p[0], p[1], p[2] - wp.clamp(p[2], -size[1], size[1]))
-            r = wp.length(d)
-            if r > zero:
-                return d / r
-            return vec3(real(1.0), zero, zero)
-        if kind == 2:
-            out = radial(p[0], p[1])
-            a = wp.sqrt(p[0] * p[0] + p[1] * p[1]) - size[0]
-            b = wp.abs(p[2]) - size[1]
-            if a > zero and b > zero:
-                r = wp.sqrt(a * a + b * b)
-                return out * (a / r) + up * (sign(p[2]) * b / r)
-            if a > b:
-                return out
-            return up * sign(p[2])
-        if kind == 3:
-            q = vec3(wp.abs(p[0]) - size[0], wp.abs(p[1]) - size[1], wp.abs(p[2]) - size[2])
-            o = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-            r = wp.length(o)
-            if r > zero:
-                return vec3(sign(p[0]) * o[0] / r, sign(p[1]) * o[1] / r, sign(p[2]) * o[2] / r)
-            if q[2] >= q[0] and q[2] >= q[1]:
-                return up * sign(p[2])
-            if q[0] >= q[1]:
-                return vec3(sign(p[0]), zero, zero)
-            return vec3(zero, sign(p[1]), zero)
-        return up
-
-    @wp.func
-    def on_surface(kind: int, size: vec3, p: vec3) -> vec3:
+    def on_surface(kind: int, size: vec4, p: vec3) -> vec3:
         """The nearest point of the surface."""
         return p - distance(kind, size, p) * normal(kind, size, p)
 
     @wp.func
-    def excess(kind: int, size: vec3, mu: real, y: vec3, p: vec3, t: vec3) -> real:
+    def excess(kind: int, size: vec4, mu: real, y: vec3, p: vec3, t: vec3) -> real:
         """Tangential pull along ``t`` beyond what friction holds; positive: the particle goes on sliding."""
         n = normal(kind, size, p)
         u = p - y
@@ -124,14 +54,14 @@ def stick_slip_kernel(real: type) -> tuple:
         return -wp.dot(u, along) - mu * wp.max(wp.dot(u, n), real(0.0))
 
     @wp.func
-    def lets_go(kind: int, size: vec3, y: vec3, p: vec3) -> bool:
+    def lets_go(kind: int, size: vec4, y: vec3, p: vec3) -> bool:
         """True when a short way along the pull leads out of the probe (on an edge, too)."""
         pull = y - p
         ahead = p + probe_ahead * pull
         return distance(kind, size, ahead) >= distance(kind, size, p)
 
     @wp.func
-    def slid(kind: int, size: vec3, mu: real, y: vec3, start: vec3) -> vec3:
+    def slid(kind: int, size: vec4, mu: real, y: vec3, start: vec3) -> vec3:
         """Where a particle at ``start`` on the surface comes to rest, its spring tied to ``y``."""
         p = start
         # A plane, a sphere and a flat face need one turn, as the pull keeps its tangent direction; an edge, or a
@@ -169,7 +99,7 @@ def stick_slip_kernel(real: type) -> tuple:
     def stick_slip(
         # model
         kind: int,
-        size: vec3,
+        size: vec4,
         friction: real,
         # state in
         rotation_in: wp.array(dtype=mat33),
@@ -223,4 +153,4 @@ def stick_slip_kernel(real: type) -> tuple:
             if frame >= 0 and held:
                 displacement_out[frame, i] = rotation_in[s] * (p - y)
 
-    return stick_slip, vec3, mat33
+    return stick_slip, vec3, vec4, mat33

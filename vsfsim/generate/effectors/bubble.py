@@ -30,7 +30,7 @@ from vsfsim.generate.workers import make_each
 from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
 from vsfsim.physics.bubble.shape import punyo_rms, stretches
-from vsfsim.physics.contact.pair_surfaces import SENSOR_NODES
+from vsfsim.physics.contact.pair.response import SENSOR_NODES
 from vsfsim.physics.elements import gas
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.coupled import CoupledSolver

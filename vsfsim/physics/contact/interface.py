@@ -1,4 +1,4 @@
-"""What the solver asks of a contact: `rigid_contact` (rigid bodies) and `pair_contact` (a soft sensor) answer it.
+"""What the solver asks of a contact: `rigid_contact` (rigid bodies) and `pair.contact` (a soft sensor) answer it.
 
 A batch has B touches, one column each. The *patch* of a touch is the surface nodes that it can reach; all patches are
 padded to s nodes. ``columns`` (k,) are the touches that a call is about; its results have their order.
@@ -34,7 +34,7 @@ class Contact(Protocol):
     response: Any
     """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
     compliance: Any
-    """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair_links.Compliance`."""
+    """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair.links.Compliance`."""
 
     potential_trusted_above: float
     """Measure under which a step is accepted for its residual alone, because rounding hides the potential [-]."""

@@ -2,35 +2,39 @@
 
     g(x) = distance to the surface, negative inside;   n = grad g;   C = Hessian of g (curvature of the offset surface)
 
-Sphere, capsule and plane are exact. A cylinder and a box have their edges rounded by `fillet`, so that the normal is
-continuous: a press on a mesh cannot resolve a sharper edge anyway. A triangle mesh is baked into a grid
-(`distance_grid`), a C2 spline whose derivatives are the normal and the curvature. A set of shapes travels to the
-kernels as one struct (`rigid`).
+Sphere, capsule and plane are exact. A cylinder and a box have edges rounded by a fillet, so that the normal is
+continuous: a press on a mesh cannot resolve a sharper edge. A triangle mesh is baked into a grid (`distance_grid`), a C2
+spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the kernels (`bodies`). The
+functions for the host are `vsfsim.core.signed_distance`, and here with meshes.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
+from vsfsim.core import signed_distance
 from vsfsim.core.shape import Box, Capsule, Cylinder, MeshFile, Plane, ProbeShape, Sphere
 
 SPHERE, CAPSULE, CYLINDER, BOX, PLANE, MESH = range(6)
-FILLET = 0.02  # of the smallest half-size
+FILLET = 0.02
+"""Radius of the fillet, over the smallest half-size [-]."""
 
 
-def encode(shape: ProbeShape) -> tuple[int, np.ndarray]:
-    """A probe as (kind, four numbers) for the kernels; the fourth number is the fillet radius [m]."""
+def encode(shape: ProbeShape, *, fillet: float = FILLET) -> tuple[int, np.ndarray]:
+    """A probe as (kind, four numbers) for the kernels: its half-sizes and the radius of its ``fillet``, which is given
+    over the smallest half-size [m]."""
     match shape:
         case Sphere(radius):
             return SPHERE, np.array([radius, 0.0, 0.0, 0.0])
         case Capsule(radius, length):
             return CAPSULE, np.array([radius, 0.5 * length, 0.0, 0.0])
         case Cylinder(radius, height):
-            return CYLINDER, np.array([radius, 0.5 * height, 0.0, FILLET * min(radius, 0.5 * height)])
+            return CYLINDER, np.array([radius, 0.5 * height, 0.0, fillet * min(radius, 0.5 * height)])
         case Box(size):
-            return BOX, np.array([*(0.5 * s for s in size), FILLET * 0.5 * min(size)])
+            return BOX, np.array([*(0.5 * s for s in size), fillet * 0.5 * min(size)])
         case Plane():
             return PLANE, np.zeros(4)
         case MeshFile():
@@ -46,41 +50,25 @@ def grid(shape: MeshFile) -> Any:
     return baked(shape)
 
 
+def distance(shape: ProbeShape, points: np.ndarray) -> np.ndarray:
+    """Signed distance (...,) [m] of ``points`` (..., 3) [m] in the probe's frame, on the host; as the kernels' ``gap``."""
+    if isinstance(shape, MeshFile):
+        return grid(shape).distance(points)
+    return signed_distance.distance(shape, points, fillet=float(encode(shape)[1][3]))
+
+
 def reach(shape: ProbeShape) -> float:
     """Radius of the smallest ball about the probe's origin that holds it [m]; infinite for a plane."""
-    match shape:
-        case Sphere(radius):
-            return radius
-        case Capsule(radius, length):
-            return radius + 0.5 * length
-        case Cylinder(radius, height):
-            return float(np.hypot(radius, 0.5 * height))
-        case Box(size):
-            return 0.5 * float(np.linalg.norm(size))
-        case Plane():
-            return float("inf")
-        case MeshFile():
-            return float(np.linalg.norm(grid(shape).vertices, axis=1).max())
-    raise AssertionError(shape)
+    if isinstance(shape, MeshFile):
+        return float(np.linalg.norm(grid(shape).vertices, axis=1).max())
+    return signed_distance.reach(shape)
 
 
 def support(shape: ProbeShape, direction: np.ndarray) -> float:
-    """How far the probe reaches from its origin along a unit ``direction`` (3,) of its own frame [m]."""
-    d = np.abs(np.asarray(direction, float))
-    match shape:
-        case MeshFile():
-            return float((grid(shape).vertices @ np.asarray(direction, float)).max())
-        case Sphere(radius):
-            return radius
-        case Capsule(radius, length):
-            return radius + 0.5 * length * float(d[2])
-        case Cylinder(radius, height):
-            return radius * float(np.hypot(d[0], d[1])) + 0.5 * height * float(d[2])
-        case Box(size):
-            return 0.5 * float(np.dot(size, d))
-        case Plane():
-            return 0.0
-    raise AssertionError(shape)
+    """How far the probe extends from its origin along a unit ``direction`` (3,) of its own frame [m]."""
+    if isinstance(shape, MeshFile):
+        return float((grid(shape).vertices @ np.asarray(direction, float)).max())
+    return signed_distance.support(shape, direction)
 
 
 @functools.cache
@@ -88,13 +76,12 @@ def functions(real: type, module: str) -> Any:
     """The Warp functions of a set of rigid shapes for one scalar type, in the caller's ``module``.
 
     Returns:
-        ``Bodies``: a wp.struct of arrays, filled by `vsfsim.physics.contact.bodies.RigidBodies.upload`. Of (bodies, k,
-        x), x in the frame of body k [m]:
-        ``gap``: signed distance [m]. ``normal``: its gradient (3,) [-], outward; unit for the analytic shapes, and for
-        a mesh unit to the
-        error of its grid: near an edge that the spline rounds it is shorter, so that a force -k gap normal has a
-        potential. Who needs a direction (friction) normalises it with ``unit``. ``curvature``: the Hessian of the gap
-        (3, 3) [1/m].
+        ``Bodies``: a wp.struct of arrays, filled by `vsfsim.physics.contact.bodies.RigidBodies.upload`.
+        ``gap``, ``normal`` and ``curvature`` of (bodies, k, x), x in the frame of body k [m]: the signed distance [m],
+        its gradient (3,) [-], outward, and its Hessian (3, 3) [1/m]. The gradient is a unit vector for the analytic
+        shapes. For a mesh it is shorter near an edge that the spline rounds, so that a force -k gap normal has a
+        potential; friction normalises it.
+        ``analytic_gap`` and ``analytic_normal`` of (kind, size, x): the same of one shape as `encode` codes it.
     """
     vec2 = wp.types.vector(length=2, dtype=real)
     vec3 = wp.types.vector(length=3, dtype=real)
@@ -103,17 +90,16 @@ def functions(real: type, module: str) -> Any:
     tiny = wp.constant(real(1e-12))
 
     class Bodies:
-        kind: wp.array(dtype=wp.int32)  # (K,)
-        size: wp.array(dtype=vec4)  # (K,), as `encode`
-        # of a mesh's grid, see `vsfsim.physics.contact.distance_grid`: where its coefficients start, its nodes, node
-        # (0, 0, 0), spacing, bounding box
-        start: wp.array(dtype=wp.int32)
-        nodes: wp.array(dtype=wp.vec3i)
-        origin: wp.array(dtype=vec3)
-        spacing: wp.array(dtype=real)
-        lower: wp.array(dtype=vec3)
-        upper: wp.array(dtype=vec3)
-        coefficients: wp.array(dtype=real)  # of all meshes, one after the other
+        kind: wp.array(dtype=wp.int32)  # (K,), as `encode`
+        size: wp.array(dtype=vec4)  # (K,), as `encode` [m]
+        # of a mesh's grid, see `distance_grid.DistanceGrid`
+        start: wp.array(dtype=wp.int32)  # of its coefficients (K,)
+        nodes: wp.array(dtype=wp.vec3i)  # (K,)
+        origin: wp.array(dtype=vec3)  # node (0, 0, 0) (K,) [m]
+        spacing: wp.array(dtype=real)  # (K,) [m]
+        lower: wp.array(dtype=vec3)  # corner of the bounding box (K,) [m]
+        upper: wp.array(dtype=vec3)  # (K,) [m]
+        coefficients: wp.array(dtype=real)  # of all meshes, one after the other [m]
 
     Bodies = wp.struct(Bodies, module=module)
 
@@ -308,30 +294,5 @@ def functions(real: type, module: str) -> Any:
         c[2, 0] = c[0, 2]
         return c
 
-    class Functions:
-        pass
-
-    out = Functions()
-    out.Bodies, out.gap, out.normal, out.curvature, out.unit = Bodies, gap, normal, curvature, unit
-    out.vec3, out.vec4, out.real = vec3, vec4, real
-    return out
-
-
-def distance(shape: ProbeShape, points: np.ndarray) -> np.ndarray:
-    """Signed distance (...,) [m] of ``points`` (..., 3) in the probe's frame, on the host; as the kernels' `gap`."""
-    if isinstance(shape, MeshFile):
-        return grid(shape).distance(points)
-    kind, s = encode(shape)
-    x = np.asarray(points, float)
-    if kind == PLANE:
-        return x[..., 2]
-    if kind == SPHERE:
-        return np.linalg.norm(x, axis=-1) - s[0]
-    if kind == CAPSULE:
-        axial = x[..., 2] - np.clip(x[..., 2], -s[1], s[1])
-        return np.sqrt(x[..., 0] ** 2 + x[..., 1] ** 2 + axial**2) - s[0]
-    if kind == CYLINDER:
-        q = np.stack([np.hypot(x[..., 0], x[..., 1]) - s[0], np.abs(x[..., 2]) - s[1]], axis=-1) + s[3]
-    else:
-        q = np.abs(x) - s[:3] + s[3]
-    return np.linalg.norm(np.maximum(q, 0.0), axis=-1) + np.minimum(q.max(axis=-1), 0.0) - s[3]
+    return SimpleNamespace(Bodies=Bodies, gap=gap, normal=normal, curvature=curvature, analytic_gap=analytic_gap,
+                           analytic_normal=analytic_normal, vec3=vec3, vec4=vec4, real=real)

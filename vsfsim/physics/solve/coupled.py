@@ -16,9 +16,9 @@ import torch
 import warp as wp
 
 from vsfsim.core.errors import SceneError
-from vsfsim.physics.contact.pair_contact import PairContact
-from vsfsim.physics.contact.pair_response import SENSOR_NODES
-from vsfsim.physics.contact.pair_surfaces import farthest
+from vsfsim.physics.contact.pair.contact import PairContact
+from vsfsim.physics.contact.pair.response import SENSOR_NODES
+from vsfsim.physics.contact.pair.surfaces import farthest
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.model import Model

@@ -8,7 +8,9 @@ from typing import Any
 
 import warp as wp
 
-from vsfsim.physics.contact import pair_kernels, pair_rows, rigid_kernels
+from vsfsim.physics.contact import rigid_kernels
+from vsfsim.physics.contact.pair import kernels as pair_kernels
+from vsfsim.physics.contact.pair import rows
 from vsfsim.physics.solve import elasticity
 
 
@@ -19,7 +21,7 @@ def solver_kernels(precision: str, kinds: Iterable[str] = ("tet10",)) -> list[An
 
 def coupled_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:
     """As `solver_kernels`, for a sensor and an object that touch."""
-    return [*_body_kernels(precision, kinds), pair_kernels.kernels().evaluate, pair_rows.kernels().gram]
+    return [*_body_kernels(precision, kinds), pair_kernels.kernels().evaluate, rows.kernels().gram]
 
 
 def _body_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:

@@ -24,7 +24,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": L
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTER = wp.constant(wp.float64(1.0 / 64.0))  # of it: where retries end
 DEEP = wp.constant(wp.float64(1e-3))  # m: what is further inside a link may come out on its wrong side
-ASTRAY = wp.constant(6)  # frames.Reason
+WRONG_SIDE = wp.constant(6)  # frames.Reason
 # of a thread on a GPU: 16 warps a multiprocessor instead of the 8 of the compiler's 255; 1.6 times the readings a
 # second of easy touches on an H200
 REGISTERS = 128
@@ -288,7 +288,7 @@ def advance(
             elif touching == 0 and reason == 0:
                 astray = 0
             if astray == 1 and reason == 0:
-                reason = ASTRAY
+                reason = WRONG_SIDE
             kept, restored, stopped = watch(touch, w, at, t, goal, side, pressed, touching, reason, astray)
             if restored == 1:
                 astray = 0

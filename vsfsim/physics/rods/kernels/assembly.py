@@ -7,6 +7,7 @@ own segment and those above it: nothing is added up by two lanes at once.
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.lanes import count_all, meet, total
 from vsfsim.physics.rods.kernels.search import surface_point
 from vsfsim.physics.rods.kernels.segment import (
@@ -24,7 +25,6 @@ from vsfsim.physics.rods.kernels.segment import (
     vec3,
 )
 from vsfsim.physics.rods.kernels.touching import (
-    friction_energy,
     friction_force,
     friction_hessian,
     gap_of,
@@ -122,7 +122,7 @@ def contact_energy(tree: Trees, touch: Touches, w: Work, at: Here, side: int, x:
         if w.tau[side, b, c] > ZERO:
             ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], x[b, p], q[b, p], x[b, i], q[b, i])
             u = slip(w.normal[side, b, c], ys, w.hold[side, b, c])
-            out = out + friction_energy(wp.length(u), tree.penalty[j], w.tau[side, b, c])
+            out = out + friction.energy(wp.length(u), tree.penalty[j], w.tau[side, b, c])
     return out
 
 

@@ -1,7 +1,7 @@
 """Contact of samples on a plant with rigid capsules: gap, penalty, and Coulomb's friction with memory.
 
     Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
-    Pi_t = Huber(k |u_t|; tau): k u^2/2 while k u <= tau, else tau u - tau^2 / (2 k)
+    Pi_t as in `contact.friction`, of the stiffness k
 
 y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch
 around it. The penalty k hardens at h = 1 mm, so that soft leaves may have a soft one, which Newton's method wants, and
@@ -14,6 +14,7 @@ into contact within the step sticks where its straight way met the surface, as t
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import friction
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec3
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
@@ -86,15 +87,7 @@ def normal_hessian(g: Gap, k: real, geometric: real):
 @wp.func
 def slip(n: vec3, y: vec3, anchor: vec3):
     """Way over the surface from the anchor."""
-    u = y - anchor
-    return u - wp.dot(u, n) * n
-
-
-@wp.func
-def friction_energy(u: real, k: real, tau: real):
-    if k * u <= tau:
-        return HALF * k * u * u
-    return tau * u - HALF * tau * tau / k
+    return friction.tangential(y - anchor, n)
 
 
 @wp.func

@@ -14,7 +14,7 @@ the face at c, which jumps where a node rolls from face to face, so that the for
 from the normals of the faces around where they meet smoothly, as they were when the step began. The change of n with
 the deformation is left out of the stiffness; where points stick, as they do on rubber, its part vanishes.
 
-Positions and forces are in the world; `pair_contact` rotates the sensor's into its own frame.
+Positions and forces are in the world; `pair.contact` rotates the sensor's into its own frame.
 """
 
 import functools
@@ -24,7 +24,8 @@ from typing import Any
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact import closest_point, friction
+from vsfsim.physics.contact import friction
+from vsfsim.physics.contact.pair import closest_point
 from vsfsim.physics.contact.rigid_kernels import FACING
 
 CANDIDATES = 12

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import pair_rows
+from vsfsim.physics.contact.pair import rows
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Links:
                          dim=1).flatten(1)
 
     def _arrays(self) -> list[wp.array]:
-        vec3 = pair_rows.kernels().vec3
+        vec3 = rows.kernels().vec3
         return [wp.from_torch(self.node.contiguous()), wp.from_torch(self.weight.contiguous()),
                 wp.from_torch(self.world.contiguous(), dtype=vec3),
                 wp.from_torch(self.own.contiguous(), dtype=vec3)]
@@ -99,19 +99,19 @@ class Links:
     def responses(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
         """J A (k, a m, s, 3) [m/N]: displacements of the patches of ``columns`` (k,) under a unit force along each
         row."""
-        kernels, (k, a, m, _), s = pair_rows.kernels(), self.world.shape, self.table.shape[2]
+        kernels, (k, a, m, _), s = rows.kernels(), self.world.shape, self.table.shape[2]
         out = torch.empty((k, a * m, s, 3), dtype=torch.float64, device=self.node.device)
         wp.launch(kernels.responses, dim=(k, a * m, s), device=str(out.device), inputs=[
             wp.from_torch(columns.to(torch.int32)), self.split, wp.from_torch(compliance.on_object),
             wp.from_torch(compliance.on_sensor), *self._arrays(), wp.from_torch(out, dtype=kernels.vec3)])
         return out
 
-    def gram(self, rows: torch.Tensor) -> torch.Tensor:
+    def gram(self, x: torch.Tensor) -> torch.Tensor:
         """J X^T (k, a m, r) for rows X (k, r, s, 3)."""
-        kernels, (k, a, m, _) = pair_rows.kernels(), self.world.shape
-        out = torch.empty((k, a * m, rows.shape[1]), dtype=torch.float64, device=self.node.device)
-        wp.launch(kernels.gram, dim=(k, rows.shape[1], a), device=str(out.device), inputs=[
-            self.split, *self._arrays(), wp.from_torch(rows, dtype=kernels.vec3), wp.from_torch(out)])
+        kernels, (k, a, m, _) = rows.kernels(), self.world.shape
+        out = torch.empty((k, a * m, x.shape[1]), dtype=torch.float64, device=self.node.device)
+        wp.launch(kernels.gram, dim=(k, x.shape[1], a), device=str(out.device), inputs=[
+            self.split, *self._arrays(), wp.from_torch(x, dtype=kernels.vec3), wp.from_torch(out)])
         return out
 
 

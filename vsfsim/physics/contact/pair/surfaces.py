@@ -12,8 +12,8 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import pair_kernels
-from vsfsim.physics.contact.pair_sides import make_sides, reachable
+from vsfsim.physics.contact.pair import kernels
+from vsfsim.physics.contact.pair.sides import make_sides, reachable
 from vsfsim.physics.model import Model
 
 _MARGIN = 0.3  # of a stride: the surfaces may approach each other by so much in a step by their own motion
@@ -73,7 +73,7 @@ class PairSurfaces:
         self.device, self.margin = device, _MARGIN * stride
         self.batch, self.count = poses.shape[1], len(mesh.points)
         self.reach = farthest(sensor)
-        self.kernels = pair_kernels.kernels()
+        self.kernels = kernels.kernels()
         reach = reachable(model, sensor, poses)
         nodes = [np.unique(mesh.faces[f]) for f in reach]
         batch, m, width = self.batch, len(own.points), max(1, max(len(n) for n in nodes))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from vsfsim.physics.contact.pair_links import Compliance
-from vsfsim.physics.contact.pair_surfaces import PairPatch, PairSurfaces
+from vsfsim.physics.contact.pair.links import Compliance
+from vsfsim.physics.contact.pair.surfaces import PairPatch, PairSurfaces
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 

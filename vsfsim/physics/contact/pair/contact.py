@@ -1,7 +1,7 @@
 """Contact of a batch of touches between an object and the deformable surface of a sensor that is carried along.
 
 A step knows, for every node of either surface, the faces of the other surface that it may meet; all their nodes are the
-*patch* of the step (`pair_surfaces`). It is small, and differs from step to step.
+*patch* of the step (`surfaces`). It is small, and differs from step to step.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import pair_condensed
-from vsfsim.physics.contact.pair_links import LinkBlock, Links, LinkStiffness
-from vsfsim.physics.contact.pair_response import PairResponse
-from vsfsim.physics.contact.pair_sides import Side
-from vsfsim.physics.contact.pair_surfaces import PairPatch, PairSurfaces
+from vsfsim.physics.contact.pair import condensed
+from vsfsim.physics.contact.pair.links import LinkBlock, Links, LinkStiffness
+from vsfsim.physics.contact.pair.response import PairResponse
+from vsfsim.physics.contact.pair.sides import Side
+from vsfsim.physics.contact.pair.surfaces import PairPatch, PairSurfaces
 from vsfsim.physics.contact.rigid_kernels import STICK
 from vsfsim.physics.model import Model
 
@@ -353,7 +353,7 @@ class PairContact:
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`."""
-        return pair_condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
+        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
 
     def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
         """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those

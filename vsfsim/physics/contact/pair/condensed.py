@@ -20,7 +20,7 @@ import torch
 
 from vsfsim.physics.contact import complementarity
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.contact.pair_links import Links, times
+from vsfsim.physics.contact.pair.links import Links, times
 
 _MOST_ITERATIONS = 8  # what has not converged by then cycles over facets
 _TIGHT = 1e-5  # tolerance at most: a gap's error must be small beside the penetration, a thousandth of the displacement
@@ -29,7 +29,7 @@ _CLOSE = 0.2  # of the margin of a step: nodes nearer than this are unknowns of 
 
 
 class LinkedContact(Contact, Protocol):
-    """What this problem asks of a contact besides: `pair_contact.PairContact` answers it."""
+    """What this problem asks of a contact besides: `contact.PairContact` answers it."""
 
     def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
         """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``asked`` before."""

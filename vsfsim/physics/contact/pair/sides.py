@@ -1,7 +1,7 @@
 """The two sides of a pair of deformable surfaces: the nodes of one surface, and the faces of the other one that they
 may meet.
 
-Both bodies are at rest here; `pair_surfaces` moves them.
+Both bodies are at rest here; `surfaces` moves them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import warp as wp
 from scipy.spatial import cKDTree
 
 from vsfsim.physics.contact.friction import Relaxation
-from vsfsim.physics.contact.pair_kernels import CANDIDATES, kernels
+from vsfsim.physics.contact.pair.kernels import CANDIDATES, kernels
 from vsfsim.physics.contact.patch import PENALTY
 from vsfsim.physics.model import Model
 
