@@ -2,7 +2,6 @@
 converges or says why not."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from vsfsim.physics.solve.touches import Solver, SolverOptions
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)
-SECONDS = 30.0  # wall clock, of a frame: room for a machine that is busy with other tests
 
 
 def body(modulus=lambda x: np.full(x.shape[:-1], 1e5), *, nu=0.3, solid=None, resolution=0.015, **more):
@@ -39,33 +37,27 @@ def inclusion(contrast, young_modulus=1e5):
     return modulus
 
 
-def press(model, depths, device, *, linear=False, seconds=SECONDS, tolerance=1e-4):
+def press(model, depths, device, *, linear=False, **limits):
     """Frames at ``depths`` (parts of the thickness), which hold what every run must hold, whether it converged or
     not."""
     poses = np.tile(np.eye(4), (len(depths), 1, 1, 1))
     # off the planes of symmetry, so that nothing cancels
     poses[:, 0, :3, 3] = np.array([0.003, 0.001, SIZE[2] + 0.015]) - np.asarray(depths)[:, None] * [0.0, 0.0, SIZE[2]]
-    began = time.perf_counter()
-    frames = Solver(model, PROBE, device=device, linear=linear,
-                    options=SolverOptions(tolerance=tolerance, seconds=seconds)).run(poses)
-    took = time.perf_counter() - began
-    # the limit is looked at between Newton's steps, each of which is bounded by its CG iterations; the first run may
-    # compile kernels
-    assert took < 60.0 + 3.0 * seconds * len(depths)
+    options = SolverOptions(**{"seconds": 1e9, **limits})
+    frames = Solver(model, PROBE, device=device, linear=linear, options=options).run(poses)
     for f in dataclasses.fields(Frames):
         assert np.isfinite(np.asarray(getattr(frames, f.name), float)).all(), f.name
     good = frames.converged
     assert (good == (frames.reason == Reason.NONE)).all(), "a frame that failed says why, and only that one"
-    assert (frames.residual[good] <= tolerance).all() and (frames.force_balance[good] <= 1e-3).all()
+    assert (frames.residual[good] <= options.tolerance).all() and (frames.force_balance[good] <= 1e-3).all()
     print(f"{int(good.sum())} of {len(depths)} converged, reasons {frames.reason.ravel().tolist()}, fz "
           f"{frames.force[:, 0, 2].tolist()}, "
           f"min det F {frames.min_det_f.min():.2f}, {frames.iterations.sum()} iterations, {frames.cg_iterations.sum()} "
-          f"of CG, {took:.1f} s")
+          f"of CG, {frames.seconds.sum():.1f} s")
     return frames
 
 
-# ------------------------------------------------------------------------------------------ contrast and Poisson's
-# ratio
+# ------------------------------------------------------------------------------------------ contrast, Poisson's ratio
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
@@ -73,9 +65,8 @@ def press(model, depths, device, *, linear=False, seconds=SECONDS, tolerance=1e-
 def test_contrast_and_poissons_ratio(device, contrast, nu):
     """A fifth of the thickness: every one of these converges."""
     frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2], device)
-    assert frames.converged.all()
-    assert (frames.min_det_f > 0.0).all() and (np.diff(frames.force[:, 0,
-                                                                    2]) > 0.0).all() and frames.force[0, 0, 2] > 0.0
+    assert frames.converged.all() and (frames.min_det_f > 0.0).all()
+    assert frames.force[0, 0, 2] > 0.0 and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
 def test_a_stiff_inclusion_becomes_a_rigid_one(device):
@@ -88,8 +79,7 @@ def test_a_stiff_inclusion_becomes_a_rigid_one(device):
 
 @pytest.mark.parametrize("nu", [0.499, 0.4999])
 def test_nearly_incompressible(device, nu):
-    frames = press(body(nu=nu), [0.05, 0.1], device)
-    assert frames.converged[0].all()
+    assert press(body(nu=nu), [0.05, 0.1], device).converged.all()
 
 
 @pytest.mark.parametrize("linear", [False, True])
@@ -97,16 +87,16 @@ def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
     force = np.array([press(body(inclusion(100.0, e)), [0.1, 0.2], device, linear=linear).force[:, 0] / e
                       for e in (1e2, 1e5, 1e11)])
     # nothing in the solver knows what a pascal is; the equilibria are found to 1e-4
-    assert force[0] == pytest.approx(force[1],
-                                     abs=3e-4 * force[1].max()) and force[2] == pytest.approx(force[1],
-                                                                                              abs=3e-4 * force[1].max())
+    within = 3e-4 * force[1].max()
+    assert force[0] == pytest.approx(force[1], abs=within) and force[2] == pytest.approx(force[1], abs=within)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("nu", [0.0, 0.45, 0.4999])
 @pytest.mark.parametrize("contrast", [1e-8, 1e4])
 def test_half_the_thickness_of_extreme_bodies(device, contrast, nu):
-    press(body(inclusion(contrast), nu=nu), [0.1, 0.2, 0.3, 0.4, 0.5], device)
+    frames = press(body(inclusion(contrast), nu=nu), [0.1, 0.2, 0.3, 0.4, 0.5], device)
+    assert frames.converged[:4].all()
 
 
 # ------------------------------------------------------------------------------------------ depth
@@ -121,7 +111,7 @@ def test_four_tenths_of_the_thickness(device, nu):
 @pytest.mark.parametrize("nu", [pytest.param(0.0, marks=pytest.mark.slow), 0.3,
                                 pytest.param(0.45, marks=pytest.mark.slow)])
 def test_eight_tenths_of_the_thickness(device, nu):
-    """A frame that converged has the probe outside, pushed back the way it came, and no element inside out."""
+    """A frame that converged has the probe outside, pushed back the way it came, and no inverted element."""
     frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)
     good = frames.converged[:, 0]
     # without Poisson's effect nothing moves aside and the last frames squeeze elements to nothing: those may be marked
@@ -133,20 +123,17 @@ def test_eight_tenths_of_the_thickness(device, nu):
 
 @pytest.mark.parametrize("linear", [False, True])
 def test_one_step_over_the_whole_depth(device, linear):
-    """No frames in between: halving finds the way, or the frame is marked."""
+    """No frames in between: halving finds the way."""
     whole = press(body(), [0.4], device, linear=linear)
-    if whole.converged.all():
-        slow = press(body(), [0.1, 0.2, 0.3, 0.4], device, linear=linear)
-        assert whole.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=1e-3)
+    slow = press(body(), [0.1, 0.2, 0.3, 0.4], device, linear=linear)
+    assert whole.converged.all() and slow.converged.all()
+    assert whole.force[-1, 0, 2] == pytest.approx(slow.force[-1, 0, 2], rel=1e-3)
 
 
-def test_a_hard_frame_ends_in_time(device):
-    hard = body(inclusion(1e8), nu=0.4999)
-    press(hard, [0.1], device)  # compiled and factorised
-    began = time.perf_counter()
-    frames = press(hard, [0.5, 0.8], device, seconds=0.5)
-    assert time.perf_counter() - began < 10.0
-    assert not frames.converged.all() and (frames.reason[~frames.converged] != Reason.NONE).all()
+def test_a_hard_frame_ends_at_its_limit(device):
+    """Frames that would take hundreds of iterations stop at the limit, halved steps included, and say so."""
+    frames = press(body(inclusion(1e8), nu=0.4999), [0.5, 0.8], device, newton_frame=10)
+    assert (frames.iterations <= 10).all() and (frames.reason == Reason.ITERATIONS).all()
 
 
 # ------------------------------------------------------------------------------------------ meshes

@@ -1,14 +1,14 @@
 """What a user may rely on from the solver: retracing, batches, precision, marks, limits, audit."""
 
 import dataclasses
-import time
 
 import numpy as np
 import pytest
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Frames, Solver, SolverOptions
+from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
+from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Solver
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)
@@ -65,8 +65,7 @@ def test_unloading_retraces_loading(press, model, line, device):
     between = np.array([0.0035, 0.0025, 0.0015])
     back = Solver(model, PROBE, device=device).run(down(line, [*DEPTHS, *between])).force[4:, 0, 2]
     fresh = np.array([Solver(model, PROBE, device=device).run(down(line, [d])).force[0, 0, 2] for d in between])
-    assert back == pytest.approx(fresh, rel=5e-3)
-    assert back == pytest.approx(fresh, rel=1e-3), "far better than the 0.5 % asked for: both are equilibria to 1e-4"
+    assert back == pytest.approx(fresh, rel=1e-3), "both are equilibria to 1e-4"
 
 
 def test_single_precision_gives_the_same_forces(press, model, line, device):
@@ -123,14 +122,11 @@ def test_an_impossible_limit_marks_frames_and_stays_finite(model, line, device):
 
 
 def test_time_limit_is_honoured(model, line, device):
-    run = Solver(model, PROBE, device=device).run
-    run(down(line, [0.001]))  # compiled and factored
+    """Without any time no frame takes an iteration; each is marked with the reason."""
     solver = Solver(model, PROBE, device=device, options=SolverOptions(tolerance=1e-14, seconds=0.0))
-    began = time.perf_counter()
     frames = solver.run(down(line, [0.005, 0.01, 0.012]))
-    assert time.perf_counter() - began < 5.0, ("the limit is looked at between steps, of which each takes "
-                                               "milliseconds here")
-    assert not frames.converged.any() and np.isfinite(frames.force).all()
+    assert (frames.reason == Reason.TIME).all() and not frames.converged.any() and not frames.iterations.any()
+    assert np.isfinite(frames.force).all()
 
 
 def test_a_press_of_six_tenths_of_the_thickness_is_converged_or_marked(model, line, device):
@@ -213,8 +209,8 @@ def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, line
     # and the plate stays above it, but for the penalty's penetration: nothing has slipped through
     assert frames.penetration.max() < 0.01 * model.element_size
     x = model.mesh.points + solver.history[-1].reshape(-1, 3)
-    assert sdf.distance(ball, x[model.mesh.surface_nodes()] - [0.03, 0.0,
-                                                               top[-1] - 0.01]).min() > -0.02 * model.element_size
+    local = x[model.mesh.surface_nodes()] - [0.03, 0.0, top[-1] - 0.01]
+    assert sdf.distance(ball, local).min() > -0.02 * model.element_size
 
 
 def test_a_run_does_not_depend_on_the_run_before(model, line, device):
