@@ -22,33 +22,34 @@ Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
 
 @dataclass(frozen=True)
 class Model:
-    """One body in the world frame.
-
-    mesh: quadratic tetrahedra, world frame. blocks: its elements. young_modulus: at the Gauss points of the mesh (m, 4)
-    [Pa].
-    free: 1 where a degree of freedom may move (3 n,). load: gravity's nodal forces (3 n,) [N].
-    surface_modulus: modulus under each boundary triangle (f,) [Pa].
-    solid: where it came from. element_size: cube root of the mean volume of a hexahedron's worth of tets [m].
-    factor: rest-state factor.
-    """
+    """One body in the world frame."""
 
     mesh: QuadraticMesh
+    """Quadratic tetrahedra, world frame."""
     blocks: tuple[Block, ...]
+    """Its elements."""
     young_modulus: np.ndarray
+    """Young's modulus at the Gauss points of the mesh (m, 4) [Pa]."""
     free: np.ndarray
+    """1 where a degree of freedom may move (3 n,) [-]."""
     load: np.ndarray
+    """Nodal forces of gravity (3 n,) [N]."""
     surface_modulus: np.ndarray
+    """Young's modulus under each boundary triangle (f,) [Pa]."""
     solid: Solid
+    """The corner tetrahedra that it was made from."""
     element_size: float
+    """Cube root of the mean volume of six tetrahedra, a hexahedron's worth [m]."""
     factor: RestFactor = field(repr=False)
+    """Rest-state factor, shared by all touches."""
 
     def least_force(self) -> float:
-        """Forces under this are zero [N]: a billionth of the softest modulus on one element face, or a millionth of the
-        weight."""
+        """Force [N] under which a force counts as zero: a billionth of the softest modulus on one element face, or a
+        millionth of the weight."""
         return max(1e-9 * float(self.young_modulus.min()) * self.element_size**2, 1e-6 * float(np.abs(self.load).sum()))
 
     def grounding(self) -> np.ndarray:
-        """Stiffness with which anchors tie each degree of freedom to the ground (3 n,) [N/m]; their pull is a support
+        """Stiffness of the anchors between each degree of freedom and the ground (3 n,) [N/m]; their force is a support
         reaction."""
         out = np.zeros(len(self.free))
         for block in self.blocks:
@@ -58,8 +59,8 @@ class Model:
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        return dataclasses.replace(self, free=free, factor=RestFactor(self.factor.stiffness, free,
-                                                                      self.mesh.surface_nodes()))
+        factor = RestFactor(self.factor.stiffness, free, self.mesh.surface_nodes())
+        return dataclasses.replace(self, free=free, factor=factor)
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -78,7 +79,9 @@ def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
     """The elements of a solid: quadratic tetrahedra.
 
     Args:
-        mesh: placed. young_modulus: at the Gauss points (m, 4) [Pa]. poisson_ratio: nu, 0 to 0.4999.
+        mesh: the mesh in the world frame.
+        young_modulus: Young's modulus at the Gauss points (m, 4) [Pa].
+        poisson_ratio: nu, 0 to 0.4999 [-].
     """
     mu, lam = lame(young_modulus, poisson_ratio)
     return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam),)
@@ -97,30 +100,31 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
                 gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
                 rotation: np.ndarray | None = None, translation: np.ndarray | None = None,
                 elements: Elements = tetrahedra) -> Model:
-    """Put a solid into the world, hold it and factorise its rest state.
+    """Place a solid in the world, hold it and factorise its rest state.
 
     Args:
         solid: corner tetrahedra in the object's frame.
         young_modulus: E at the Gauss points of its quadratic mesh (m, 4) [Pa].
-        poisson_ratio: nu. fixed, bottom_tolerance: see `held_nodes`. where: scene and section, for messages.
-        density: [kg/m^3]. gravity: [m/s^2], world. rotation (3, 3), translation (3,) [m]: object to world.
+        poisson_ratio: nu [-].
+        fixed, bottom_tolerance: see `held_nodes`.
+        where: scene and section, for messages.
+        density: [kg/m^3].
+        gravity: (3,) [m/s^2], world.
+        rotation, translation: object to world (3, 3) [-] and (3,) [m].
         elements: makes the blocks of elements of the placed mesh, from (mesh, young_modulus, poisson_ratio).
 
     Raises:
-        SceneError: the supports hold nothing, or fewer than three points that fix the body, or leave a part of it
-        loose.
+        SceneError: the supports hold no node, hold nodes on a line at most, or leave a part of the body loose.
         MeshError: the tetrahedra are flat, folded or not finite, see `sound`.
     """
     solid, turned = sound(solid, where)
-    # a tetrahedron listed the wrong way round has its first two corners swapped, and each Gauss point lies near a
-    # corner
-    young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]],
-                             young_modulus) if turned.any() else young_modulus
+    if turned.any():
+        # an inverted tetrahedron had its first two corners swapped, and each Gauss point is near a corner
+        young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]], young_modulus)
     mesh = quadratic_mesh(solid)
     if fixed == "none":
-        raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then "
-                         f"has no single "
-                         "equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")
+        raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no "
+                         "single equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")
     held = held_nodes(mesh.points, fixed, bottom_tolerance)
     spread = np.linalg.matrix_rank(mesh.points[held] - mesh.points[held].mean(axis=0), tol=1e-9) if held.any() else 0
     if spread < 2:

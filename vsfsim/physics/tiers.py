@@ -1,4 +1,4 @@
-"""Fidelity tiers: how finely a body is modelled, and the cheapest one that holds what a scene needs."""
+"""Fidelity tiers: how finely a body is modelled, and the cheapest tier that shows what a scene needs."""
 
 from __future__ import annotations
 
@@ -26,24 +26,23 @@ from vsfsim.physics.solve.frames import SolverOptions
 
 @dataclass(frozen=True)
 class Tier:
-    """One rung.
-
-    elements: what fills the body. nonlinear: Newton's method, or the rest state's linear response (exact for anchors,
-    whose law is linear).
-    body: element size over the body's size (cube root of its bounding box, see `body_limit`). probe: element size over
-    the probe's radius.
-    family: element size of a procedural family [m]. tolerance: of the equilibrium, see `SolverOptions`.
-    plain: stop conjugate gradients by the residual's length (see `SolverOptions.cg_plain`), at a looser tolerance: a
-    third fewer back-solves for the same force. Off where datasets have been released: their bits would change.
-    """
+    """One fidelity tier."""
 
     elements: Elements
+    """Makes the elements of the body."""
     nonlinear: bool
+    """Newton's method, or the linear response of the rest state (exact for anchors, whose law is linear)."""
     body: float
+    """Element size over the body's size, the cube root of its bounding box, see `body_limit` [-]."""
     probe: float
+    """Element size over the probe's radius [-]."""
     family: float
+    """Element size of a procedural family [m]."""
     tolerance: float
+    """Of the equilibrium, see `SolverOptions` [-]."""
     plain: bool = False
+    """Stop conjugate gradients by the length of the residual (see `SolverOptions.cg_plain`) at a looser tolerance: a
+    third fewer back-solves for the same force. Off where datasets have been released: their bits would change."""
 
 
 TIERS: dict[str, Tier] = {
@@ -54,70 +53,69 @@ TIERS: dict[str, Tier] = {
     "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True),
     "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True),
 }
-# a scan has no flat base: this part of its height stands for it. A ball of 80 mm then stands on a foot of 35 mm;
-# with 2 % it was 22 mm, held by a dozen nodes, and a lumpy blob tipped over under 0.4 N
 FOOT = 0.05
-# a foot smaller than this part of the body's width or depth is worth a warning
+"""Part of a scan's height that is held in place of a flat base, which it has none of [-]. A ball of 80 mm then stands
+on a foot of 35 mm; with 2 % it was 22 mm, held by a dozen nodes, and a lumpy blob tipped over under 0.4 N."""
 NARROW = 1 / 3
-# a sheet of 0.3 x 0.2 x 0.001 m would take 60,000 cells as long as it is thick, twice; with this many it has 47 along
-# its length, and its bending does not need more
+"""Part of the body's width or depth under which a foot is narrow enough for a warning [-]."""
 THIN_CELLS = 1500
+"""Most cells of a thin body: a sheet of 0.3 x 0.2 x 0.001 m would need two layers of 60,000 cubes, and has 47 cells
+along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
 _SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
-_UNSAID = "linear"  # a scene that names no need gets a force that can be trusted, not the cheapest toy
+_DEFAULT = "linear"  # of a scene that names no need: the cheapest tier with a trustworthy force
 
 
 def choose(scene: Scene, asked: str | None = None) -> str:
-    """The tier of a scene: what was asked for if it is enough, else (``auto``) the cheapest that is.
+    """The tier of a scene: the one asked for if it shows what the scene needs; for ``auto``, the cheapest that does.
 
     Args:
-        scene: its ``needs`` and ``[object] tier``. asked: a tier that overrides the scene's.
+        scene: the scene, with its ``needs`` and ``[object] tier``.
+        asked: a tier that overrides the scene's.
 
     Raises:
         SceneError: the tier asked for is unknown, or cannot show what the scene needs or is made of.
     """
     order = list(TIERS)
-    enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_UNSAID)
+    enough = max((_SHOWS[need] for need in scene.needs), key=order.index, default=_DEFAULT)
     tier = asked or scene.object.tier
-    squeezed = scene.object.poisson_ratio > MOST_POISSON_RATIO
+    incompressible = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
-        return "spring" if enough == "vsf" and squeezed else enough
+        return "spring" if enough == "vsf" and incompressible else enough
     if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
     if scene.needs and order.index(tier) < order.index(enough):
         needs = ", ".join(need for need in scene.needs if order.index(_SHOWS[need]) > order.index(tier))
         raise SceneError(f"{scene.source}: the scene needs {needs}, which tier '{tier}' cannot show; use "
                          f"'{enough}' or above.")
-    if tier == "vsf" and squeezed:
+    if tier == "vsf" and incompressible:
         raise SceneError(f"{scene.source} [object]: poisson_ratio = {scene.object.poisson_ratio:g} is too high for "
-                         f"tier 'vsf', whose layers cannot move "
-                         f"sideways: its stiffness has no bound as nu goes to 1/2. At most {MOST_POISSON_RATIO:g} is "
-                         f"allowed; use 'spring' or above.")
+                         f"tier 'vsf', whose layers cannot move sideways: its stiffness has no bound as nu goes to "
+                         f"1/2. At most {MOST_POISSON_RATIO:g} is allowed; use 'spring' or above.")
     return tier
 
 
 def element_size(spec: ObjectSpec, tier: str, probe: ProbeShape) -> float:
-    """Edge length aimed at [m]: the scene's own resolution, else the tier's."""
+    """Target edge length [m]: the scene's own resolution, else the tier's."""
     if spec.resolution is not None:
         return spec.resolution
-    rung = TIERS[tier]
+    own = TIERS[tier]
     if isinstance(spec.shape, Family):
-        return rung.family
-    tip = rung.probe * 1.5 * min(sdf.reach(probe), 1e3)
+        return own.family
+    tip = own.probe * 1.5 * min(sdf.reach(probe), 1e3)
     if isinstance(spec.shape, Rod):
-        # along a slender bar nothing happens at the scale of its thickness: quadratic elements about as long as its
-        # radius
-        return min(10.0 * rung.body * spec.shape.radius, tip)
+        # along a slender bar the fields change slowly: quadratic elements about as long as its radius
+        return min(10.0 * own.body * spec.shape.radius, tip)
     if isinstance(spec.shape, MeshFile):
-        # scan pulls in trimesh; a box does not need it
+        # scan imports trimesh, which a box does not need
         from vsfsim.physics.mesh.scan import extents
 
-        # a flat sheet is refused with its reason when it is filled; here it only must not give an edge of 0
+        # a flat sheet is refused with a reason when it is filled; here its size must only not be 0
         size = np.maximum(extents(spec.shape), 1e-3 * extents(spec.shape).max())
     else:
         size = np.array(extent(spec.shape))
-    return min(body_limit(size, rung.body), tip, thin_limit(size))
+    return min(body_limit(size, own.body), tip, thin_limit(size))
 
 
 def body_limit(size: np.ndarray, part: float) -> float:
@@ -159,8 +157,11 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     """The object of a scene at a tier, in its own frame, and Young's modulus at its Gauss points (m, 4) [Pa].
 
     Args:
-        scene: concrete. tier: from `choose`. seed: of what a family draws (materials, look).
-        focus: points (k, 3) [m], world, near which a box is meshed finely. cache: folder of filled meshes.
+        scene: the scene, without random values.
+        tier: the tier, from `choose`.
+        seed: of what a family draws (materials, appearance).
+        focus: points near which a box is meshed finely (k, 3) [m], world.
+        cache: folder of filled meshes.
 
     Raises:
         SceneError, MeshError: the object cannot be built.
@@ -169,12 +170,10 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     where = f"{scene.source} [object]"
     turn, shift = placement(spec)
     local = None if focus is None else (np.asarray(focus) - shift) @ turn
+    # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly; of equal area it is
+    # 0.05 % off. A ball of equal volume would be 1-2 % of its radius too high, and so would its first contact
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
-                        cache=cache, focus=local,
-                        # a coarse bar is a 12-gon: inscribed in the circle it is 5 % too thin and bends 9 % too softly,
-                        # of equal area 0.05 %. not a ball: its top would rise by 1-2 % of the radius, and the first
-                        # contact with it
-                        equal_volume=isinstance(spec.shape, (Rod, Cylinder)))
+                        cache=cache, focus=local, equal_volume=isinstance(spec.shape, (Rod, Cylinder)))
     field = spec.young_modulus
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
@@ -190,16 +189,16 @@ def _spread(solid: Solid, points: int) -> np.ndarray:
 
 
 def _mixed(solid: Solid, field: MaterialField, modulus: np.ndarray | None) -> np.ndarray:
-    """One modulus a tetrahedron (m,) [Pa]: the harmonic mean over its volume.
+    """One modulus for each tetrahedron (m,) [Pa]: the harmonic mean over its volume.
 
     Snapping leaves few tetrahedra with two materials. In those the soft part carries the strain (Reuss): an arithmetic
-    mean, or the modulus at the Gauss points, would make a stiff inclusion grow by up to an element, which stiffens case
+    mean, or the modulus at the Gauss points, would enlarge a stiff inclusion by up to an element, which stiffens case
     S2 by 15-30 %.
     """
     n = 6
     steps = np.array([(i, j, k, n - i - j - k) for i in range(n + 1) for j in range(n + 1 - i)
                       for k in range(n + 1 - i - j)])
-    # drawn to the centroid a little, so that a point on a face belongs to its own tetrahedron
+    # moved towards the centroid a little, so that a point on a face belongs to its own tetrahedron
     bary = 0.9 * steps / n + 0.1 / 4.0
     points = np.einsum("sk,mkc->msc", bary, solid.vertices[solid.tets])
     return 1.0 / (1.0 / field.evaluate(points, _spread(solid, len(bary)), modulus)).mean(axis=1)
@@ -209,19 +208,20 @@ def foot_note(solid: Solid, tolerance: float) -> str:
     """What ``fixed = "bottom"`` means for a scan, in a sentence, and a warning where it is a narrow foot.
 
     Args:
-        solid: in its own frame. tolerance: height of the part that is held [m].
+        solid: the scan in its own frame.
+        tolerance: height of the part that is held [m].
     """
     low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
     held = solid.vertices[solid.vertices[:, 2] <= low[2] + tolerance]
     foot, whole = np.ptp(held[:, :2], axis=0), (high - low)[:2]
-    said = (f"fixed = \"bottom\" holds the lowest {100 * FOOT:g} % of the scan, {1e3 * tolerance:.1f} mm: "
+    note = (f"fixed = \"bottom\" holds the lowest {100 * FOOT:g} % of the scan, {1e3 * tolerance:.1f} mm: "
             f"a foot of {1e3 * foot[0]:.0f} x {1e3 * foot[1]:.0f} mm under a body of {1e3 * whole[0]:.0f} x "
             f"{1e3 * whole[1]:.0f} mm.")
     if (foot < NARROW * whole).any():
         box = ", ".join(f"{v:.3f}" for v in (*(low - 0.001), *(high[:2] + 0.001), low[2] + 0.25 * (high[2] - low[2])))
-        said += (f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its "
+        note += (f" On so narrow a foot the body may tip rather than be indented; fixed = [{box}] would hold its "
                  f"lowest quarter.")
-    return said
+    return note
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,

@@ -1,7 +1,6 @@
-"""A set of rigid shapes as one thing: on the device a struct of arrays for the contact kernels, on the host distances
-and sizes.
+"""A set of rigid shapes: a struct of arrays for the contact kernels, and distances and sizes for the host.
 
-Poses are not part of it: who moves the shapes gives one pose each, every frame.
+Poses are not part of it: each frame gives one pose for each shape.
 """
 
 from __future__ import annotations
@@ -20,11 +19,15 @@ from vsfsim.physics.contact import sdf
 class RigidBodies:
     """K rigid shapes, each in a frame of its own.
 
-    shapes: the shapes (K).
+    Args:
+        shapes: the shapes (K), or one.
 
     Raises:
-        MeshError: a mesh that cannot be read or closed.
+        MeshError: a mesh cannot be read or closed.
     """
+
+    notes: tuple[str, ...]
+    """What was repaired or decided for their meshes."""
 
     def __init__(self, shapes: ProbeShape | Sequence[ProbeShape]):
         self.shapes: tuple[ProbeShape, ...] = tuple(shapes) if isinstance(shapes, Sequence) else (shapes,)
@@ -41,7 +44,7 @@ class RigidBodies:
         return sdf.distance(self.shapes[k], points)
 
     def reach(self, k: int) -> float:
-        """Radius of the smallest ball about the origin of body ``k`` that holds it [m]; infinite for a plane."""
+        """As `sdf.reach` of body ``k`` [m]."""
         return sdf.reach(self.shapes[k])
 
     def upload(self, functions: Any, device: str) -> Any:
@@ -62,13 +65,14 @@ class RigidBodies:
 
         zero = np.zeros(3)
         columns = {
-            "kind": (np.array(kinds), wp.int32), "size": (np.array(sizes), functions.vec4),
+            "kind": (np.array(kinds), wp.int32),
+            "size": (np.array(sizes), functions.vec4),
             "start": (of(lambda g: starts[id(g)], 0), wp.int32),
-                   "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
+            "nodes": (of(lambda g: g.coefficients.shape, (0, 0, 0)), wp.vec3i),
             "origin": (of(lambda g: g.origin, zero), functions.vec3),
-                   "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
+            "spacing": (of(lambda g: g.spacing, 1.0), functions.real),
             "lower": (of(lambda g: g.lower, zero), functions.vec3),
-                   "upper": (of(lambda g: g.upper, zero), functions.vec3),
+            "upper": (of(lambda g: g.upper, zero), functions.vec3),
             "coefficients": (np.concatenate([np.zeros(0), *(g.coefficients.ravel() for g in different.values())]),
                              functions.real),
         }

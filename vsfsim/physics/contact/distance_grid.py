@@ -15,10 +15,8 @@ A surface that does not bound one simple solid is first closed by fTetWild.
 
 import functools
 import hashlib
-import os
-import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +26,7 @@ from scipy import ndimage
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
+from vsfsim.physics import disk_cache
 
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
 MAX_NODES = 2_000_000
@@ -44,24 +43,27 @@ _RECIPE = 1  # part of the cache key: raise it when the bake changes
 
 @dataclass(frozen=True)
 class DistanceGrid:
-    """A baked mesh, in the probe's frame (origin: centre of the bounding box).
-
-    coefficients: of the spline (nx, ny, nz) [m]. origin: node (0, 0, 0) (3,) [m]. spacing: [m].
-    lower, upper: bounding box of the mesh (3,) [m]. vertices: its corners (n, 3) [m]; faces: its triangles (f, 3).
-    error: |phi| at the mesh's own corners and triangle centres, where it should be 0: root mean square and largest (2,)
-    [m].
-    notes: what was repaired or decided.
-    """
+    """A baked mesh, in the probe's frame, whose origin is the centre of the bounding box."""
 
     coefficients: np.ndarray
+    """Of the spline (nx, ny, nz) [m]."""
     origin: np.ndarray
+    """Node (0, 0, 0) of the grid (3,) [m]."""
     spacing: float
+    """Of the grid [m]."""
     lower: np.ndarray
+    """Lower corner of the bounding box of the mesh (3,) [m]."""
     upper: np.ndarray
+    """Upper corner of the bounding box (3,) [m]."""
     vertices: np.ndarray
+    """Corners of the mesh (n, 3) [m]."""
     faces: np.ndarray
+    """Triangles of the mesh (f, 3)."""
     error: np.ndarray
+    """|phi| at the corners and triangle centres of the mesh, where it should be 0: root mean square and largest (2,)
+    [m]."""
     notes: tuple[str, ...]
+    """What was repaired or decided, for people."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """phi (...,) [m] at ``points`` (..., 3) [m]; beyond the grid a lower bound of the distance, see `beyond`."""
@@ -96,8 +98,9 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
     """The grid of a mesh file, from memory, from disk, or made now.
 
     Args:
-        shape: file and scale. spacing: of the grid [m], or None for the rule. cache: folder; None is that of filled
-        meshes.
+        shape: file and scale.
+        spacing: of the grid [m], or None for the rule.
+        cache: folder; None is that of filled meshes.
 
     Raises:
         MeshError: as `vsfsim.physics.mesh.scan.read_surface`, or a surface that cannot be closed.
@@ -109,8 +112,7 @@ def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None =
 
 @functools.lru_cache(maxsize=16)
 def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: int | None) -> DistanceGrid:
-    # scan pulls in trimesh; a sphere does not need it. ``stamp`` is the file's time: an edited file is read again
-    from vsfsim.physics import disk_cache
+    # scan imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
     from vsfsim.physics.mesh import scan
 
     path = Path(shape.path)
@@ -137,7 +139,7 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
                     notes=tuple(notes))
         if broken or time.perf_counter() - began > _SLOW:
             _write(stored, grid)
-            # another worker may have been first; fTetWild never gives the same surface twice, so that one counts
+            # another worker may have been first; fTetWild never returns the same surface twice, so that one counts
             grid = _read(stored) or grid
     return grid
 
@@ -147,9 +149,11 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     """The grid of a closed surface.
 
     Args:
-        vertices: (n, 3) [m]. faces: (f, 3), wound outwards. spacing: [m], or None for the rule. centre: becomes the
-        origin (3,) [m], by default
-            that of the bounding box. notes: put before our own.
+        vertices: corners (n, 3) [m].
+        faces: triangles (f, 3), wound outwards.
+        spacing: of the grid [m], or None for the rule.
+        centre: becomes the origin (3,) [m]; by default that of the bounding box.
+        notes: put before the notes made here.
     """
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     centre = 0.5 * (low + high) if centre is None else centre
@@ -167,12 +171,12 @@ def bake(vertices: np.ndarray, faces: np.ndarray, *, spacing: float | None = Non
     grid = DistanceGrid(spline(distance), first + _RIM * h, float(h), low, high, vertices, faces, np.zeros(2), notes)
     off = grid.distance(np.concatenate([vertices, vertices[faces].mean(axis=1)]))
     error = np.array([np.sqrt((off**2).mean()), np.abs(off).max()])
-    moved = "" if np.abs(centre).max() < 1e-6 * (high
-                                                 - low).max() else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
-    said = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
+    still = np.abs(centre).max() < 1e-6 * (high - low).max()
+    moved = "" if still else f" moved by ({', '.join(f'{-c:.4g}' for c in centre)}) m so that"
+    note = (f"Probe mesh: {len(faces)} triangles, {' x '.join(f'{1e3 * e:.4g}' for e in high - low)} mm,{moved} "
             f"the centre of its bounding box is the probe's origin; distance grid of {1e3 * h:.3g} mm, off its surface "
             f"by {1e3 * error[0]:.2g} mm (rms), {1e3 * error[1]:.2g} mm at most.")
-    return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, said))
+    return DistanceGrid(grid.coefficients, grid.origin, grid.spacing, low, high, vertices, faces, error, (*notes, note))
 
 
 def spline(distance: np.ndarray) -> np.ndarray:
@@ -205,9 +209,8 @@ def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
         a, b, c = (vertices[faces[:, k]][None] - part[:, None] for k in range(3))
         la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
         top = np.einsum("pfc,pfc->pf", a, np.cross(b, c))
-        bottom = la * lb * lc + np.einsum("pfc,pfc->pf", a, b) * lc + np.einsum("pfc,pfc->pf", b,
-                                                                                c) * la + np.einsum("pfc,pfc->pf", c,
-                                                                                                    a) * lb
+        ab, bc, ca = (np.einsum("pfc,pfc->pf", u, v) for u, v in ((a, b), (b, c), (c, a)))
+        bottom = la * lb * lc + ab * lc + bc * la + ca * lb
         out[start:start + len(part)] = 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
     return out
 
@@ -292,7 +295,7 @@ def _query():
         x = point_in[i]
         found = wp.mesh_query_point_sign_winding_number(mesh, wp.vec3(x), 1.0e6)
         if found.result:
-            # the search is in single precision; the triangle that it found is met again in double
+            # the search is in single precision; the distance to the triangle that it found is computed again in double
             f = faces[found.face]
             d = wp.length(x - nearest_on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]]))
             if found.sign < 0.0:
@@ -306,29 +309,11 @@ def _query():
 
 
 def _read(path: Path) -> DistanceGrid | None:
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return DistanceGrid(data["coefficients"], data["origin"], float(data["spacing"]), data["lower"],
-                                data["upper"], data["vertices"],
-                                data["faces"], data["error"], tuple(str(note) for note in data["notes"]))
-    except FileNotFoundError:
+    data = disk_cache.read(path)
+    if data is None or set(data) != {f.name for f in fields(DistanceGrid)}:
         return None
-    except Exception:  # a damaged cache file is as good as none
-        path.unlink(missing_ok=True)
-        return None
+    return DistanceGrid(**{**data, "spacing": float(data["spacing"]), "notes": tuple(map(str, data["notes"]))})
 
 
 def _write(path: Path, grid: DistanceGrid) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, suffix=".part")
-    except OSError:
-        return  # a cache that cannot be written only costs time
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(file, **{**vars(grid), "notes": np.array(grid.notes, dtype=np.str_)})
-        os.link(name, path)  # unlike a rename, it leaves the file of whoever came first
-    except OSError:
-        pass
-    finally:
-        os.unlink(name)
+    disk_cache.write(path, **{**vars(grid), "notes": np.array(grid.notes, dtype=np.str_)})

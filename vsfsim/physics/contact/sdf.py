@@ -3,9 +3,9 @@
     g(x) = distance to the surface, negative inside;   n = grad g;   C = Hessian of g (curvature of the offset surface)
 
 Sphere, capsule and plane are exact. A cylinder and a box have edges rounded by a fillet, so that the normal is
-continuous: a press on a mesh cannot resolve a sharper edge. A triangle mesh is baked into a grid (`distance_grid`), a C2
-spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the kernels (`bodies`). The
-functions for the host are `vsfsim.core.signed_distance`, and here with meshes.
+continuous: a press on a mesh cannot resolve a sharper edge. A triangle mesh is baked into a grid (`distance_grid`), a
+C2 spline whose derivatives are the normal and the curvature. A set of shapes is one struct in the kernels (`bodies`).
+The functions for the host are `vsfsim.core.signed_distance`, and here with meshes.
 """
 
 import functools
@@ -51,7 +51,8 @@ def grid(shape: MeshFile) -> Any:
 
 
 def distance(shape: ProbeShape, points: np.ndarray) -> np.ndarray:
-    """Signed distance (...,) [m] of ``points`` (..., 3) [m] in the probe's frame, on the host; as the kernels' ``gap``."""
+    """Signed distance (...,) [m] of ``points`` (..., 3) [m] in the probe's frame, on the host; as the kernels'
+    ``gap``."""
     if isinstance(shape, MeshFile):
         return grid(shape).distance(points)
     return signed_distance.distance(shape, points, fillet=float(encode(shape)[1][3]))

@@ -179,22 +179,19 @@ _FRONT = """
         const int* at = below + t[7*f+6];
 """
 _SINGLE = _BEGIN + """
-    float* v = x.data; float* there = work.data; float* own = there + wide;
-    double most = 1e-300;
-    for (int i = 0; i < size; ++i) { const double s = b[(long long)i * columns]; most = s > most ? s : (-s > most ? -s : most); }
-    const double scale = 1.0 / most;
-    for (int i = 0; i < size; ++i) v[place[i]] = (float)(b[(long long)i * columns] * scale);
+    float* v = x.data; float* there = work.data; float* own = there + wide; double most = 1e-300; for (int i = 0; i <
+    size; ++i) { const double s = b[(long long)i * columns]; most = s > most ? s : (-s > most ? -s : most); } const
+    double scale = 1.0 / most; for (int i = 0; i < size; ++i) v[place[i]] = (float)(b[(long long)i * columns] * scale);
     for (int f = 0; f < fronts; ++f) {""" + _FRONT + """
         float* a = v + t[7*f+4];
         for (long long j = 0; j < p; ++j) a[j] *= d[j];
         for (long long k = 0; k < qw; ++k) there[k] = 0.0f;
         for (long long j = 0; j < p; j += 4) {
-            const long long left = p - j;
-            const short* s0 = ties + j * qw; const short* s1 = s0 + (left > 1) * qw;
-            const short* s2 = s1 + (left > 2) * qw; const short* s3 = s2 + (left > 3) * qw;
-            for (long long k = 0; k < 4 * qw; k += LINE) __builtin_prefetch(s0 + AHEAD + k);
-            const float a0 = a[j], a1 = left > 1 ? a[j + 1] : 0.0f, a2 = left > 2 ? a[j + 2] : 0.0f, a3 = left > 3 ? a[j + 3] : 0.0f;
-            for (long long k = 0; k < qw; ++k) there[k] += (float)s0[k] * a0 + (float)s1[k] * a1 + (float)s2[k] * a2 + (float)s3[k] * a3;
+            const long long left = p - j; const short* s0 = ties + j * qw; const short* s1 = s0 + (left > 1) * qw;
+            const short* s2 = s1 + (left > 2) * qw; const short* s3 = s2 + (left > 3) * qw; for (long long k = 0; k < 4
+            * qw; k += LINE) __builtin_prefetch(s0 + AHEAD + k); const float a0 = a[j], a1 = left > 1 ? a[j + 1] :
+            0.0f, a2 = left > 2 ? a[j + 2] : 0.0f, a3 = left > 3 ? a[j + 3] : 0.0f; for (long long k = 0; k < qw; ++k)
+            there[k] += (float)s0[k] * a0 + (float)s1[k] * a1 + (float)s2[k] * a2 + (float)s3[k] * a3;
         }
         for (long long k = 0; k < q; ++k) v[at[k]] -= r[k] * there[k];
     }
@@ -203,14 +200,12 @@ _SINGLE = _BEGIN + """
         for (long long k = 0; k < q; ++k) there[k] = r[k] * v[at[k]];
         for (long long k = q; k < qw; ++k) there[k] = 0.0f;
         for (long long j = p - 1; j >= 0; --j) {
-            const short* row = inverse + j * pw; const short* tie = ties + j * qw;
-            for (long long k = 0; k < pw; k += LINE) __builtin_prefetch(row - BEHIND + k);
-            for (long long k = 0; k < qw; k += LINE) __builtin_prefetch(tie - BEHIND + k);
-            float part[16] = {0}, other[16] = {0}, sum = 0.0f;
-            for (long long k = 0; k < pw; k += 16) for (int l = 0; l < 16; ++l) part[l] += (float)row[k + l] * a[k + l];
-            for (long long k = 0; k < qw; k += 16) for (int l = 0; l < 16; ++l) other[l] += (float)tie[k + l] * there[k + l];
-            for (int l = 0; l < 16; ++l) sum += unit * part[l] - other[l];
-            own[j] = d[j] * sum;
+            const short* row = inverse + j * pw; const short* tie = ties + j * qw; for (long long k = 0; k < pw; k +=
+            LINE) __builtin_prefetch(row - BEHIND + k); for (long long k = 0; k < qw; k += LINE) __builtin_prefetch(tie
+            - BEHIND + k); float part[16] = {0}, other[16] = {0}, sum = 0.0f; for (long long k = 0; k < pw; k += 16)
+            for (int l = 0; l < 16; ++l) part[l] += (float)row[k + l] * a[k + l]; for (long long k = 0; k < qw; k +=
+            16) for (int l = 0; l < 16; ++l) other[l] += (float)tie[k + l] * there[k + l]; for (int l = 0; l < 16; ++l)
+            sum += unit * part[l] - other[l]; own[j] = d[j] * sum;
         }
         for (long long j = 0; j < p; ++j) a[j] = own[j];
     }
@@ -247,8 +242,9 @@ _MANY = _BEGIN + """
         for (long long k = 0; k < q; ++k) there[k] = none;
         const short* first = ties; const long long width = qw;
         for (long long j = 0; j < p; j += 4) {""" + _UNPACK + """
-            const lanes a0 = a[j], a1 = left > 1 ? a[j + 1] : none, a2 = left > 2 ? a[j + 2] : none, a3 = left > 3 ? a[j + 3] : none;
-            for (long long k = 0; k < q; ++k) there[k] += r0[k] * a0 + r1[k] * a1 + r2[k] * a2 + r3[k] * a3;
+            const lanes a0 = a[j], a1 = left > 1 ? a[j + 1] : none, a2 = left > 2 ? a[j + 2] : none, a3 = left > 3 ?
+            a[j + 3] : none; for (long long k = 0; k < q; ++k) there[k] += r0[k] * a0 + r1[k] * a1 + r2[k] * a2 + r3[k]
+            * a3;
         }
         for (long long k = 0; k < q; ++k) v[at[k]] -= r[k] * there[k];
     }
@@ -261,12 +257,11 @@ _MANY = _BEGIN + """
             const long long width = half ? qw : pw, count = half ? q : p;
             const float sign = half ? -1.0f : unit;
             for (long long j = 0; j < p; j += 4) {""" + _UNPACK + """
-                lanes t0 = {0}, t1 = {0}, t2 = {0}, t3 = {0};
-                for (long long k = 0; k < count; ++k) { const lanes u = with[k]; t0 += r0[k] * u; t1 += r1[k] * u; t2 += r2[k] * u; t3 += r3[k] * u; }
-                own[j] = (half ? own[j] : none) + sign * t0;
-                if (left > 1) own[j + 1] = (half ? own[j + 1] : none) + sign * t1;
-                if (left > 2) own[j + 2] = (half ? own[j + 2] : none) + sign * t2;
-                if (left > 3) own[j + 3] = (half ? own[j + 3] : none) + sign * t3;
+                lanes t0 = {0}, t1 = {0}, t2 = {0}, t3 = {0}; for (long long k = 0; k < count; ++k) { const lanes u =
+                with[k]; t0 += r0[k] * u; t1 += r1[k] * u; t2 += r2[k] * u; t3 += r3[k] * u; } own[j] = (half ? own[j]
+                : none) + sign * t0; if (left > 1) own[j + 1] = (half ? own[j + 1] : none) + sign * t1; if (left > 2)
+                own[j + 2] = (half ? own[j + 2] : none) + sign * t2; if (left > 3) own[j + 3] = (half ? own[j + 3] :
+                none) + sign * t3;
             }
         }
         for (long long j = 0; j < p; ++j) a[j] = d[j] * own[j];
