@@ -43,7 +43,7 @@ class Field:
 
     @property
     def name(self) -> str:
-        """The path within its group: the attribute of the record, or ``audit/<column>``."""
+        """The path within its group: the attribute of the record, ``audit/<column>`` or ``channels/<name>``."""
         return self.path.removeprefix(self.group + "/")
 
     @property
@@ -65,7 +65,7 @@ def _truth(name: str, dtype: str, dims: str, unit: str, doc: str, *, required: b
     return Field(f"truth/{name}", dtype, tuple(dims.split()), unit, doc, required)
 
 
-FIELDS: tuple[Field, ...] = (
+FIELDS: list[Field] = [
     _view("rgb", "uint8", "H W 3", "1", "Colour image of the object at rest, sRGB, 0 to 255."),
     _view("depth", "float32", "H W", "m", "Distance along the optical axis; 0 where there is no object."),
     _view("mask", "bool", "H W", "1", "True on the object."),
@@ -141,7 +141,9 @@ FIELDS: tuple[Field, ...] = (
     _truth("vsf_points", "float64", "n 3", "m", "Particles of the oracle VSF, world."),
     _truth("vsf_stiffness", "float64", "n", "N/m", "Spring constant of each particle of the oracle VSF."),
     _truth("vsf_touched", "bool", "n", "1", "The particle was displaced by at least one touch of the oracle's fit."),
-)
+]
+"""The table. A sensor that is not part of this package appends its rows, ``touches/*/channels/NAME``, when it is
+imported."""
 
 ATTRIBUTES: Mapping[str, tuple[str, str]] = {
     "format": ("text", f"always {FORMAT!r}"),

@@ -1,0 +1,207 @@
+"""Proof by addition: a new sensor is one file of effectors and its rows in two tables.
+
+The file below, a load cell behind a rigid probe, is found through an entry point as a shipped one is found in its
+folder. `generate`, `press`, `evaluate` and the baselines take it as it is.
+"""
+
+import importlib
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.observations import OBSERVATIONS
+from vsfsim.bench.task import parse_task
+from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import effectors
+from vsfsim.data import schema
+from vsfsim.data.verify import verify
+from vsfsim.generate.effector import find_effector
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.generate.run import generate
+
+LOAD_CELL = '''
+"""A flat load cell behind a rigid probe: it reads the force along its axis in steps, up to its range."""
+
+import dataclasses
+
+import numpy as np
+
+from vsfsim.bench.noise import noisy_force
+from vsfsim.bench.observations import OBSERVATIONS, Channel, Observation
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import Table
+from vsfsim.data import schema
+from vsfsim.generate.effectors.probe import Probe
+
+schema.FIELDS.append(schema.Field("touches/*/channels/cell_force", "float64", ("T",), "N",
+                                  "Force along the axis of the load cell.", required=False, masked=True))
+
+
+def noise(values, time, force, noise, **touch):
+    return noisy_force(np.tile(values[:, None], 3), noise, time=time, **touch)[:, 0]
+
+
+OBSERVATIONS["cell-force"] = Observation(
+    "cell-force", "N", 1, Channel("load cell", "a load cell, a [sensor]", lambda touch: touch.channel("cell_force"), noise),
+    lambda force, axis: force[:, None], "vsfsim.vsf.observations:normal_force", "Force along the load cell's axis.",
+    along_press=True)
+
+
+class LoadCell(Probe):
+    table = "sensor"
+
+    def settings(self, scene):
+        table = Table(scene.effector_table, f"{scene.source} [sensor]", ("kind", "range", "step"))
+        return table.number("range", 50.0, 0.1, 1e4, "N"), table.number("step", 0.01, 1e-6, 10.0, "N")
+
+    def check(self, scene, tier, precision):
+        self.settings(scene)
+        return super().check(scene, tier, precision)
+
+    def channels(self, scene):
+        return (*super().channels(scene), "cell_force")
+
+    def make_view(self, job, *, device, progress=None):
+        view, (most, step) = super().make_view(job, device=device, progress=progress), self.settings(job.scene())
+        return dataclasses.replace(view, touches=tuple(
+            dataclasses.replace(touch, channels={"cell_force": self.reading(touch.normal_force(), most, step)})
+            for touch in view.touches))
+
+    @staticmethod
+    def reading(force, most, step):
+        return step * np.rint(np.clip(force, -most, most) / step)
+
+
+EFFECTOR = LoadCell()
+'''
+
+SCENE = """
+name = "weighed"
+needs = ["normal-force"]
+[object]
+shape = { box = [0.06, 0.06, 0.03] }
+resolution = 0.03
+tier = "linear"
+young_modulus = { loguniform = [2e4, 2e5] }
+[probe]
+shape = { sphere = 0.01 }
+[sensor]
+kind = "load-cell"
+range = 2.0
+step = 0.05
+[press]
+from = [0.0, 0.0, 0.045]
+to = [0.0, 0.0, 0.037]
+frames = 3
+[touches]
+count = 6
+depth = 0.004
+frames = { free = 1, in = 3, hold = 0, out = 0 }
+[camera]
+width = 64
+height = 48
+distance = 0.25
+[dataset]
+objects = 2
+views = 1
+splits = { train = 1, test = 1 }
+"""
+
+TASK = """
+name = "weighed-v1"
+description = "Predict what the load cell reads."
+dataset = { folder = "weighed", scene = "weighed", seed = 0, objects = 2, views = 1, touches = 6, tier = "linear" }
+protocol = { train = "train", test = "test", shots = [0, 3], seeds = 2, query = 2, seed = 0 }
+observation = { kind = "cell-force" }
+noise = { force_std = 0.01, offset_std = 0.0, drift_std = 0.0, tare_frames = 0, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 3 }
+"""
+
+
+@pytest.fixture(scope="module")
+def load_cell(tmp_path_factory):
+    """The effector, installed the way `pip` installs one: a module and its entry point on the path."""
+    folder, name = tmp_path_factory.mktemp("site"), "load_cell_of_a_test"
+    (folder / f"{name}.py").write_text(LOAD_CELL)
+    metadata = folder / f"{name}-1.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
+    (metadata / "entry_points.txt").write_text(f"[vsfsim.effectors]\nload-cell = {name}:EFFECTOR\n")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)  # processes that are spawned have the same path
+        patch.setattr(schema, "FIELDS", [*schema.FIELDS])
+        yield importlib.import_module(name)
+    OBSERVATIONS.pop("cell-force")
+    sys.modules.pop(name)
+
+
+@pytest.fixture(scope="module")
+def made(load_cell, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("weighed")
+    (folder / "weighed.toml").write_text(SCENE)
+    return generate(load_scene(folder / "weighed.toml"), folder / "data", workers=1)
+
+
+def test_a_dataset_has_what_the_sensor_reads(made):
+    report = verify(made.path)
+    assert report.ok and report.touches == 12, report.text()
+    clipped = 0
+    for view in made:
+        for touch in view.touches:
+            cell = touch.channels["cell_force"]
+            assert cell == pytest.approx(np.clip(touch.normal_force(), -2.0, 2.0), abs=0.025 + 1e-12)
+            assert cell / 0.05 == pytest.approx(np.rint(cell / 0.05))
+            clipped += int((cell == 2.0).sum())
+    assert clipped > 0, "the range was meant to be met"
+    with h5py.File(made.path / made.entries[0].file, "r") as file:
+        assert file["touches/000/channels/cell_force"].attrs["units"] == "N"
+
+
+def test_methods_are_scored_on_it(made):
+    task = parse_task(TASK, "weighed-v1.toml")
+    scores = {name: evaluate(name, task, made).scores["rmse"] for name in ("gaussian", "point-vsf")}
+    nothing = evaluate("gaussian-zero", task, made).scores["rmse"]["0"].mean
+    print({name: {shot: f"{row.mean:.3f}" for shot, row in score.items()} for name, score in scores.items()}, nothing)
+    assert all(score["3"].mean < 0.9 * nothing for score in scores.values())
+
+
+def test_its_own_settings_are_refused_by_itself(load_cell):
+    with pytest.raises(SceneError, match=r"\[sensor\]: range is -1"):
+        make_recipe(parse_scene(SCENE.replace("range = 2.0", "range = -1"), "w.toml"))
+    with pytest.raises(SceneError, match=r"\[sensor\]: unknown key 'rnage'"):
+        make_recipe(parse_scene(SCENE.replace("range = 2.0", "rnage = 2.0"), "w.toml"))
+
+
+def test_a_channel_that_is_declared_and_not_recorded_is_refused(load_cell, made, tmp_path):
+    from vsfsim.generate.job import jobs_of
+    from vsfsim.generate.workers import write
+
+    job = jobs_of(made.recipe, tmp_path / "weighed.toml", tmp_path, None)[0]
+    view = load_cell.Probe().make_view(job, device="cpu")
+    with pytest.raises(DatasetError, match="declares the channel 'cell_force' and did not record it"):
+        write(job, view)
+    assert not job.file.exists()
+
+
+# ------------------------------------------------------------------------------------------ the shipped ones
+
+
+def test_a_file_of_the_folder_is_an_effector():
+    assert {"probe", "bubble", "arm"} <= set(effectors())
+    for name in effectors():
+        assert find_effector(name).table in ("probe", "sensor", "arm")
+    with pytest.raises(SceneError, match="Did you mean 'probe'"):
+        find_effector("prob")
+
+
+def test_loading_a_probe_starts_no_arm():
+    """One effector does not import another: a scene with a probe needs no robot simulator."""
+    words = "from vsfsim.generate.effector import find_effector; import sys; find_effector('probe'); "
+    words += "assert 'mujoco' not in sys.modules"
+    done = subprocess.run([sys.executable, "-P", "-c", words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
