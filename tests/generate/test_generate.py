@@ -32,7 +32,9 @@ resolution = 0.02
 pose = [0.01, -0.02, 0.0]
 yaw = 0.4
 poisson_ratio = 0.4
-young_modulus = { base = { loguniform = [2e4, 2e5] }, inclusions = [ { box = [0.0, -0.03, 0.0, 0.03, 0.03, 0.03], value = 4e5 } ] }
+[object.young_modulus]
+base = { loguniform = [2e4, 2e5] }
+inclusions = [ { box = [0.0, -0.03, 0.0, 0.03, 0.03, 0.03], value = 4e5 } ]
 [probe]
 shape = { sphere = 0.01 }
 [touches]
@@ -141,11 +143,10 @@ def test_another_seed_gives_another_dataset_and_more_objects_keep_the_first(made
 
 
 def killed(words, moment):
-    """Start a command and kill it as soon as ``moment()`` says so; returns how long it ran [s]."""
+    """Start a command and kill it as soon as ``moment()`` is true; returns how long it ran [s]."""
     began = time.perf_counter()
     process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and not moment():
-        assert time.perf_counter() - began < 120.0
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     process.wait()

@@ -47,7 +47,8 @@ def noise(values, time, force, noise, **touch):
 
 
 OBSERVATIONS["cell-force"] = Observation(
-    "cell-force", "N", 1, Channel("load cell", "a load cell, a [sensor]", lambda touch: touch.channel("cell_force"), noise),
+    "cell-force", "N", 1,
+    Channel("load cell", "a load cell, a [sensor]", lambda touch: touch.channel("cell_force"), noise),
     lambda force, axis: force[:, None], "vsfsim.vsf.observations:normal_force", "Force along the load cell's axis.",
     along_press=True)
 

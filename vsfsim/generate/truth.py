@@ -1,8 +1,9 @@
-"""The three faces of the truth of an object view: E(x), probe stiffness, and the oracle VSF."""
+"""The truth of an object view: Young's modulus, the stiffness at surface points, and the oracle VSF."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import Touch, Truth, View
@@ -14,21 +15,23 @@ from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.observe import normal_force_rows
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
-PROBE_RADIUS = 0.004  # of the disc that stands for the tip of a small conical probe [m]
-PROBE_VOXEL = 0.01  # SBML appendix C.4: points by voxel down-sampling to 1 cm [m]
-VSF_SPACING = 0.005  # SBML appendix B.2, shoes [m]
-_GRID = 8  # barycentric points along the edge of a triangle, to spread the disc's pressure over nodes
+PROBE_RADIUS = 0.004  # radius of the disc that models the tip of a small conical probe [m]
+PROBE_VOXEL = 0.01  # edge of the voxels that the cloud is down-sampled by, SBML appendix C.4 [m]
+VSF_SPACING = 0.005  # spacing of the particles, SBML appendix B.2 for shoes [m]
+_GRID = 8  # barycentric points along the edge of a triangle, which spread the disc's pressure over nodes
 
 
 def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
     """Small-strain stiffness at surface points (k,) [N/m]: force over displacement of a tip of radius `PROBE_RADIUS`.
 
-    A uniform pressure on the disc around each point, along minus the normal; the displacement is the pressure-weighted
-    mean along it.
-    The limit of SBML appendix C.4's measured force over displacement for small depth, for a tip that a mesh can carry.
+    A uniform pressure acts on the disc around each point, along minus the normal; the displacement is the
+    pressure-weighted mean along the normal. This is the limit for small depth of the force over displacement that SBML
+    appendix C.4 measures, for a tip that the mesh resolves.
 
     Args:
-        model: the body. points, normals: on its surface (k, 3) [m], (k, 3).
+        model: the body.
+        points: on its surface (k, 3) [m].
+        normals: outward unit normals there (k, 3) [-].
     """
     mesh = model.mesh
     steps = np.array([(i + 1 / 3, j + 1 / 3, _GRID - i - j - 2 / 3) for i in range(_GRID)
@@ -50,15 +53,23 @@ def probe_stiffness(model: Model, points: np.ndarray, normals: np.ndarray) -> np
         right[:, k] = (nodal[:, None] * -normal).ravel() * model.free
     moved = model.factor.solve(right)
     softness = (right * moved).sum(axis=0)
-    # a tip on held nodes alone meets no compliance at all
+    # where all nodes under the tip are held, there is no compliance
     return np.where(softness > 0.0, 1.0 / np.where(softness > 0.0, softness, 1.0), np.inf)
 
 
 def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, friction: float, device: str) -> Truth:
-    """All that the simulator knows and no method may see.
+    """The truth of a solid object's view, which no method may see.
 
     The oracle VSF is the papers' particle model fitted to all noise-free, converged readings of this view (zero mean,
-    std 1e4 N/m, noise 1 mN): as exhaustive as the dataset's touches are.
+    std 1e4 N/m, noise 1 mN).
+
+    Args:
+        model: the object.
+        view: its picture.
+        touches: all touches of the view.
+        probe: the shape that touched.
+        friction: Coulomb coefficient between probe and object [-].
+        device: Warp device.
     """
     mesh = model.mesh
     eye = view.camera_pose[:3, 3]
@@ -69,8 +80,6 @@ def truth_of(model: Model, view: View, touches: list[Touch], probe: object, *, f
     keep = np.isfinite(stiffness)
     bounds = bounds_from_view(view, margin=0.01)
     particles = particles_from_view(view, bounds=bounds, spacing=VSF_SPACING, max_particles=None, seed=0, device=device)
-    from scipy import sparse
-
     rows, values = [sparse.csr_matrix((0, len(particles)))], [np.zeros(0)]
     for touch in touches:
         moved = simulate(particles, probe, touch.mount_pose, friction=friction, device=device)

@@ -93,7 +93,8 @@ class BubbleEffector:
         from vsfsim.sensing import render_bubble
 
         assert scene.sensor is not None
-        return [*coupled_kernels(precision, KINDS), *([render_bubble._inside] if scene.sensor.camera is not None else [])]
+        camera = [] if scene.sensor.camera is None else [render_bubble._inside]
+        return [*coupled_kernels(precision, KINDS), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""

@@ -99,5 +99,5 @@ def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
     return Touch(
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], residual=frames.residual[:, k],
-        iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()), audit=audit(frames, k),
-        **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))
+        iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
+        audit=audit(frames, k), **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))

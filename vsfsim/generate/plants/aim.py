@@ -18,35 +18,41 @@ from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
 
 DRAWS = 100  # targets that are tried for one touch
-# rad: how far the tool's axis may turn sideways from the way arm to target, and how far up or down
-TURN, LIFT = 0.6, 0.35
-# rad: how far the line of motion may turn from the tool's axis, in half of the touches; the tool goes along its own
-# axis in the others
+TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
+LIFT = 0.35  # largest angle by which the tool's axis is raised or lowered from that line [rad]
+# largest angle between the line of motion and the tool's axis in half of the touches [rad]; in the others the tool
+# moves along its own axis
 SWEEP = 1.0
-SHORTEST = 0.4  # of the scene's depth: a touch goes between this share and all of it past its target
+SHORTEST = 0.4  # the depth of a touch is drawn between this share of the scene's depth and all of it [-]
 PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
 
 
 @dataclass(frozen=True)
 class ArmAim:
-    """One touch before it is made. target: on the visible cloud (3,) [m]. axis: of motion (3,). start, stop: of the
-    tool (3,) [m]. line: joint angles along the way in (P, 7) [rad]. plan: where on it each frame is meant to be (T,),
-    in numbers of its rows. inward: frames before the way out. draws: targets drawn. refused: why those before were not
-    taken."""
+    """One touch before it is made: P postures along the way in, T frames."""
 
     target: np.ndarray
+    """Point of the visible cloud (3,) [m]."""
     axis: np.ndarray
+    """Unit direction of motion (3,) [-]."""
     start: np.ndarray
+    """Where the tool starts (3,) [m]."""
     stop: np.ndarray
+    """Where the tool stops (3,) [m]."""
     line: np.ndarray
+    """Joint angles along the way in (P, 7) [rad]."""
     plan: np.ndarray
+    """Row of ``line`` at which each frame is planned (T,) [-]."""
     inward: int
+    """Number of frames before the way out."""
     draws: int
+    """Number of targets drawn until one could be reached."""
     refused: Counter
+    """Why the targets before were refused: how many for each reason."""
 
     def angles(self, where: np.ndarray) -> np.ndarray:
-        """Joint angles (T, 7) [rad] at numbers ``where`` (T,) of the line: its rows, and between them the cubic through
-        the four around, as `physics.rods.kernels.guard` takes the poses of the capsules."""
+        """Joint angles (T, 7) [rad] at rows ``where`` (T,) of the line. Between rows they follow the cubic through the
+        four rows around, as `physics.rods.kernels.guard` interpolates the poses of the capsules."""
         last = len(self.line) - 1
         row = np.clip(np.floor(where).astype(int), 0, last)
         out = self.line[row].copy()
@@ -73,23 +79,29 @@ def load(spec: ArmSpec) -> Arm:
 
 def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray,
             stream: Callable[[int], np.random.Generator], *, numbers: range, where: str) -> list[ArmAim]:
-    """Draw touches of a view: targets uniform on the visible cloud, lines that the arm can follow; one that it cannot
-    is drawn again.
+    """Draw touches of a view: targets uniform on the visible cloud, and lines that the arm can follow. A target whose
+    line it cannot follow is drawn again.
 
     Args:
-        cloud: of the view (n, 3) [m]. stream: random stream of touch k. numbers: of the touches to draw; each has its
-        own stream, so they may be drawn apart. where: of the scene, for messages.
+        arm: the arm.
+        spec: the table ``[arm]``.
+        touches: the table ``[touches]``.
+        plant: the plant.
+        cloud: visible cloud of the view (n, 3) [m].
+        stream: random stream of touch k.
+        numbers: which touches to draw; each has its own stream, so any of them may be drawn alone.
+        where: the scene, for messages.
 
     Raises:
-        SceneError: nothing is visible, or none of 100 targets of a touch can be reached; with what was in the way.
+        SceneError: nothing is visible, or none of `DRAWS` targets of a touch can be reached; with what was in the way.
     """
     if not len(cloud):
         raise SceneError(f"{where}: the camera sees no plant; check [camera] distance, azimuth, elevation and fov.")
-    return [_one(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
+    return [_draw(arm, spec, touches, plant, cloud, stream(k), where) for k in numbers]
 
 
-def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator,
-         where: str) -> ArmAim:
+def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.ndarray, rng: np.random.Generator,
+          where: str) -> ArmAim:
     shoulder = arm.postures(np.zeros((1, 7))).anchors[0, 1]
     refused: Counter = Counter()
     free, inward, hold, out = touches.frames
@@ -124,8 +136,13 @@ def _one(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.nd
 
 
 def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarray) -> float:
-    """Least gap [m] between capsules of ends (K, 3), radii (K,) and a plant at rest; a blade counts as a round segment
-    of half its width."""
+    """Least gap [m] between capsules and a plant at rest; a blade counts as a round segment of half its width.
+
+    Args:
+        plant: the plant.
+        first, last: ends of the capsules' middle lines (K, 3) [m].
+        radii: of the capsules (K,) [m].
+    """
     a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
     thick = np.maximum(plant.radius, plant.half_width)[1:]
     gaps = clearance.segment_distance(first[:, None], last[:, None], a[None], b[None]) - radii[:, None] - thick[None]
@@ -133,8 +150,8 @@ def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarr
 
 
 def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
-    """Least gap [m] between the moving capsules and the pot, taken as a capsule of its top radius, at postures (T,
-    7)."""
+    """Least gap [m] between the moving capsules and the pot, at postures ``q`` (T, 7) [rad]. The pot counts as a
+    capsule of its top radius."""
     assert plant.pot is not None
     first, last, radii = clearance.ends(arm, arm.postures(q))
     moving = arm.capsule_links >= arm.links.index("half_arm_1_link")
@@ -144,7 +161,7 @@ def pot_gap(plant: Plant, arm: Arm, q: np.ndarray) -> float:
 
 
 def _turned(way: np.ndarray, yaw: float, pitch: float) -> np.ndarray:
-    """A unit vector turned about +z, and up."""
+    """The unit vector along ``way`` (3,), turned by ``yaw`` about +z and raised by ``pitch`` [rad]."""
     way = way / np.linalg.norm(way)
     azimuth, lift = np.arctan2(way[1], way[0]) + yaw, np.clip(np.arcsin(np.clip(way[2], -1.0, 1.0)) + pitch, -1.2, 1.2)
     return np.array([np.cos(lift) * np.cos(azimuth), np.cos(lift) * np.sin(azimuth), np.sin(lift)])

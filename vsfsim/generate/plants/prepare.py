@@ -35,12 +35,12 @@ class Seconds:
     _last: float = field(default_factory=time.process_time)
 
     def begin(self) -> float:
-        """Starts a stage; the clock's time, for `charge`."""
+        """Start a stage; returns the time on the clock [s], for `charge`."""
         self._last = time.process_time()
         return time.perf_counter()
 
     def charge(self, stage: str, since: float) -> float:
-        """Ends a stage and starts the next one."""
+        """End a stage and start the next one; returns the time on the clock [s]."""
         now, busy = time.perf_counter(), time.process_time()
         self.spent[stage] += now - since
         self.cpu[stage] += busy - self._last
@@ -48,7 +48,7 @@ class Seconds:
         return now
 
     def add(self, other: Seconds) -> None:
-        """Adds the time of another process."""
+        """Add the time of another process."""
         self.spent.update(other.spent)
         self.cpu.update(other.cpu)
 

@@ -18,7 +18,14 @@ _POT_COLOUR, _SOIL_COLOUR = (0.42, 0.17, 0.08), (0.06, 0.04, 0.03)
 
 def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
                   turns: np.ndarray | None = None) -> Surface:
-    """Its surface, at rest or where ``nodes`` (n, 3) [m] and node rotations ``turns`` (n, 3, 3) are."""
+    """The surface of a plant for the cameras.
+
+    Args:
+        plant: the plant.
+        pot: whether the pot and its soil are drawn too.
+        nodes: where the nodes are (n, 3) [m]; None at rest.
+        turns: rotations of the nodes since rest (n, 3, 3) [-]; None at rest.
+    """
     nodes = plant.nodes if nodes is None else nodes
     turns = np.tile(np.eye(3), (len(nodes), 1, 1)) if turns is None else turns
     look = plant.region if plant.look is None else plant.look
@@ -79,8 +86,7 @@ def plant_surface(plant: Plant, *, pot: bool, nodes: np.ndarray | None = None,
 
 def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: int, height: int, *, device: str,
                renderer: str) -> View:
-    """A picture of plant and pot; the mask and the depth are the plant's alone, so that nobody touches the pot for
-    it."""
+    """A picture of plant and pot; mask and depth are the plant's alone, so that no touch aims at the pot."""
     whole = render(plant_surface(plant, pot=True), intrinsics, pose, width, height, device=device, renderer=renderer)
     bare = render(plant_surface(plant, pot=False), intrinsics, pose, width, height, device=device, renderer=renderer)
     mask = bare.mask & (bare.depth <= whole.depth + 1e-5)
@@ -88,5 +94,5 @@ def plant_view(plant: Plant, intrinsics: np.ndarray, pose: np.ndarray, width: in
 
 
 def triangles_of(plant: Plant) -> np.ndarray:
-    """How many triangles of `plant_surface` each segment has (n,); they stand in the order of the segments."""
+    """Number of triangles of `plant_surface` for each segment (n,); they are in the order of the segments."""
     return np.where(plant.half_width > 0.0, 2, 3 * _SIDES - 2) * (np.arange(len(plant.nodes)) > 0)

@@ -15,16 +15,19 @@ from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.particles import bounds_from_view, particles_from_view
 
 PROBE_VOXEL = 0.01  # SBML appendix C.4 [m]
-# m: SBML appendix B.2 has 10 mm; every other point of that grid, as the oracle is fitted for every view of every
-# dataset
+# twice the spacing of SBML appendix B.2, 10 mm, because the oracle is fitted for every view of every dataset [m]
 VSF_SPACING = 0.02
-FITTED_FRAMES = 40  # of a touch, evenly spread
+FITTED_FRAMES = 40  # frames of a touch that the oracle is fitted to, evenly spread
 
 
 def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray,
                                                                           np.ndarray]:
-    """Segment (k,), place along it (k,), offset from its middle line (k, 3) [m] and distance (k,) [m] of the plant's
-    surface points nearest to ``points`` (k, 3) [m]."""
+    """The points of the plant's surface nearest to ``points`` (k, 3) [m].
+
+    Returns:
+        The segment of each (k,), its place along the segment from 0 to 1 (k,), its offset from the segment's middle
+        line (k, 3) [m], and its distance from the given point (k,) [m].
+    """
     plant = model.plant
     a, b = plant.nodes[plant.parent[1:]], plant.nodes[1:]
     along = b - a
@@ -45,11 +48,19 @@ def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.nda
 
 def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain, *, friction: float,
                 device: str) -> Truth:
-    """All that the simulator knows and no method may see.
+    """The truth of a plant's view, which no method may see.
 
     ``probe_stiffness`` is the force along minus the visible normal over the displacement of the material point there,
     at rest. The oracle VSF is fitted to the noise-free torques of this view's converged frames (zero mean, std 1e4 N/m,
     noise 1 mN m).
+
+    Args:
+        model: the plant as beams.
+        view: its picture.
+        touches: all touches of the view.
+        chain: the arm as a method sees it.
+        friction: Coulomb coefficient between arm and plant [-].
+        device: Warp device.
     """
     plant = model.plant
     points = voxel_sample(view.points(), PROBE_VOXEL)
