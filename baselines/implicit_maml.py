@@ -31,14 +31,16 @@ _EXACT = 1e-10
 
 @dataclass(frozen=True)
 class Batch:
-    """Samples of B tasks, padded to the same number R. x: (B, R, inputs). token: of the task (B, c), c may be 0. y: (B,
-    R, outputs).
-    weight: 1 for a sample, 0 for padding (B, R)."""
+    """Samples of B tasks, padded to the same number R."""
 
     x: torch.Tensor
+    """Actions (B, R, inputs)."""
     token: torch.Tensor
+    """Vector of each task's view (B, c); c may be 0."""
     y: torch.Tensor
+    """Readings (B, R, outputs)."""
     weight: torch.Tensor
+    """1 for a sample, 0 for padding (B, R)."""
 
 
 class Network:
@@ -105,18 +107,22 @@ class Network:
 
 @dataclass(frozen=True)
 class _Pass:
-    """What a product with the Hessian needs of a forward and a backward pass. layers: the input of each layer, and the
-    output (B, R, width). errors: the loss's gradient with respect to each layer's output before its ReLU. code,
-    code_errors: the same of the token's perceptron, or empty. share: second derivative of the loss by the network's
-    output (B, R, 1). inputs: numbers of the action. gradient: with respect to the parameters."""
+    """What a product with the Hessian needs of a forward and a backward pass."""
 
     layers: Parameters
+    """Input of each layer, and the output (B, R, width)."""
     errors: Parameters
+    """Gradient of the loss with respect to each layer's output before its ReLU."""
     code: Parameters
+    """``layers`` of the token's perceptron, or empty."""
     code_errors: Parameters
+    """``errors`` of the token's perceptron, or empty."""
     share: torch.Tensor
+    """Second derivative of the loss by the network's output (B, R, 1)."""
     inputs: int
+    """Number of inputs of an action."""
     gradient: Parameters
+    """Of the loss with respect to the parameters."""
 
 
 class Curvature:

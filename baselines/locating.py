@@ -29,14 +29,16 @@ STEP = 0.003
 
 @dataclass(frozen=True)
 class Locating:
-    """Settings. cover: how deep the object's upper side is taken to lie under the touched surface [m], of which touch
-    says little. refine: steps of the random search. turned: the object may lie on its other face (the training objects
-    do not). seed: of the search."""
+    """Settings of the search for a known object."""
 
     cover: float = 0.004
+    """Assumed depth of the object's upper side under the touched surface [m], which touch determines poorly."""
     turned: bool = False
+    """The object may lie on its other face; the training objects do not."""
     refine: int = 400
+    """Steps of the random search."""
     seed: int = 0
+    """Of the search."""
 
 
 def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stiffness: np.ndarray, view: View,

@@ -31,43 +31,42 @@ from vsfsim.vsf.sticking import stick
 
 @dataclass(frozen=True)
 class VsfSettings:
-    """Hyper-parameters of the particle model.
-
-    spacing: distance of the particles [m]; the papers take 5 mm for shoes, 10 mm for plants.
-    friction: Coulomb coefficient of the stick-slip motion [-].
-    noise_std: of a reading, in its unit; the weight of the data against the prior.
-    margin: by how much the box around the visible cloud is widened sideways [m].
-    table_height: z of the table, down to which the hidden volume is filled [m].
-    device: Warp device, "cpu" or "cuda:0".
-    noise_share: of a touch's largest reading, that is added to noise_std in quadrature, for all readings of the touch:
-    the particle model errs in proportion.
-    skin_std: noise of a component of the force on a vertex of a soft sensor's skin [N]; None: only the readings are
-    looked at, and the skin is not.
-    """
+    """Hyper-parameters of the particle model."""
 
     spacing: float
+    """Distance of the particles [m]; the papers take 5 mm for shoes, 10 mm for plants."""
     friction: float
+    """Coulomb coefficient of the stick-slip motion [-]."""
     noise_std: float
+    """Of a reading, in its unit (of a pressure, in newtons); the weight of the data against the prior."""
     margin: float
+    """By which the box around the visible cloud is widened sideways [m]."""
     table_height: float
+    """z of the table, down to which the hidden volume is filled [m]."""
     device: str
+    """Warp device, "cpu" or "cuda:0"."""
     skin_std: float | None = None
+    """Noise of a component of the force on a vertex of a deformable sensor's surface [N]; None: only the readings are
+    used, and the surface is not."""
     noise_share: float = 0.0
+    """Fraction of a touch's largest reading that is added to ``noise_std`` in quadrature, for all readings of the
+    touch, because the particle model errs in proportion [-]."""
 
 
 @dataclass
 class VsfObject:
-    """The particles of one object.
-
-    particles: rest positions, world (n, 3) [m]. settings: of the model. rows: observation rows by action; skins: rows
-    and values of touches with a skin; features: of the particles, by kind. All are filled on demand.
-    """
+    """The particles of one object, and what is computed for them on demand."""
 
     particles: np.ndarray
+    """Rest positions, world (n, 3) [m]."""
     settings: VsfSettings
+    """Of the model."""
     rows: dict[bytes, sparse.csr_matrix] = field(default_factory=dict)
+    """Observation rows (T d, n) by action."""
     skins: dict[bytes, tuple[sparse.csr_matrix, np.ndarray]] = field(default_factory=dict)
+    """Rows and values of touches with a sensor surface."""
     features: dict[str, np.ndarray] = field(default_factory=dict)
+    """Of the particles, by kind."""
 
     @classmethod
     def behind(cls, view: View, settings: VsfSettings) -> VsfObject:
@@ -169,16 +168,16 @@ class VsfObject:
 
 @dataclass
 class Posterior:
-    """What is known of one object after some touches.
-
-    model: the object. stiffness: MAP of each particle's spring constant (n,) [N/m]. rows: W of the support (m, n).
-    prior: of the spring constants.
-    """
+    """What is known of one object after some touches."""
 
     model: VsfObject
+    """The object."""
     stiffness: np.ndarray
+    """MAP estimate of each particle's spring constant (n,) [N/m]."""
     rows: sparse.csr_matrix
+    """W of the support (m, n)."""
     prior: GaussianPrior
+    """Of the spring constants."""
 
     @classmethod
     def of(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Posterior:
@@ -250,10 +249,11 @@ class Posterior:
 
 @dataclass
 class Filtered(Posterior):
-    """What the diagonal Kalman filter knows after the same touches, taken in frame by frame (Neural VSF section III-B).
-    var: of each spring constant (n,) [(N/m)^2]."""
+    """What the diagonal Kalman filter knows after the same touches, assimilated frame by frame (Neural VSF section
+    III-B)."""
 
     var: np.ndarray
+    """Variance of each spring constant (n,) [(N/m)^2]."""
 
     @classmethod
     def online(cls, model: VsfObject, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Filtered:
@@ -279,10 +279,12 @@ class Filtered(Posterior):
 
 @dataclass
 class ObjectShelf:
-    """Objects met before, so that a new shot or seed on the same view finds its particles and rows."""
+    """Objects by view, so that a new shot or seed on the same view finds its particles and rows."""
 
     settings: VsfSettings
+    """Of all objects."""
     objects: dict[bytes, VsfObject] = field(default_factory=dict)
+    """By the digest of their views."""
 
     def get(self, view: View) -> VsfObject:
         """The object behind ``view``."""

@@ -22,11 +22,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, sparse
 
+from benchmarks.process_memory import held_memory, peak_memory
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate
-from vsfsim.vsf.memory import held_memory, peak_memory
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.sticking import stick
 

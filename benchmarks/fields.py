@@ -21,12 +21,12 @@ import torch
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from benchmarks.process_memory import held_memory, peak_memory
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit, save_field
 from vsfsim.vsf.fields.palpation import DenseTouch, layer_with_inclusion, palpate
-from vsfsim.vsf.memory import held_memory, peak_memory
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 

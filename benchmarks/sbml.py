@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from scipy import sparse
 
+from benchmarks.process_memory import held_memory, peak_memory
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.fields.adam import Adam
-from vsfsim.vsf.memory import held_memory, peak_memory
 from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
 # (particles, presses, frames of each): the paper's upper end, and the size that `measure methods` has.

@@ -9,10 +9,10 @@ from scipy import optimize, sparse
 
 from benchmarks import estimators as side_by_side
 from benchmarks import fields as bench_fields
+from benchmarks import process_memory
 from benchmarks import sbml as bench_sbml
 from benchmarks.estimators import Workload, batch, batch_dense
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf import memory
 
 
 def test_equal_answers():
@@ -63,10 +63,10 @@ def _pages(count):
 def test_the_peak_is_that_of_the_work_alone():
     large = _pages(30_000_000)
     del large
-    before = memory.held_memory(reset=True)
-    rested = memory.peak_memory() - before
+    before = process_memory.held_memory(reset=True)
+    rested = process_memory.peak_memory() - before
     held = _pages(10_000_000)
-    assert rested < 40.0 and 70.0 < memory.peak_memory() - before - rested < 120.0, "80 MB of doubles are 76 MiB"
+    assert rested < 40.0 and 70.0 < process_memory.peak_memory() - before - rested < 120.0, "80 MB of doubles are 76 MiB"
     del held
 
 

@@ -46,20 +46,28 @@ metrics = { primary = "rmse", ranking_shot = 5 }
 
 @dataclass(frozen=True)
 class Finding:
-    """One clause of the contract. outcome: "ok", "failed" or "not offered". detail: what was seen."""
+    """What came of one clause of the contract."""
 
     clause: str
+    """The clause."""
     outcome: str
+    """"ok", "failed" or "not offered"."""
     detail: str = ""
+    """What was observed."""
 
 
 @dataclass(frozen=True)
 class _Mock:
     specimens: tuple[Specimen, ...]
+    """Training objects."""
     view: View
-    readings: tuple[Reading, ...]  # of the test object
+    """Of the test object."""
+    readings: tuple[Reading, ...]
+    """Of the test object."""
     clean: tuple[np.ndarray, ...]
-    other: tuple[Reading, ...]  # of another test object
+    """Their noise-free values (T, 1) [N]."""
+    other: tuple[Reading, ...]
+    """Of another test object."""
 
     @property
     def support(self) -> list[Reading]:

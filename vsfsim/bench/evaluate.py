@@ -70,25 +70,18 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
 @dataclass(frozen=True)
 class _Subject:
     """A test object."""
-
     record: ObjectView
     """With its truth, which only the harness sees."""
-
     view: View
     """What the method sees."""
-
     recording: Recording
     """All of its touches as the task shows them."""
-
     draw: Draw
     """Which touches are queries."""
-
     reached: np.ndarray
     """The probe points of the truth that some touch reached (P,) bool."""
-
     mask: Mask | None
     """Where the task ranks by a metric of the mask."""
-
     inclusions: Inclusions | None
     """Where the task ranks by a metric of the pose."""
 
@@ -103,10 +96,8 @@ class _Run:
     progress: Progress
     records: dict[Answer, list[dict[str, Any]]] = field(default_factory=lambda: {answer: [] for answer in Answer})
     """The answers so far, each record with its ``object``, ``shot`` and ``seed``."""
-
     readings: dict[str, list] = field(default_factory=dict)
     """As `Result.readings`."""
-
     timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0,
                                                               "adapts": 0, "predicts": 0})
     """As `Result.timing`."""
@@ -184,11 +175,9 @@ class _Run:
 @dataclass
 class _Trial:
     """One adaptation of a method, and every answer that is scored after it."""
-
     of: _Run
     method: Any
     """A `Method`; the optional functions are looked for by name."""
-
     subject: _Subject
     label: str
     seed: int

@@ -41,12 +41,14 @@ _SECTORS = 12  # of a capsule's mesh
 
 @dataclass(frozen=True)
 class Inclusions:
-    """The inclusions of one object. parts: in the object's frame. rotation (3, 3), shift (3,) [m]: from there to the
-    world."""
+    """The inclusions of one object."""
 
     parts: tuple[Inclusion, ...]
+    """In the object's frame."""
     rotation: np.ndarray
+    """From there to the world (3, 3)."""
     shift: np.ndarray
+    """From there to the world (3,) [m]."""
 
     @classmethod
     def of(cls, recipe: Recipe, view: ObjectView) -> Inclusions:
@@ -90,15 +92,14 @@ class Inclusions:
 
 @dataclass(frozen=True)
 class Mask:
-    """What touches say about an object seen from above.
-
-    points: query points, world (q, 3) [m]: those that the probe swept. pixel: of each (q,) int. stiff: an inclusion
-    lies under the pixel (p,) bool.
-    """
+    """Which pixels of an object, seen from above, cover an inclusion."""
 
     points: np.ndarray
+    """Query points that the probe swept, world (q, 3) [m]."""
     pixel: np.ndarray
+    """Pixel of each query point (q,) int."""
     stiff: np.ndarray
+    """An inclusion lies under the pixel (p,) bool."""
 
     @classmethod
     def of(cls, inclusions: Inclusions, view: ObjectView) -> Mask:

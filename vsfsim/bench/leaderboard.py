@@ -24,26 +24,31 @@ _AGAIN = 1e-4  # of a score: a method that is made again on such a dataset
 
 @dataclass(frozen=True)
 class Row:
-    """One method. rank: from 1, or None where it may not be ranked; mark: why not, or "". result, path: where it came
-    from.
-    apart: how far the readings of its dataset are from those of the others [-], 0 where they are the same bits, None
-    where that is not known."""
+    """One method."""
 
     rank: int | None
+    """From 1; None where the result may not be ranked."""
     mark: str
+    """Why it is not ranked, or ""."""
     result: Result
+    """The result."""
     path: Path
+    """Its file."""
     apart: float | None
+    """Relative difference between the readings of its dataset and those of the board's dataset [-]: 0 where both have
+    the same bits, None where it is not known."""
 
 
 @dataclass(frozen=True)
 class Board:
-    """A task's rows, best first, then those that are not ranked. dataset_sha256: what the ranked ones were scored
-    on."""
+    """A task's rows, the ranked ones first and best first."""
 
     task: Task
+    """The task."""
     dataset_sha256: str
+    """Of the dataset that the ranked results were scored on."""
     rows: tuple[Row, ...]
+    """One row a result."""
 
 
 def collect(task: Task, paths: Iterable[Path] = ()) -> Board:

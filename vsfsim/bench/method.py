@@ -25,68 +25,69 @@ from vsfsim.data.records import View
 
 @dataclass(frozen=True)
 class Action:
-    """What the robot does in a touch: all that is known before it is made.
-
-    time: (T,) [s]. poses: probe-to-world (T, 4, 4) [m]. axis: unit press direction, world (3,). probe: its shape.
-    observation: name of what will be read, see `vsfsim.bench.observations`. size: numbers in a reading, d.
-    q: joint angles (T, 7) [rad] where an arm touches; its ``probe`` is then a `vsfsim.core.chain.Chain`, and ``poses``
-    are those of its tool. None without an arm.
-    """
+    """What the robot does in a touch: all that is known before the touch is made."""
 
     time: np.ndarray
+    """Of each frame (T,) [s]."""
     poses: np.ndarray
+    """Probe-to-world transforms (T, 4, 4) [m]; of an arm, those of its tool."""
     axis: np.ndarray
+    """Unit press direction, world (3,) [-]."""
     probe: ProbeShape
+    """The shape that moves; of an arm, a `vsfsim.core.chain.Chain`."""
     observation: str
+    """Name of what will be read: a row of `vsfsim.bench.observations`."""
     size: int
+    """Numbers in a reading, d."""
     q: np.ndarray | None = None
+    """Joint angles of an arm (T, 7) [rad]; None without an arm."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """What a sensor with a surface saw in a touch.
-
-    vertices: read-out vertices, world (T, N, 3) [m]. force: contact force of the object on each, world (T, N, 3) [N];
-    NaN in frames without a reading.
-    """
+    """The reconstruction of a deformable sensor's surface in a touch."""
 
     vertices: np.ndarray
+    """Read-out vertices, world (T, N, 3) [m]."""
     force: np.ndarray
+    """Contact force of the object on each vertex, world (T, N, 3) [N]; NaN in frames without a reading."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """A touch that was made: the action and what was read.
-
-    action: what the robot did. value: readings (T, d) in the task's unit. valid: (T,) bool; where it is False there is
-    no reading (the simulator did not converge) and the value is NaN. surface: where the sensor has one (a bubble); None
-    for a rigid probe.
-    """
+    """A touch that was made, and what was read."""
 
     action: Action
+    """What the robot did."""
     value: np.ndarray
+    """Readings (T, d) in the task's unit."""
     valid: np.ndarray
+    """Whether a frame has a reading (T,) bool. Where it is False the simulator did not converge and the value is
+    NaN."""
     surface: Surface | None = None
+    """Of a deformable sensor (a bubble); None for a rigid probe."""
 
 
 @dataclass(frozen=True)
 class Specimen:
-    """A training object: its name, the view and all of its touches."""
+    """A training object."""
 
     name: str
+    """Of the object view."""
     view: View
+    """The RGB-D image."""
     touches: tuple[Reading, ...]
+    """All of its touches that have a reading."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Stiffness at points, in the method's own unit (ranks and ratios are scored, see metrics).
-
-    mean: (k,), >= 0. std: (k,), >= 0.
-    """
+    """Stiffness at k points, in the method's own unit: one scale an object is allowed."""
 
     mean: np.ndarray
+    """(k,), >= 0."""
     std: np.ndarray
+    """Standard deviations (k,), >= 0."""
 
 
 @runtime_checkable

@@ -44,25 +44,18 @@ class Answer(StrEnum):
 @dataclass(frozen=True)
 class Metric:
     """One row of the table."""
-
     name: str
     """As tasks and result files write it."""
-
     answer: Answer
     """What is scored."""
-
     score: Callable[[Sequence[Record]], float | None]
     """(the records of one seed at one shot, at least one) -> score; None where a record lacks what it needs."""
-
     doc: str
     """One sentence."""
-
     unit: str | None = ""
     """Of the score; None for the unit of the task's readings, "" for a pure number."""
-
     higher_is_better: bool = False
     """The direction of a ranking."""
-
     ranks: bool = False
     """A task may rank methods by it."""
 

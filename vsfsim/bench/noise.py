@@ -16,43 +16,45 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Noise:
-    """Parameters of the noise.
-
-    force_std: white noise, per component [N]. offset_std: offset of a touch, per component [N].
-    drift_std: change from the first to the last frame of a touch, per component [N].
-    tare_frames: at most so many leading contact-free frames are averaged and taken off; 0 for no tare.
-    seed: root of the streams, >= 0; each touch of each view of each object has its own.
-    force_lag: by how much the force is late against the pressure [s].
-    pressure_std: white noise of every frame [Pa]. pressure_drift: mean rate [Pa/s]; pressure_drift_std: its spread over
-    touches [Pa/s].
-    relaxation: share of a change of pressure that is seen too much at first and then goes [-]; relaxation_time: with
-    which time constant [s].
-    depth_std: white noise of a pixel's depth [m]. depth_quantum: its step [m], 0 for none. image_lag: by how much
-    images, and the node positions made from them, are late against the pressure [s]. node_force_share: error of an
-    estimated contact force on a node, over the RMS force of the nodes in contact in that frame [-].
-    made from them, are late against the pressure [s].
-    torque_std: white noise of a torque sensor of joints 1 to 4 [N m]; torque_offset_std: constant through a touch [N
-    m]; torque_drift_std: random walk, after one second [N m]. Those of the smaller joints 5 to 7 are half as large.
-    """
+    """Parameters of the sensors' noise; see the noise of each channel for what they do."""
 
     force_std: float
+    """White noise of the force, per component [N]."""
     offset_std: float
+    """Offset of the force in a touch, per component [N]."""
     drift_std: float
+    """Change of the force's offset from the first to the last frame of a touch, per component [N]."""
     tare_frames: int
+    """Greatest number of leading contact-free frames whose mean is subtracted; 0 for no tare."""
     seed: int
+    """Root of the random streams, >= 0; each touch of each view of each object has its own."""
     force_lag: float = 0.0
+    """Delay of the force relative to the pressure [s]."""
     pressure_std: float = 0.0
+    """White noise of the pressure [Pa]."""
     pressure_drift: float = 0.0
+    """Mean rate of the pressure's drift [Pa/s]."""
     pressure_drift_std: float = 0.0
+    """Standard deviation of that rate over touches [Pa/s]."""
     relaxation: float = 0.0
+    """Fraction of a change of pressure by which the sensor overshoots at first [-]."""
     relaxation_time: float = 0.15
+    """Time constant with which the overshoot decays [s]."""
     depth_std: float = 0.0
+    """White noise of a pixel's depth [m]."""
     depth_quantum: float = 0.0
+    """Quantisation step of the depth [m]; 0 for none."""
     image_lag: float = 0.0
+    """Delay of images, and of node positions made from them, relative to the pressure [s]."""
     node_force_share: float = 0.0
+    """Error of an estimated contact force on a node, relative to the RMS force of the nodes in contact in that frame
+    [-]."""
     torque_std: float = 0.0
+    """White noise of the torque sensors of joints 1 to 4 [N m]; here and below, joints 5 to 7 have half as much."""
     torque_offset_std: float = 0.0
+    """Offset of a torque in a touch [N m]."""
     torque_drift_std: float = 0.0
+    """Random walk of a torque after one second [N m]."""
 
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {

@@ -23,16 +23,12 @@ from vsfsim.data.records import Touch
 @dataclass(frozen=True)
 class Channel:
     """A quantity of a touch that a sensor reads, and the sensor's noise."""
-
     name: str
     """For messages: "a touch has no <name>"."""
-
     made_with: str
     """What a scene needs so that a touch has it, for messages."""
-
     clean: Callable[[Touch], np.ndarray | None]
     """The noise-free values (T, ...) of a touch; None where the dataset does not hold them."""
-
     noisy: Callable[..., np.ndarray]
     """(clean values with NaN in unconverged frames, time (T,) [s], clean force (T, 3) [N], `Noise`, object_index,
     view_index, touch_index) -> values as a real sensor shows them, of the same shape."""
@@ -41,33 +37,24 @@ class Channel:
 @dataclass(frozen=True)
 class Observation:
     """One row of the table."""
-
     name: str
     """As a task file writes it, e.g. "normal-force"."""
-
     unit: str
     """Of a reading."""
-
     size: int
     """Numbers in a reading, d."""
-
     channel: Channel
     """Where in the dataset it is read, and with which noise."""
-
     reading: Callable[[np.ndarray, np.ndarray], np.ndarray]
     """(values of the channel (T, ...), press direction (3,)) -> readings (T, d)."""
-
     rows: str
     """``module:function`` that predicts it from particles, see `vsfsim.vsf.observations`. It is named, not imported,
     because scoring needs no particle model."""
-
     doc: str
     """One sentence."""
-
     force_per_unit: float = 1.0
     """Force that a reading of 1 stands for [N]; 1 for a reading that is a force, or no multiple of one. The function in
     ``rows`` predicts the reading times this."""
-
     along_press: bool = False
     """The reading is the component of the total force along the press, up to `force_per_unit`."""
 

@@ -28,21 +28,24 @@ from vsfsim.data.records import View
 
 @dataclass(frozen=True)
 class Question:
-    """One adaptation a method is asked for.
-
-    name, shot, seed: which. view: of the object. support: touches it may learn from. touches: indices of the query
-    touches;
-    actions: their actions. keys: under which the answers go into the file.
-    """
+    """One adaptation that the task asks for."""
 
     name: str
+    """Of the object view."""
     shot: str
+    """Label of the shot."""
     seed: int
+    """Of the support draw."""
     view: View
+    """Of the object."""
     support: tuple[Reading, ...]
+    """Touches that the method may learn from."""
     touches: tuple[int, ...]
+    """Indices of the query touches."""
     actions: tuple[Action, ...]
+    """Of the query touches."""
     keys: tuple[str, ...]
+    """Names of the answers in the file, one a query touch."""
 
 
 def questions(task: Task, dataset: Dataset) -> Iterator[Question]:

@@ -22,14 +22,14 @@ from vsfsim.data.records import ObjectView, Touch
 
 @dataclass(frozen=True)
 class Recording:
-    """All touches of one object view as the task shows them, and the noise-free readings as the ruler keeps them.
-
-    name: of the object view. readings: noisy, one a touch. clean: noise-free (T, d) each.
-    """
+    """All touches of one object view as the task shows them, with their noise-free readings."""
 
     name: str
+    """Of the object view."""
     readings: tuple[Reading, ...]
+    """Noisy, one a touch."""
     clean: tuple[np.ndarray, ...]
+    """Noise-free, (T, d) in the task's unit, one a touch."""
 
 
 def record(view: ObjectView, task: Task) -> Recording:
@@ -80,13 +80,12 @@ def specimen(view: ObjectView, task: Task) -> Specimen:
 
 @dataclass(frozen=True)
 class Draw:
-    """The fixed division of a test object's touches.
-
-    query: indices asked at every shot and seed, ascending. pool: the others that have a reading, ascending.
-    """
+    """The fixed division of a test object's touches."""
 
     query: tuple[int, ...]
+    """Indices of the touches that are predicted at every shot and seed, ascending."""
     pool: tuple[int, ...]
+    """Indices of the other touches that have a reading, ascending."""
 
 
 def divide(view: ObjectView, protocol: Protocol) -> Draw:

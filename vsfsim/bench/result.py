@@ -24,12 +24,14 @@ READING_COLUMNS = ("object", "touch", "n", "ss")
 
 @dataclass(frozen=True)
 class Score:
-    """A metric at one shot. mean, std: over seeds (std with n - 1; 0 for one seed). per_seed: in the order of
-    `Result.seeds`."""
+    """A metric at one shot."""
 
     mean: float
+    """Over seeds."""
     std: float
+    """Over seeds, with n - 1; 0 for one seed."""
     per_seed: tuple[float, ...]
+    """In the order of `Result.seeds`."""
 
     @classmethod
     def of(cls, per_seed: list[float]) -> Score:
@@ -42,41 +44,51 @@ class Score:
 
 @dataclass(frozen=True)
 class Result:
-    """One method on one task.
-
-    task, task_sha256: name, and sha256 of its file. dataset_sha256: of the dataset's content; dataset_made_by: its
-    version and commit. method: name. entry: module:attribute. parameters: of the constructor, all of them. observation,
-    unit: what a reading is. shots: labels. seeds: of the support draws. scores: by metric and shot. queries: columns,
-    one row a query touch,
-    shot and seed: object, shot, seed, touch, number of readings n, sum of squares sse [unit^2] and of absolute errors
-    sae [unit].
-    timing: seconds of meta_fit_s, adapt_s, predict_s, and the calls adapts, predicts. peak_memory_mib: of the process.
-    machine: cpu, cores, system. made_by: vsfsim and commit. versions: of the packages. notes: for the reader.
-    readings: the true readings of the query touches in short, columns, one row a touch: object, touch, number of
-    readings n, their sum of squares ss [unit^2]. They tell whether a dataset made on another machine, with other bits,
-    is the same to what a score shows; empty in results from before they were kept.
-    """
+    """One method on one task."""
 
     task: str
+    """Name of the task."""
     task_sha256: str
+    """Of its file, see `task.Task.sha256`."""
     dataset_sha256: str
+    """Of the dataset's content."""
     dataset_made_by: Mapping[str, Any]
+    """Version and commit of vsfsim that made the dataset."""
     method: str
+    """Name of the method."""
     entry: str
+    """Its module:attribute."""
     parameters: Mapping[str, Any]
+    """Of the constructor, all of them."""
     observation: str
+    """Name of what a reading is."""
     unit: str
+    """Of a reading."""
     shots: tuple[str, ...]
+    """Labels."""
     seeds: tuple[int, ...]
+    """Of the support draws."""
     scores: Mapping[str, Mapping[str, Score]]
+    """By metric and shot."""
     queries: Mapping[str, list]
+    """Columns with one row a query touch, shot and seed: object, shot, seed, touch, number of readings n, sum of
+    squared errors sse [unit^2] and of absolute errors sae [unit]."""
     timing: Mapping[str, float]
+    """Seconds meta_fit_s, adapt_s and predict_s, and the numbers of calls adapts and predicts."""
     peak_memory_mib: float
+    """Of the process [MiB]."""
     machine: Mapping[str, Any]
+    """CPU, cores, system."""
     made_by: Mapping[str, Any]
+    """Version and commit of vsfsim that scored it."""
     versions: Mapping[str, str]
+    """Of the packages."""
     notes: tuple[str, ...] = ()
+    """For the reader."""
     readings: Mapping[str, list] = dataclasses.field(default_factory=dict)
+    """Summary of the true readings of the query touches, columns with one row a touch: object, touch, number of
+    readings n, their sum of squares ss [unit^2]. They tell whether a dataset with other bits, made on another machine,
+    is equivalent. Empty in results that are older than this field."""
 
     def save(self, path: str | Path) -> None:
         """Write the JSON; the file appears whole or not at all.

@@ -26,22 +26,26 @@ _SUPERSEDED = re.compile(r"(?m)^superseded_by *=.*\n")
 
 @dataclass(frozen=True)
 class DatasetWanted:
-    """``[dataset]``: which dataset, and how to make it.
-
-    folder: its place under ``datasets/``. scene: name of the scene. scene_sha256: of the scene's text, or "" for any.
-    seed, objects, views, touches: of the recipe. tier: of the recipe, or "auto" for any. sha256: of the content, or ""
-    for any.
-    """
+    """``[dataset]``: which dataset the task needs, and how to make it."""
 
     folder: str
+    """Its place under ``datasets/``."""
     scene: str
+    """Name of the scene."""
     scene_sha256: str
+    """Of the scene's text, or "" for any."""
     seed: int
+    """Of the recipe."""
     objects: int
+    """Of the recipe."""
     views: int
+    """Of each object."""
     touches: int
+    """Of each view."""
     tier: str
+    """Of the recipe, or "auto" for any."""
     sha256: str
+    """Of the content, or "" for any."""
 
     def path(self) -> Path:
         """Where it is looked for: under $VSFSIM_DATASETS, else under ./datasets."""
@@ -55,18 +59,20 @@ class DatasetWanted:
 
 @dataclass(frozen=True)
 class Protocol:
-    """``[protocol]``: the few-shot protocol.
-
-    train, test: names of the splits. shots: sizes of the support set. seeds: how many draws of the support set.
-    query: query touches of each test object, the same for every shot and seed. seed: root of all draws, >= 0.
-    """
+    """``[protocol]``: the few-shot protocol."""
 
     train: str
+    """Name of the split that methods learn from."""
     test: str
+    """Name of the split that is scored."""
     shots: tuple[int, ...]
+    """Sizes of the support set, increasing."""
     seeds: int
+    """Number of draws of the support set."""
     query: int
+    """Number of query touches of each test object, the same for every shot and seed."""
     seed: int
+    """Root of all draws, >= 0."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -76,40 +82,47 @@ class Protocol:
 
 @dataclass(frozen=True)
 class PaperRow:
-    """``[[paper]]``: a row of somebody's table, shown beside ours.
-
-    method: as the paper calls it. source: paper and table. unit: of its numbers. comparable: False where the data or
-    the quantity differ, so that the numbers are context only. values: (mean, std or None) by shot label.
-    """
+    """``[[paper]]``: a row of a table in the literature, shown beside ours."""
 
     method: str
+    """As the paper calls it."""
     source: str
+    """Paper and table."""
     unit: str
+    """Of its numbers."""
     comparable: bool
+    """False where the data or the quantity differ, so that the numbers are context only."""
     values: Mapping[str, tuple[float, float | None]]
+    """(mean, standard deviation or None) by shot label, in ``unit``."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One task.
-
-    name: with its version. description: one sentence. superseded_by: name of the task that mends this one, or "".
-    observation: what a reading is. primary: the metric that ranks. ranking_shot: at which shot ("5").
-    paper: rows of the literature. sha256: of the task file's text, but for the line of `superseded_by`: what was scored
-    stays scored. The rest: see their classes.
-    """
+    """One task."""
 
     name: str
+    """With its version."""
     description: str
+    """One sentence."""
     superseded_by: str
+    """Name of the task that corrects this one, or ""."""
     dataset: DatasetWanted
+    """``[dataset]``."""
     protocol: Protocol
+    """``[protocol]``."""
     observation: Observation
+    """Row of the table of observations: what a reading is."""
     noise: Noise
+    """``[noise]``: parameters of the sensors' noise."""
     primary: str
+    """Name of the metric that ranks."""
     ranking_shot: str
+    """The shot that ranks, e.g. "5"."""
     paper: tuple[PaperRow, ...]
+    """Rows of the literature."""
     sha256: str
+    """Of the task file's text without the line of ``superseded_by``, so that results stay valid when a task is
+    superseded."""
 
     @property
     def metric(self) -> Metric:

@@ -10,13 +10,10 @@ import numpy as np
 @dataclass(frozen=True)
 class Displacements:
     """The displaced particles of each frame of a touch, in CSR form."""
-
     pointer: np.ndarray
     """Entries of frame t are pointer[t] : pointer[t + 1] (T + 1,) int64."""
-
     particle: np.ndarray
     """Index of the displaced particle, increasing within a frame (k,) int64."""
-
     displacement: np.ndarray
     """u = p - p0 of that particle, world (k, 3) float64 [m]."""
 

@@ -25,18 +25,18 @@ _EDGE = 1e-6
 
 @dataclass(frozen=True)
 class Contacts:
-    """Where a touch holds particles, in CSR form by frame.
-
-    pointer: entries of frame t are pointer[t] : pointer[t + 1] (T + 1,). particle: (k,) int, rising within a frame.
-    triangle: that it sticks to (k,) int. weight: barycentric coordinates on it (k, 3) [-]. displacement: u = p - p0,
-    world (k, 3) [m].
-    """
+    """Where a touch holds particles, in CSR form by frame."""
 
     pointer: np.ndarray
+    """Entries of frame t are pointer[t] : pointer[t + 1] (T + 1,)."""
     particle: np.ndarray
+    """Index of the particle, increasing within a frame (k,) int."""
     triangle: np.ndarray
+    """Triangle that it sticks to (k,) int."""
     weight: np.ndarray
+    """Its barycentric coordinates on the triangle (k, 3) [-]."""
     displacement: np.ndarray
+    """u = p - p0 of the particle, world (k, 3) [m]."""
 
     def displacements(self) -> Displacements:
         """Without the triangles, as the other observation models want it."""

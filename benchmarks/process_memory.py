@@ -1,5 +1,5 @@
-"""What this process holds, as Linux counts it: the peak can be begun anew, so that a method's is not that of what was
-loaded before."""
+"""The resident memory of this process, as Linux counts it. The peak can be reset, so that the peak of a method does not
+include what was loaded before."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 
 
 def held_memory(*, reset: bool = False) -> float:
-    """What this process holds now [MiB]; ``reset`` begins the peak anew, where the kernel lets it (else the peak is
-    that since the start)."""
+    """Resident memory now [MiB]. ``reset`` resets the peak, where the kernel allows it; elsewhere the peak stays that
+    since the start."""
     if reset:
         with contextlib.suppress(OSError):
             Path("/proc/self/clear_refs").write_text("5")
@@ -17,7 +17,7 @@ def held_memory(*, reset: bool = False) -> float:
 
 
 def peak_memory() -> float:
-    """The most it held since the peak was begun [MiB]."""
+    """Peak of the resident memory since the last reset [MiB]."""
     return _status("VmHWM")
 
 
