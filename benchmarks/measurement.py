@@ -1,0 +1,153 @@
+"""The record that every measurement returns, and its one report: text tables and JSON."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import os
+import platform
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import vsfsim
+from vsfsim.core.text_table import text_table
+
+Progress = Callable[[str], None]
+"""Called with a sentence about what is going on."""
+
+_FACTORS = {("m", "mm"): 1e3, ("s", "ms"): 1e3, ("s", "min"): 1.0 / 60.0, ("rad", "deg"): 57.29577951308232,
+            ("1", "%"): 100.0, ("B", "GB"): 1e-9, ("m^2", "1e-3 m^2"): 1e3}
+"""What a value in the first unit is multiplied by to be printed in the second."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One quantity of a table: how it is stored and how it is printed."""
+
+    key: str
+    """Its key in the rows; "a.b" is key "b" of the row's "a", or its element b if that is a list."""
+    heading: str
+    """What is printed above it, before its unit."""
+    unit: str = ""
+    """Unit of the stored value: SI, "1" for a number without one, empty for text."""
+    printed: str = ""
+    """Unit that it is printed in; empty: the stored one."""
+    form: str = ""
+    """Format specification of the printed number."""
+
+    def title(self) -> str:
+        """Heading and unit."""
+        unit = self.printed or self.unit
+        return self.heading if unit in ("", "1") else f"{self.heading} [{unit}]"
+
+    def cell(self, row: Mapping[str, Any]) -> str:
+        """The value as text; "-" where there is none."""
+        value: Any = row
+        for part in self.key.split("."):
+            value = value[int(part)] if isinstance(value, (list, tuple)) else value.get(part)
+        if value is None or value != value:  # NaN
+            return "-"
+        if self.printed and self.printed != self.unit:
+            value *= _FACTORS[self.unit, self.printed]
+        return format(value, self.form)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows that were measured, and how to print them."""
+
+    title: str
+    """A sentence above it."""
+    columns: Sequence[Column]
+    """What is printed of each row."""
+    rows: Sequence[Mapping[str, Any]]
+    """One mapping a row; it may hold more than is printed."""
+    name: str = ""
+    """Key of the rows in the JSON; empty where another key holds the same numbers."""
+    single: bool = False
+    """There is one row: it is printed as one line a column, and stored as a mapping instead of a list."""
+
+    def text(self) -> str:
+        """For a terminal."""
+        if self.single:
+            row = self.rows[0]
+            width = max(len(c.title()) for c in self.columns)
+            return "\n".join([f"{self.title}:", *(f"  {c.title():<{width}}  {c.cell(row)}" for c in self.columns)])
+        cells = [[c.cell(row) for c in self.columns] for row in self.rows]
+        first = max(len(line[0]) for line in [[self.columns[0].title()], *cells])
+        return f"{self.title}:\n" + text_table(
+            [self.columns[0].title().ljust(first), *(c.title() for c in self.columns[1:])],
+            [[line[0].ljust(first), *line[1:]] for line in cells], right=True)
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a measurement found, with all that is needed to make it again. Make one with `Measurement.of`."""
+
+    command: str
+    """Name of the command, as `vsfsim measure NAME`."""
+    settings: Mapping[str, Any]
+    """What it was called with, after defaults."""
+    tables: Sequence[Table]
+    """What was measured."""
+    notes: Sequence[str] = ()
+    """Sentences about what the numbers hold for."""
+    numbers: Mapping[str, Any] = field(default_factory=dict)
+    """Further entries of the JSON, by key."""
+    machine: str = ""
+    """Processor, number of cores, and the GPU if one was used."""
+    version: str = ""
+    """Of vsfsim."""
+    commit: str = ""
+    """Of the checkout, "+" behind it where files differ; empty outside a repository."""
+    date: str = ""
+    """When it ended, ISO 8601 in UTC."""
+
+    @classmethod
+    def of(cls, command: str, settings: Mapping[str, Any], tables: Sequence[Table], *, notes: Sequence[str] = (),
+           numbers: Mapping[str, Any] | None = None) -> Measurement:
+        """A measurement that ended now, on this machine."""
+        now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        return cls(command, settings, tables, notes, numbers or {}, machine(str(settings.get("device", "cpu"))),
+                   vsfsim.__version__, commit(), now)
+
+    def text(self) -> str:
+        """All tables and notes for a terminal."""
+        said = [f"{table.text()}\n" for table in self.tables] + [f"note: {sentence}" for sentence in self.notes]
+        said.append(f"vsfsim {self.version}{f' ({self.commit})' if self.commit else ''}, {self.machine}, {self.date}")
+        return "\n".join(said)
+
+    def as_json(self) -> str:
+        """Every number, the units of the tables' columns, and the record of the run."""
+        stored = [table for table in self.tables if table.name]
+        rows = {table.name: table.rows[0] if table.single else list(table.rows) for table in stored}
+        units = {table.name: {c.key: c.unit for c in table.columns if c.unit} for table in stored}
+        record = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
+                  "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,
+                  "date": self.date, "units": units}
+        return json.dumps({**record, **self.numbers, **rows}, indent=1)
+
+
+def machine(device: str = "cpu") -> str:
+    """The processor, its cores, and the name of the GPU if ``device`` is one."""
+    out = f"{platform.machine()}, {os.cpu_count()} CPU cores"
+    if device == "cpu":
+        return out
+    import torch
+
+    return f"{out}, {torch.cuda.get_device_name(device)}"
+
+
+def commit() -> str:
+    """The commit of this checkout, "+" behind it where tracked files differ; empty outside a repository."""
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True,
+                              check=True).stdout.strip()
+
+    try:
+        return git("rev-parse", "--short", "HEAD") + "+" * bool(git("status", "--porcelain", "--untracked-files=no"))
+    except (OSError, subprocess.CalledProcessError):
+        return ""
