@@ -1,14 +1,13 @@
-"""`vsfsim measure arm`: what the dynamic arm reads and the kinematic one does not, on touches of plants, and what each
-costs."""
+"""Joint torques of the dynamic arm less those of the kinematic one, on touches of a plant, and the time of both:
+`vsfsim measure arm`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.job import jobs_of
@@ -17,20 +16,24 @@ from vsfsim.generate.plants.touches import JOINT_RATE, solve
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import kernels_of
 from vsfsim.physics.runtime import compile_kernels
+from vsfsim.robot import gen3
 from vsfsim.robot.arm_modes import Difference, difference
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION
 from vsfsim.robot.path import times
 
 PARTS = ("rms", "friction", "inertia", "lag")
-WHAT = {"rms": "all of it", "friction": "friction that the torque sensors see", "inertia": "masses that are moved",
-        "lag": "the same forces at angles a little off"}
+_WHAT = {"kinematic_rms": "J^T f, for comparison", "rms": "difference", "friction": "of it, friction in the joints",
+         "inertia": "of it, inertia of the links", "lag": "of it, deviation of the joint angles"}
 
 
-def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], None]) -> dict[str, Any]:
+def measure(*, device: str = "cpu", scene: str = "plants-mini", touches: int = 6,
+            progress: Progress = lambda _: None) -> Measurement:
     """Touch one plant, then lead both arms along the same path under the same wrenches.
 
     Args:
-        device: Warp device of the plant. scene: name or path, with [arm]. touches: how many that meet the plant.
+        device: Warp device of the plant.
+        scene: name or path of a scene with [arm].
+        touches: number of touches of the plant.
         progress: called with what is going on.
     """
     loaded = load_scene(find_scene(scene))
@@ -43,7 +46,7 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
     progress("touching")
     (frames,) = solve([subject], device=device)
     assert subject.arm is not None
-    rows = []
+    rows, parts, notes = [], [], []
     for name, drive in (("position", POSITION), ("impedance", IMPEDANCE)):
         found: list[Difference] = []
         for b, a in enumerate(subject.aims):
@@ -62,27 +65,22 @@ def bench(*, device: str, scene: str, touches: int, progress: Callable[[str], No
                      **{part: _joined([getattr(d, part) for d in found]) for part in PARTS},
                      "largest": np.max([d.largest for d in found], axis=0).tolist() if found else [],
                      "tool_m": max((d.tool for d in found), default=0.0),
-                     "seconds": np.sum([d.seconds for d in found], axis=0).tolist() if found else []})
-    return {"scene": loaded.name, "rows": rows}
+                     "seconds": np.sum([d.seconds for d in found], axis=0).tolist() if found else [None, None]})
+        if not found:
+            notes.append(f"{name} drive: no touch met the plant; ask for more --touches.")
+        parts += [{"drive": name, "part": _WHAT[part], "torque": rows[-1][part]} for part in _WHAT if found]
+    return Measurement.of("arm", {"device": device, "scene": loaded.name, "touches": touches}, [
+        Table("two drives of the dynamic arm, on the path and under the wrenches of the kinematic one", (
+            Column("drive", "drive"), Column("touches", "touches", "1"),
+            Column("scale", "largest torque", "N m", form=".2f"),
+            Column("tool_m", "largest deviation of the tool", "m", "mm", ".2f"),
+            Column("seconds.0", "kinematic", "s", form=".2f"), Column("seconds.1", "dynamic", "s", form=".2f")),
+            rows, name="rows"),
+        Table("torque readings of the dynamic arm less J^T f, rms over touches [N m]", (
+            Column("drive", "drive"), Column("part", "part"),
+            *(Column(f"torque.{j}", f"joint {j + 1}", form=".3f") for j in range(gen3.JOINTS))),
+            parts)] if parts else [], notes=notes, numbers={"scene": loaded.name})
 
 
 def _joined(values: list[np.ndarray]) -> list[float]:
     return np.sqrt(np.mean(np.square(values), axis=0)).tolist() if values else []
-
-
-def table(found: dict[str, Any]) -> str:
-    """The result for the terminal."""
-    lines = [f"{found['scene']}: the dynamic arm's readings less J^T f of the kinematic arm, the same wrenches on the "
-             f"same path; rms over touches, each joint [N m]"]
-    for row in found["rows"]:
-        if not row["touches"]:
-            lines.append(f"{row['drive']} drive: no touch met the plant; ask for more --touches")
-            continue
-        lines += ["", f"{row['drive']} drive, {row['touches']} touches, torques to {row['scale']:.2f} N m; the tool "
-                      f"leaves its path by {1e3 * row['tool_m']:.2f} mm at most; "
-                  f"{row['seconds'][0]:.2f} s kinematic, {row['seconds'][1]:.2f} s dynamic",
-                  f"{'':<14}" + "".join(f"{f'joint {j + 1}':>9}" for j in range(len(row["rms"])))]
-        lines.append(f"{'J^T f':<14}" + "".join(f"{v:>9.3f}" for v in row["kinematic_rms"]) + "   for comparison")
-        lines += [f"{'difference' if name == 'rms' else name:<14}" + "".join(f"{v:>9.3f}" for v in row[name])
-                  + f"   {WHAT[name]}" for name in PARTS]
-    return "\n".join(lines)

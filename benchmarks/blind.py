@@ -2,12 +2,11 @@
 `vsfsim measure methods --blind`.
 
 A stiff object of known shape lies 3 mm under the surface of a soft half-space; a dome presses it from above at random
-places (`palpate`). Every estimator of Neural VSF section IV-C is asked where it lies, by the way of section III-E:
-points stiffer than a threshold, RANSAC and closest points, the loss of eq. 7, the best of 40 (`localise`). The contact
-points are registered without a stiffness, and the pressure-only baseline gets the size of the whole force instead of
-the vertices' forces.
-One rule for all: the threshold is four times the cover's density, which is known, as in the paper. The random search
-that `localise` adds is shown beside the papers' way.
+places (`palpate`). Every estimator of Neural VSF section IV-C is asked for the object's pose as in section III-E: points
+stiffer than a threshold, RANSAC and closest points, the loss of eq. 7, the best of 40 (`localise`). The contact points
+are registered without a stiffness, and the pressure-only baseline gets the size of the whole force instead of the
+vertices' forces. One rule for all: the threshold is four times the cover's density, which is known, as in the paper. The
+random search that `localise` adds is shown beside the papers' procedure.
 """
 
 from __future__ import annotations
@@ -15,11 +14,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import torch
 from scipy import sparse
 
+from benchmarks.fields import neural_fitting
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
@@ -33,39 +34,41 @@ SOFT, STIFF, COVER = 1e8, 3e9, 0.003
 """Densities of the block and the object [N/m^4], and the depth of the object's highest point [m]."""
 
 _TOUCHES, _FRAMES, _RINGS, _EXTENT, _DEPTH = 60, 15, 6, 0.16, 0.012
-# Of a force component on a vertex, and of the size of the whole force [N].
-_NOISE, _TOTAL_NOISE = 0.003, 0.036
+_NOISE, _TOTAL_NOISE = 0.003, 0.036  # of a force component on a vertex, and of the size of the whole force [N]
 _SPACING = 0.004
 _BOUNDS = np.array([[-0.1, -0.1, -0.014], [0.1, 0.1, 0.001]])
 _THRESHOLD = 4.0 * SOFT
-# Where fewer points pass the threshold than a pose needs, this share of them counts as stiff.
-_SHARE = 0.1
+_SHARE = 0.1  # share of the points that count as stiff where fewer pass the threshold than a pose needs
 _TRIES = 40
-# A contact: a vertex that carries this share of the largest force of all.
-_CONTACT = 0.3
-_ON_CPU = {"iterations": 400, "batch": 300, "samples": 32}
+_CONTACT = 0.3  # share of the largest force that makes a vertex a contact
 
 
 @dataclass(frozen=True)
 class BlindRow:
-    """One method, over some objects. shift, turn: errors of the pose by the papers' way, one an object (k,) [m] [rad];
-    refined: the same two with the random search (k, 2), NaN where there is none. seconds: of the estimate, over all
-    objects [s]."""
+    """One method, over k objects."""
 
     name: str
+    """Of the method."""
     shift: np.ndarray
+    """Position error of the papers' procedure (k,) [m]."""
     turn: np.ndarray
+    """Its orientation error (k,) [rad]."""
     refined: np.ndarray
+    """Both with the random search (k, 2) [m, rad]; NaN where there is none."""
     seconds: float
+    """Time of the estimates, all objects together [s]."""
 
 
 @dataclass(frozen=True)
 class Buried:
-    """One object. known: its shape. pose: object to world (4, 4) [m]. touches: of the dome."""
+    """One object and the touches of it."""
 
     known: KnownObject
+    """Its shape."""
     pose: np.ndarray
+    """Object to world (4, 4) [m]."""
     touches: list[DenseTouch]
+    """Of the dome."""
 
     @classmethod
     def of(cls, index: int, *, scale: float = 1.0) -> Buried:
@@ -88,15 +91,14 @@ class Buried:
         return cls(known, truth, touches)
 
 
-# Outlines (k, 2) [m], their triangles, and heights at their left and right ends [m]: no symmetry in any of them.
 OUTLINES: tuple[tuple[tuple[tuple[float, float], ...], tuple[tuple[int, int, int], ...], tuple[float, float]], ...] = (
     (((0.0, 0.0), (0.10, 0.0), (0.10, 0.025), (0.035, 0.025), (0.035, 0.06), (0.0, 0.06)),
      ((0, 1, 2), (0, 2, 3), (0, 3, 4), (0, 4, 5)), (0.03, 0.02)),
     (((0.0, 0.0), (0.03, 0.0), (0.03, 0.03), (0.09, 0.03), (0.09, 0.055), (0.0, 0.055)),
      ((0, 1, 2), (2, 3, 4), (2, 4, 5), (0, 2, 5)), (0.022, 0.03)),
     (((0.0, 0.0), (0.11, 0.01), (0.075, 0.05), (0.02, 0.045)), ((0, 1, 2), (0, 2, 3)), (0.03, 0.024)))
-# Objects before this one were looked at while the number of tries was chosen.
-_FIRST = len(OUTLINES)
+"""Outlines (k, 2) [m], their triangles, and heights at their left and right ends [m]; none of them is symmetric."""
+_FIRST = len(OUTLINES)  # the number of tries was chosen on the objects before this one
 
 
 def prism(outline: Sequence[tuple[float, float]], caps: Sequence[tuple[int, int, int]],
@@ -113,26 +115,23 @@ def prism(outline: Sequence[tuple[float, float]], caps: Sequence[tuple[int, int,
 
 
 def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: float = 1.0, iterations: int | None = None,
-            rate: float = Fitting.rate,
-            progress: Callable[[str], None] | None = None) -> list[BlindRow]:
+            rate: float = Fitting.rate, progress: Progress = lambda _: None) -> list[BlindRow]:
     """Find every object by every method.
 
     Args:
-        device: torch's, of the fields. objects: how many. scale: of the touches, 1 for 60. iterations: of the neural
-        VSF; None: 2,000, or 400 on a CPU, with smaller batches. rate: of its training, the paper's. progress: called
-        with what is going on.
+        device: of torch, for the fields.
+        objects: number of them.
+        scale: of the touches, 1 for 60.
+        iterations, rate: of the neural VSF, see `neural_fitting`.
+        progress: called with what is going on.
     """
-    tell = progress or (lambda _: None)
-    if torch.device(device).type != "cpu":
-        neural = Fitting(iterations=iterations or 2000, rate=rate)
-    else:
-        neural = Fitting(**{**_ON_CPU, "iterations": iterations or _ON_CPU["iterations"], "rate": rate})
+    neural = neural_fitting(device, iterations, rate)
     found: dict[str, list[tuple[float, ...]]] = {}
     for index in range(objects):
         buried = Buried.of(_FIRST + index, scale=scale)
         points, estimates = _estimates(buried, neural, device)
         for name, work in estimates.items():
-            tell(f"object {index + 1} of {objects}, {name}")
+            progress(f"object {index + 1} of {objects}, {name}")
             start = time.perf_counter()
             stiffness = work()
             seconds = time.perf_counter() - start
@@ -147,7 +146,7 @@ def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: flo
                 try:
                     errors += pose_errors(stiffness_pose(buried.known, points, stiffness, threshold=threshold,
                                                          tries=_TRIES, refine=refine).transform, buried.pose)
-                except VsfError:  # no ten points stand out: nothing is known but the middle of what was touched
+                except VsfError:  # fewer than ten points are stiff: the guess is the middle of what was touched
                     guess = np.eye(4)
                     guess[:3, 3] = points.mean(axis=0)
                     errors += pose_errors(guess, buried.pose)
@@ -193,15 +192,21 @@ def _contacts(touches: Sequence[DenseTouch]) -> np.ndarray:
     return np.concatenate([t.vertices[-1][f > limit] for t, f in zip(touches, force)])
 
 
-def table(rows: Sequence[BlindRow]) -> str:
-    """For a terminal: means over the objects."""
-    objects = len(rows[0].shift)
-    title = f"where a known object lies, {objects} objects"
-    width = max(len(title), *(len(row.name) for row in rows))
-    lines = [f"{title:<{width}}  {'papers: mm':>10} {'degrees':>8}  {'refined: mm':>11} {'degrees':>8}  {'seconds':>8}"]
-    for row in rows:
-        fine = ("" if np.isnan(row.refined).any()
-                else f"{1e3 * row.refined[:, 0].mean():11.1f} {np.degrees(row.refined[:, 1]).mean():8.0f}")
-        lines.append(f"{row.name:<{width}}  {1e3 * row.shift.mean():10.1f} {np.degrees(row.turn).mean():8.0f}  "
-                     f"{fine:>20}  {row.seconds:8.1f}")
-    return "\n".join(lines)
+def report(settings: dict[str, Any], rows: Sequence[BlindRow]) -> Measurement:
+    """Means over the objects."""
+    means = [{"name": row.name, "shift": float(row.shift.mean()), "turn": float(row.turn.mean()),
+              "refined_shift": float(row.refined[:, 0].mean()), "refined_turn": float(row.refined[:, 1].mean()),
+              "seconds": row.seconds} for row in rows]
+    return Measurement.of("methods --blind", settings, [
+        Table(f"pose errors of a known buried object, mean over {len(rows[0].shift)} objects", (
+            Column("name", "method"), Column("shift", "papers' procedure", "m", "mm", ".1f"),
+            Column("turn", "", "rad", "deg", ".0f"), Column("refined_shift", "with random search", "m", "mm", ".1f"),
+            Column("refined_turn", "", "rad", "deg", ".0f"), Column("seconds", "time", "s", form=".1f")), means,
+            name="methods")])
+
+
+def measure(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
+            progress: Progress = lambda _: None) -> Measurement:
+    """`compare` as a measurement."""
+    return report({"device": device, "iterations": iterations, "rate": rate},
+                  compare(device=device, iterations=iterations, rate=rate, progress=progress))

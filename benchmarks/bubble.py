@@ -1,9 +1,9 @@
-"""What a bubble on a soft object costs: `vsfsim measure bubble`.
+"""Time of a bubble on a soft object: `vsfsim measure bubble`.
 
 Two measurements on a shoe of `shoes-punyo-mini`, at tier `fem` with cells small enough for 5,000 tetrahedra. *One
-touch*: a sealed poke, after another touch of the same object (mesh, factor, inflation and kernels are there), CPU
+touch*: a sealed poke, after another touch of the same object, when mesh, factor, inflation and kernels exist; CPU
 seconds and iterations of a frame with their parts. *A batch*: touches of that object that advance together, touches a
-minute. Progress is told frame by frame, so that a run that is cut off has shown something.
+minute. Every frame reports its progress, so that an interrupted run has shown something.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ import dataclasses
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.generate.aim import Aim
@@ -34,82 +34,102 @@ SCENE = "shoes-punyo-mini"
 TIER, RESOLUTION = "fem", 0.0095  # m: 5,256 tetrahedra
 FRAMES = 15
 TARGET_FRAME, TARGET_MINUTE = 0.5, 200.0
-"""What is aimed at: seconds a frame on one CPU core; touches a minute on one H200."""
+"""Targets: seconds a frame on one CPU core; touches a minute on one H200."""
 _PICTURE = (160, 120)  # pixels of the view that targets are drawn on
-
-Progress = Callable[[str], None]
 
 
 @dataclass(frozen=True)
 class Poke:
-    """One touch, the second of its object.
-
-    tets, unknowns, nodes: of the object, of both bodies together, of the bubble [-]. frames: how many, in_contact of
-    them with a force. force, pressure: at full depth [N], change [Pa]. seconds: of a frame in contact, on the clock
-    [s]; cpu_seconds: of the process [s]; worst_seconds: of the slowest frame [s].
-    newton, cg: iterations of a frame in contact [-]. converged: share of all frames [-]. residual: worst of a converged
-    one [-]. parts: seconds of the whole touch [s].
-    build_seconds: of mesh, factor and bubble, once an object [s]; first_seconds: of the first touch [s].
-    """
+    """The second touch of an object."""
 
     device: str
+    """Warp device."""
     tier: str
+    """Fidelity of the object."""
     tets: int
+    """Tetrahedra of the object [-]."""
     unknowns: int
+    """Unknowns of both bodies together [-]."""
     nodes: int
+    """Nodes of the bubble [-]."""
     frames: int
+    """Frames of the touch [-]."""
     in_contact: int
+    """Frames with a force [-]."""
     force: float
+    """Contact force at full depth [N]."""
     pressure: float
+    """Change of the gauge pressure there [Pa]."""
     seconds: float
+    """Time of a frame in contact, on the clock [s]."""
     cpu_seconds: float
+    """Time of a frame in contact, of the process [s]."""
     worst_seconds: float
+    """Time of the slowest frame [s]."""
     newton: float
+    """Newton iterations of a frame in contact [-]."""
     cg: float
+    """Conjugate gradients of a frame in contact [-]."""
     converged: float
+    """Share of all frames that converged [-]."""
     residual: float
+    """Worst relative residual of a converged frame [-]."""
     parts: dict[str, float]
+    """Time of each part of the solver over the touch [s]."""
     build_seconds: float
+    """Time to build mesh, factor and bubble, once an object [s]."""
     first_seconds: float
+    """Time of the first touch [s]."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Many touches of one object together.
-
-    touches, frames: how many. seconds: of all [s]. per_minute: touches a minute [1/min]. newton, cg: iterations of a
-    frame in contact, on average [-]. converged: share of the frames [-]. reasons: number of frames by why not.
-    difference: largest difference of a force from the CPU's over the largest force [-], or None.
-    """
+    """Many touches of one object together."""
 
     device: str
+    """Warp device."""
     tier: str
+    """Fidelity of the object."""
     touches: int
+    """Number of touches [-]."""
     frames: int
+    """Frames of a touch [-]."""
     seconds: float
+    """Time of all touches [s]."""
     per_minute: float
+    """Touches a minute [1/min]."""
     newton: float
+    """Newton iterations of a frame in contact, mean [-]."""
     cg: float
+    """Conjugate gradients of a frame in contact, mean [-]."""
     converged: float
+    """Share of the frames that converged [-]."""
     reasons: dict[str, int]
+    """Number of frames that did not, by reason."""
     difference: float | None
+    """Largest difference of a force from the CPU's, over the largest force [-]; None if not compared."""
 
 
 @dataclass(frozen=True)
 class _Subject:
-    """What is pressed. scene: concrete. body, sensor: the object and the bubble. aims: of the touches. spec: their
-    frames. seconds: to build body and sensor [s]."""
+    """The object and the bubble that presses it."""
 
     scene: Scene
+    """Without distributions."""
     body: Model
+    """The object."""
     sensor: BubbleModel
+    """The bubble."""
     aims: list[Aim]
+    """One for each touch."""
     spec: TouchSpec
+    """Frames of a touch."""
     seconds: float
+    """Time to build body and sensor [s]."""
 
 
 def schedule(frames: int) -> tuple[int, int, int, int]:
-    """Free, in, hold and out readings of a touch of so many ``frames``, at least 4."""
+    """Frames (free, in, hold, out) of a touch of ``frames`` frames, at least 4."""
     out = max(1, (frames - 2) // 4)
     return 1, frames - 2 - out, 1, out
 
@@ -201,19 +221,20 @@ def batch(s: _Subject, touches: int, tier: str, device: str, progress: Progress,
                  {Reason(int(n)).name: int(c) for n, c in zip(names, counts, strict=True)}, difference)
 
 
-def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAMES, tier: str = TIER,
-          resolution: float | None = RESOLUTION, nodes: int | None = None,
-          compare: int = 0, progress: Progress = lambda _: None) -> dict[str, Any]:
+def measure(*, device: str = "cpu", touches: int | None = None, frames: int = FRAMES, tier: str = TIER,
+            resolution: float | None = RESOLUTION, nodes: int | None = None, compare: int = 0,
+            progress: Progress = lambda _: None) -> Measurement:
     """Both measurements.
 
     Args:
-        device: Warp device. touches: of the batch; None for 4 on a CPU and 800 on a GPU. frames: of a touch, 4 or more.
-        tier, resolution: of the object, the latter [m]. nodes: of
-            the bubble, None for the scene's. compare: so many touches of a GPU's batch also on the CPU. progress: told
-            every frame.
-
-    Returns:
-        "poke" and "batch", fields as `Poke` and `Batch`.
+        device: Warp device.
+        touches: of the batch; None for 4 on a CPU and 800 on a GPU.
+        frames: of a touch, 4 or more.
+        tier: of the object.
+        resolution: size of its cells [m].
+        nodes: of the bubble; None for the scene's.
+        compare: number of touches of a GPU's batch that also run on the CPU.
+        progress: called in every frame.
     """
     count = touches or (4 if device == "cpu" else 800)
     progress("building the shoe and the bubble")
@@ -223,27 +244,32 @@ def bench(*, device: str = "cpu", touches: int | None = None, frames: int = FRAM
     compile_kernels(coupled_kernels("float64", touch_bubble.KINDS), device)
     one = poke(s, tier, device, progress)
     progress(f"one touch: {one.seconds:.3f} s a frame, {one.newton:.1f} Newton, {one.cg:.1f} CG")
-    return {"poke": asdict(one), "batch": asdict(batch(s, count, tier, device, progress, compare=compare))}
-
-
-def table(result: dict[str, Any]) -> str:
-    """Both as text."""
-    p, b = result["poke"], result["batch"]
-    parts = ", ".join(f"{k} {v:.2f} s" for k, v in p["parts"].items())
-    reasons = ", ".join(f"{n} {c}" for n, c in b["reasons"].items())
-    off = "" if b["difference"] is None else f"; forces off the CPU's by {b['difference']:.0e} of the largest"
-    return "\n".join([
-        f"one sealed poke of a shoe, tier {p['tier']}, {p['tets']} tetrahedra and a bubble of {p['nodes']} nodes "
-        f"({p['unknowns']} unknowns), {p['device']}; the second touch of the object:",
-        f"  {p['seconds']:.3f} s a frame in contact ({p['cpu_seconds']:.3f} s of CPU; aim on one CPU core "
-        f"{TARGET_FRAME} s), slowest frame {p['worst_seconds']:.2f} s",
-        f"  {p['newton']:.1f} Newton and {p['cg']:.1f} conjugate gradients a frame; {100 * p['converged']:.0f} % of "
-        f"{p['frames']} frames converged, worst residual {p['residual']:.0e}; "
-        f"{p['force']:.2f} N, {p['pressure']:.0f} Pa at full depth",
-        f"  of which, over the touch: {parts}",
-        f"  once an object: {p['build_seconds']:.1f} s for mesh, factor and bubble, {p['first_seconds']:.1f} s for its "
-        f"first touch",
-        f"{b['touches']} touches of {b['frames']} frames together, {b['device']}: {b['seconds']:.1f} s, "
-        f"{b['per_minute']:.1f} touches a minute (aim on one H200 {TARGET_MINUTE:.0f})",
-        f"  {b['newton']:.1f} Newton and {b['cg']:.1f} conjugate gradients a frame in contact; "
-        f"{100 * b['converged']:.1f} % of the frames converged" + (f" (not: {reasons})" if reasons else "") + off])
+    many = batch(s, count, tier, device, progress, compare=compare)
+    settings = {"device": device, "touches": count, "frames": frames, "tier": tier, "resolution": resolution,
+                "nodes": nodes, "compare": compare}
+    return Measurement.of("bubble", settings, [
+        Table(f"second touch of a shoe by a sealed bubble, tier {tier}, {device}", (
+            Column("tets", "tetrahedra", "1"), Column("nodes", "nodes of the bubble", "1"),
+            Column("unknowns", "unknowns", "1"), Column("frames", "frames", "1"),
+            Column("seconds", "a frame in contact", "s", form=".3f"),
+            Column("cpu_seconds", "a frame in contact, CPU time", "s", form=".3f"),
+            Column("worst_seconds", "slowest frame", "s", form=".2f"),
+            Column("newton", "Newton iterations a frame", "1", form=".1f"),
+            Column("cg", "conjugate gradients a frame", "1", form=".1f"),
+            Column("converged", "frames converged", "1", "%", ".0f"),
+            Column("residual", "worst residual", "1", form=".0e"),
+            Column("force", "force at full depth", "N", form=".2f"),
+            Column("pressure", "pressure change at full depth", "Pa", form=".0f"),
+            *(Column(f"parts.{part}", f"{part}, whole touch", "s", form=".2f") for part in one.parts),
+            Column("build_seconds", "mesh, factor and bubble, once", "s", form=".1f"),
+            Column("first_seconds", "first touch", "s", form=".1f")), [asdict(one)], name="poke", single=True),
+        Table(f"touches of {many.frames} frames together, {device}", (
+            Column("touches", "touches", "1"), Column("seconds", "time", "s", form=".1f"),
+            Column("per_minute", "touches a minute", "1/min", form=".1f"),
+            Column("newton", "Newton iterations a frame in contact", "1", form=".1f"),
+            Column("cg", "conjugate gradients a frame in contact", "1", form=".1f"),
+            Column("converged", "frames converged", "1", "%", ".1f"),
+            *(Column(f"reasons.{reason}", f"frames marked {reason}", "1") for reason in many.reasons),
+            Column("difference", "difference of forces from the CPU's", "1", form=".0e")), [asdict(many)], name="batch",
+            single=True)],
+        notes=[f"Targets: {TARGET_FRAME} s a frame on one CPU core, {TARGET_MINUTE:.0f} touches a minute on one H200."])

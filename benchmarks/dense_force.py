@@ -1,23 +1,24 @@
-"""How far estimated contact forces of the bubble are from the true ones: `vsfsim measure dense-force`.
+"""Error of estimated contact forces of the bubble: `vsfsim measure dense-force`.
 
-The bubble is pressed on rigid balls at the simulator's mesh; an estimator sees the nodes of the coarser read-out mesh
-with white noise, and the pressure with the real sensor's 5.4 Pa. Truth are the simulator's contact forces, moved to the
-read-out mesh with net force and moment kept. E h and the force scale of `paper` and `taut` are calibrated by the net
-force of other presses with the smallest noise, as their owner would with a force-torque sensor; `released` is taken as
-published; `membrane` knows the skin that the simulator was given, but on its own coarser mesh, and is also shown with
-an E h that is 10 % too large.
+The bubble is pressed on rigid balls with the simulator's mesh. An estimator reads the nodes of the coarser read-out
+mesh with white noise, and the pressure with the real sensor's 5.4 Pa. The truth is the simulator's contact forces, moved
+to the read-out mesh so that net force and moment are kept. E h and the force scale of `paper` and `taut` are calibrated
+by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor. `released` is
+taken as published. `membrane` knows the simulated skin, but on the coarser mesh, and also runs with an E h that is 10 %
+too large.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
@@ -34,8 +35,6 @@ PRESSURE_STD = 5.4
 DEPTHS = (0.0, 3e-3, 6e-3, 1.1e-2)
 """Edges of the bins of depth [m]."""
 
-Progress = Callable[[str], None]
-
 _FRAMES = (-0.001, 0.0015, 0.003, 0.005, 0.0075, 0.010)  # way past first contact [m]
 _FRICTION = 2.0  # the bubble hardly slips, as the paper says of the real one
 _PATIENCE = 3600.0  # for a frame [s]: which frames there are should not depend on how busy the machine is
@@ -44,13 +43,16 @@ BALL, TIP, OTHER = Sphere(0.020), Sphere(0.005), Sphere(0.012)
 
 @dataclass(frozen=True)
 class Spot:
-    """One press of a ball. name: for tables. x, y: of the place on the dome, mount frame [m]. slant: of its way from
-    the normal there, towards +x [rad]."""
+    """One press of a ball."""
 
     name: str
+    """For tables."""
     x: float
+    """Place on the dome, mount frame [m]."""
     y: float
+    """Place on the dome, mount frame [m]."""
     slant: float = 0.0
+    """Angle of the path from the normal there, towards +x [rad]."""
 
 
 Plan = Sequence[tuple[Sphere, Sequence[Spot]]]
@@ -104,9 +106,9 @@ def calibration_of(model: BubbleModel) -> BubbleCalibration:
                              reference=readout.readout.points / model.spec.pre_stretch)
 
 
-def bench(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[float] = NOISE,
-          progress: Progress = lambda _: None) -> tuple[list[Row], list[Contender], list[PressRecord]]:
-    """All of it on a Punyo; ``nodes`` of the simulator's mesh, None for the default.
+def presses_on_balls(*, nodes: int | None = None, device: str = "cpu",
+                     progress: Progress = lambda _: None) -> tuple[list[Contender], list[PressRecord]]:
+    """Calibrated estimators and noise-free presses of a Punyo; ``nodes`` of the simulator's mesh, None for the default.
 
     Raises:
         SensorError: no press found an equilibrium.
@@ -115,51 +117,60 @@ def bench(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[floa
     training = simulate(model, CALIBRATION, device=device, progress=progress)
     presses = simulate(model, PRESSES, device=device, progress=progress)
     if not any(len(p.depth) for p in presses) or not any(len(p.depth) for p in training):
-        raise SensorError(f"bench dense-force: no frame of the presses converged on the mesh of "
+        raise SensorError(f"measure dense-force: no frame of the presses converged on the mesh of "
                           f"{len(model.mesh.points)} nodes; take another number of nodes.")
-    field = contenders(calibration_of(model), training, progress=progress)
-    return compare(field, presses, noise=noise, progress=progress), field, presses
+    return contenders(calibration_of(model), training, progress=progress), presses
 
 
 @dataclass(frozen=True)
 class Contender:
-    """One estimator with its calibration. label: for the table. method, calibration, options: of the estimator.
-    calibrated: its error there [N], or None."""
+    """One estimator with its calibration."""
 
     label: str
+    """For the table."""
     method: str
+    """Of `DenseForceEstimator`."""
     calibration: BubbleCalibration
+    """What it knows of the bubble."""
     options: EstimatorOptions
+    """Its weights."""
     calibrated: float | None = None
+    """Error of the net force on the presses that calibrated it [N]; None if it was not calibrated."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """Errors of one contender at one noise level and depth bin, over the frames of all presses.
-
-    label: the contender. noise: of a node's coordinate [m]. low, high: of the depths [m]. frames: how many. node_rms,
-    node_size: of the error and the true forces, RMS over nodes and frames [N]. net, net_size: of the net force, RMS
-    [N]. iou: of the contact regions, mean [-].
-    converged: share of the frames whose program was solved, a fraction. seconds: CPU time of a frame [s].
-    """
+    """Errors of one contender at one noise level and depth bin, over the frames of all presses."""
 
     label: str
+    """The contender."""
     noise: float
+    """Standard deviation of a node's coordinate [m]."""
     low: float
+    """Depths from here [m]."""
     high: float
+    """Depths up to here [m]."""
     frames: int
+    """Number of frames [-]."""
     node_rms: float
+    """Error of a node's force, RMS over nodes and frames [N]."""
     node_size: float
+    """True force of a node, RMS [N]."""
     net: float
+    """Error of the net force, RMS [N]."""
     net_size: float
+    """True net force, RMS [N]."""
     iou: float
+    """Intersection over union of the contact regions, mean [-]."""
     converged: float
+    """Share of the frames whose program was solved [-]."""
     seconds: float
+    """CPU time of a frame [s]."""
 
 
 def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *,
                progress: Progress = lambda _: None) -> list[Contender]:
-    """All estimators, calibrated on ``presses`` (without noise yet); ``calibration`` holds the true skin."""
+    """All estimators, calibrated on the noise-free ``presses``; ``calibration`` holds the true skin."""
     options = EstimatorOptions()
     rng = np.random.default_rng(1)
     seen = [noisy(p, rng, displacement_std=options.displacement_std, pressure_std=PRESSURE_STD) for p in presses]
@@ -217,35 +228,47 @@ def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord]
     return out
 
 
-def table(rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[PressRecord]) -> str:
-    """The rows as text, one block a noise level."""
+def report(settings: dict[str, Any], rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[PressRecord],
+           notes: Sequence[str] = ()) -> Measurement:
+    """Errors of all contenders, one table a noise level."""
+    calibrated = {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale,
+                            "net_error": c.calibrated} for c in field if c.calibrated is not None}
+    stored = [asdict(row) for row in rows]
+    printed = [{**row, "bin": f"{1e3 * row['low']:.0f} to {1e3 * row['high']:.0f} mm",
+                "node_share": row["node_rms"] / row["node_size"], "net_share": row["net"] / row["net_size"]}
+               for row in stored]
+    columns = (Column("label", "estimator"), Column("bin", "depth"), Column("frames", "frames", "1"),
+               Column("node_rms", "node RMS", "N", form=".4f"), Column("node_share", "of true", "1", "%", ".0f"),
+               Column("net", "net force", "N", form=".3f"), Column("net_share", "of true", "1", "%", ".0f"),
+               Column("iou", "IoU", "1", form=".2f"), Column("converged", "solved", "1", "%", ".0f"),
+               Column("seconds", "a frame", "s", form=".3f"))
+    tables = [Table("calibrated by the net force of other presses", (
+        Column("label", "estimator"), Column("stiffness", "E h", "N/m", form=".0f"),
+        Column("force_scale", "force scale", "N", form="g"), Column("net_error", "net force error", "N", form=".3f")),
+        [{"label": label, **row} for label, row in calibrated.items()])] if calibrated else []
+    for level in sorted({row.noise for row in rows}):
+        tables.append(Table(
+            f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure" if level
+                                                                        else ""), columns,
+            [row for row in printed if row["noise"] == level]))
     names = ", ".join(p.name for p in presses[:8]) + (", ..." if len(presses) > 8 else "")
-    out = [f"{len(presses)} presses ({names}), {sum(len(p.depth) for p in presses)} frames."]
-    for one in field:
-        if one.calibrated is not None:
-            out.append(f"{one.label}: calibrated to E h {one.calibration.stiffness:.0f} N/m and a force scale of "
-                       f"{one.options.force_scale:g} N (net force {one.calibrated:.3f} N there)")
-    bins = sorted({(r.low, r.high) for r in rows})
-    above = f"{'':20}" + "".join(f"{f'{1e3 * low:.0f} to {1e3 * high:.0f} mm deep':^36}" for low, high in bins)
-    head = f"{'estimator':20}" + f"{'node RMS N':>15}{'net force N':>15}{'IoU':>6}" * len(bins)
-    for level in sorted({r.noise for r in rows}):
-        some = {(r.low, r.high): r for r in rows if r.noise == level}
-        out += ["", f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure"
-                                                                                if level else ""), above,
-                f"{head}{'s/frame':>9}{'solved':>8}",
-                f"{'(true forces)':20}" + "".join(f"{some[b].node_size:15.4f}{some[b].net_size:15.2f}{'':6}"
-                                                  for b in bins)]
-        for one in field:
-            mine = {(r.low, r.high): r for r in rows if r.noise == level and r.label == one.label}
-            cells = "".join(f"{mine[b].node_rms:8.4f} "
-                            f"{100 * mine[b].node_rms / mine[b].node_size:5.0f}%{mine[b].net:9.3f} "
-                            f"{100 * mine[b].net / mine[b].net_size:4.0f}%{mine[b].iou:6.2f}" for b in bins)
-            out.append(f"{one.label:20}{cells}{mine[bins[0]].seconds:9.3f}{100 * np.mean([m.converged for m in mine.values()]):7.0f}%")
-    return "\n".join(out)
+    return Measurement.of("dense-force", settings, tables, numbers={"rows": stored, "calibrated": calibrated}, notes=[
+        *notes, f"{len(presses)} presses ({names}), {sum(len(p.depth) for p in presses)} frames."])
 
 
-def tables(rows: Sequence[Row], field: Sequence[Contender]) -> dict[str, Any]:
-    """The same for JSON."""
-    return {"rows": [asdict(r) for r in rows],
-            "calibrated": {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale,
-                                     "net_error": c.calibrated} for c in field if c.calibrated is not None}}
+def measure(*, nodes: int | None = None, device: str = "cpu", noise: Sequence[float] = NOISE,
+            progress: Progress = lambda _: None) -> Measurement:
+    """Every estimator on presses of a Punyo on rigid balls.
+
+    Args:
+        nodes: of the simulator's mesh; None for the default.
+        device: Warp device.
+        noise: standard deviations of a node's coordinate [m].
+        progress: called with what is going on.
+
+    Raises:
+        SensorError: no press found an equilibrium.
+    """
+    field, presses = presses_on_balls(nodes=nodes, device=device, progress=progress)
+    rows = compare(field, presses, noise=noise, progress=progress)
+    return report({"nodes": nodes, "device": device, "noise": list(noise)}, rows, field, presses)

@@ -1,9 +1,8 @@
-"""The comparison of `bench_dense_force` on the touches of a dataset that a bubble felt: soft objects instead of rigid
-balls.
+"""The comparison of `dense_force` on the touches of a dataset made with a bubble: soft objects instead of rigid balls.
 
 The estimators are calibrated on touches of the train split and scored on the test split, a few frames of each touch.
 Where the bubble of the dataset was simulated on the read-out mesh itself, `membrane` shares mesh and law with it, and
-its error without noise says nothing: the table says so.
+its error without noise says nothing; a note says so.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.dense_force import NOISE, Contender, Progress, Row, compare, contenders
+from benchmarks.dense_force import NOISE, compare, contenders, report
+from benchmarks.measurement import Measurement, Progress
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.dataset import Dataset
@@ -26,16 +26,14 @@ CALIBRATING = 4  # touches of the train split
 _FELT = 0.05  # force from which a frame counts as contact [N], a third of a real sensor's noise
 
 
-def bench_dataset(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2],
-                  progress: Progress = lambda _: None) -> tuple[list[Row], list[Contender], list[PressRecord],
-                                                                list[str]]:
+def measure(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2],
+            progress: Progress = lambda _: None) -> Measurement:
     """Calibrate on the first split of ``dataset``, score on the last one.
 
     Args:
+        dataset: its readings; the truth is not opened.
         noise: standard deviations of a node's coordinate [m].
-
-    Returns:
-        Rows, contenders and presses as `bench_dense_force.bench`, and sentences on what was used.
+        progress: called with what is going on.
 
     Raises:
         DatasetError: no touch has a skin, the touches were made with different skins, or too few frames are in contact.
@@ -47,18 +45,19 @@ def bench_dataset(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2],
     notes = []
     if len(splits) == 1:
         training, presses = presses[:CALIBRATING], presses[CALIBRATING:]
-        notes.append(f"the dataset has one split, '{splits[0]}': its first {len(training)} touches calibrate, the "
-                     f"others are scored")
+        notes.append(f"The dataset has one split, '{splits[0]}': its first {len(training)} touches calibrate, the "
+                     f"others are scored.")
     else:
         training = training[:: max(1, len(training) // CALIBRATING)][:CALIBRATING]
-        notes.append(f"calibrated on {len(training)} touches of split '{splits[0]}', scored on split '{splits[-1]}'")
+        notes.append(f"Calibrated on {len(training)} touches of split '{splits[0]}', scored on split '{splits[-1]}'.")
     if not training or not presses:
         raise DatasetError(f"dense force: {dataset.path} has {len(training)} touches to calibrate on and "
                            f"{len(presses)} to score with a converged frame in contact; both must be at least 1.")
     if _sensor_nodes(dataset) == len(calibration.rest):
-        notes.append("the bubble was simulated on the read-out mesh itself: 'membrane' shares mesh and law with it")
+        notes.append("The bubble was simulated on the read-out mesh itself: 'membrane' shares mesh and law with it.")
     field = contenders(calibration, training, progress=progress)
-    return compare(field, presses, noise=noise, progress=progress), field, presses, notes
+    rows = compare(field, presses, noise=noise, progress=progress)
+    return report({"dataset": str(dataset.path), "noise": list(noise)}, rows, field, presses, notes)
 
 
 def records(views: Sequence[ObjectView]) -> list[PressRecord]:

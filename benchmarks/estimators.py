@@ -1,159 +1,64 @@
-"""Every estimator against its literal dense form, at equal answers: `vsfsim measure methods`.
+"""Time and memory of every estimator beside its literal dense form, at equal answers: `vsfsim measure methods`.
 
-The literal forms are the papers' equations written down with dense matrices over the touched particles, as openvsf has
-them: eq. 15 with W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least
-squares problem with bounds; the diagonal Kalman filter with a dense gain. Each runs in a process of its own, so that
-its peak memory is its own; what takes less than some seconds is run again, and the fastest run counts. On a CPU the
-processor's time is compared, which other programs on the machine do not change; the time on the clock stands beside it.
-Where a literal form would not fit, or take minutes, both are run on as many of the workload's touches as it can take,
+The literal forms are the papers' equations written with dense matrices over the touched particles, as openvsf has them:
+eq. 15 with W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least squares
+problem with bounds; the diagonal Kalman filter with a dense gain. Each runs in a process of its own, so that its peak
+memory is its own. What takes less than some seconds runs again, and the fastest run counts. On a CPU the processor's
+time is compared, because other programs on the machine do not change it; the time on the clock stands beside it. Where a
+literal form would not fit, or would take minutes, both forms run on as many of the workload's touches as it can take,
 and its time for the whole is estimated from its number of operations.
 """
 
 from __future__ import annotations
 
-import json
 import multiprocessing
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import optimize, sparse
+from scipy import optimize
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.process_memory import held_memory, peak_memory
-from vsfsim.core.errors import VsfError
+from benchmarks.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate
-from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
-from vsfsim.vsf.sticking import stick
 
-# Dense matrices of the literal forms beyond this are not tried: they would swap, or end the process.
 MOST_BYTES = 4e9
-# Nor are operations beyond this: some minutes of one core.
+"""Size of the dense matrices [B] beyond which a literal form does not run: it would swap, or end the process."""
 MOST_WORK = 3e12
-NOISE, MEAN, STD = 0.05, 20.0, 30.0
-# Runs shorter than this are repeated, so often at most [s].
-_SHORT, _REPEATS = 3.0, 5
-
-# (particles, touches, frames): 2,000 readings of 2,000 particles; 900 frames of 20,000 (the paper's).
+"""Number of operations beyond which it does not run: some minutes of one core."""
 MINI, PAPER = (2000, 100, 20), (20_000, 60, 15)
+"""(particles, touches, frames): 2,000 readings of 2,000 particles; 900 frames of 20,000 particles (the paper's)."""
+_SHORT, _REPEATS = 3.0, 5  # runs shorter than the first [s] are repeated, at most this often
 
 
 class Times(NamedTuple):
-    """Of the fastest run. clock: on the clock [s]. busy: of the processor, all threads together [s]."""
+    """Of the fastest run."""
 
     clock: float
+    """On the clock [s]."""
     busy: float
-
-
-@dataclass(frozen=True)
-class Workload:
-    """Observation matrices of a synthetic palpation. pressure: force sums (T_all, n) [m]. pressure_z: their readings
-    (T_all,) [N].
-    touch: which touch each is of (T_all,). dense: contact forces (T_all N 3, n) [m]. dense_z: their readings (T_all N
-    3,) [N].
-    frame: rows of ``dense`` in a frame. frames: of a touch."""
-
-    pressure: sparse.csr_matrix
-    pressure_z: np.ndarray
-    touch: np.ndarray
-    dense: sparse.csr_matrix
-    dense_z: np.ndarray
-    frame: int
-    frames: int
-
-    @classmethod
-    def of(cls, particles: int, touches: int, frames: int, *, seed: int = 0) -> Workload:
-        """About ``particles`` particles in a 16 x 12 x 1.5 cm volume under ``touches`` presses of ``frames`` frames.
-
-        Raises:
-            VsfError: a size below 1, or fewer than two frames.
-        """
-        points, spacing = volume_points(particles, touches, frames)
-        field = layer_with_inclusion()
-        truth = field(points) * spacing**3
-        sums, forces, vertices = [], [], 0
-        for t in palpate(field, touches=touches, frames=frames, extent=(0.12, 0.08), substeps=1, seed=seed):
-            contacts, vertices = stick(points, t.vertices, t.triangles), t.vertices.shape[1]
-            sums.append(force_sum_rows(contacts.displacements(), len(points)))
-            forces.append(dense_force_rows(contacts, len(points), t.triangles, vertices))
-        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
-        pressure, dense = sparse.vstack(sums).tocsr(), sparse.vstack(forces).tocsr()
-        z = [w @ truth + NOISE * rng.standard_normal(w.shape[0]) for w in (pressure, dense)]
-        return cls(pressure, z[0], np.repeat(np.arange(touches), frames), dense, z[1], 3 * vertices, frames)
-
-    def first(self, touches: int) -> Workload:
-        """The same with the first ``touches`` touches only."""
-        rows = touches * self.frames
-        return Workload(self.pressure[:rows], self.pressure_z[:rows], self.touch[:rows], self.dense[:rows * self.frame],
-                        self.dense_z[:rows * self.frame], self.frame, self.frames)
-
-    def export(self, folder: Path) -> None:
-        """Write the workload for an estimator from elsewhere: pressure.npz and dense.npz (CSR,
-        `scipy.sparse.load_npz`), readings.npz and readings.json, which says what each is and gives the noise and the
-        prior.
-
-        Raises:
-            VsfError: the folder cannot be written.
-        """
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            sparse.save_npz(folder / "pressure.npz", self.pressure)
-            sparse.save_npz(folder / "dense.npz", self.dense)
-            np.savez(folder / "readings.npz", pressure=self.pressure_z, dense=self.dense_z, touch=self.touch)
-            (folder / "readings.json").write_text(json.dumps({
-                "model": "z = W K + noise, K >= 0: spring constants K [N/m] of particles, W [m], z [N]",
-                "pressure.npz": "W of the force sums, one row a frame: (frames of all touches, particles)",
-                "dense.npz": f"W of the contact forces on a sensor's vertices, {self.frame} rows a frame (vertex by "
-                             f"vertex, x y z)",
-                "readings.npz": {"pressure": "z of pressure.npz", "dense": "z of dense.npz",
-                                 "touch": "which touch each frame is of"},
-                "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE,
-                                                              "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD},
-                                                             indent=1) + "\n")
-        except OSError as error:
-            raise VsfError(f"bench methods: the workload cannot be written to '{folder}': {error}. Give a folder that "
-                           f"can be made.") from error
-
-    @property
-    def touches(self) -> int:
-        """How many there are."""
-        return len(self.pressure_z) // self.frames
-
-
-def volume_points(particles: int, touches: int, frames: int) -> tuple[np.ndarray, float]:
-    """About ``particles`` points (n, 3) [m] on a lattice under z = 0, 16 x 12 x 1.5 cm, and its spacing [m].
-
-    Raises:
-        VsfError: a size of the workload is below 1, or there are fewer than two frames.
-    """
-    if min(particles, touches) < 1 or frames < 2:
-        raise VsfError(f"bench methods: {particles} particles, {touches} touches, {frames} frames; give at least "
-                       f"1, 1 and 2.")
-    spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
-    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08,
-                                                                         0.06)] + [np.arange(-0.015 + 0.5 * spacing,
-                                                                                             0.0, spacing)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3), spacing
+    """Of the processor, all threads together [s]."""
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """One estimator in both forms.
-
-    ours, literal: (workload, device) -> (time, answer). matrix: name of the rows it reads.
-    needs: (rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the
-    literal form.
-    """
+    """One estimator in both forms."""
 
     name: str
+    """For the table."""
     ours: Callable[[Workload, str], tuple[Times, np.ndarray]]
+    """(workload, device) -> (time, answer)."""
     literal: Callable[[Workload, str], tuple[Times, np.ndarray]]
+    """The same by the literal form."""
     matrix: str
+    """Field of the workload that it reads."""
     needs: Callable[[float, float, float, float], tuple[float, float]]
+    """(rows, touched particles, particles moved at once, rows of a frame) -> bytes [B] and operations [-] of the
+    literal form."""
 
     def cost(self, load: Workload) -> tuple[float, float]:
         """Bytes and operations of the literal form on a workload."""
@@ -186,8 +91,8 @@ def epoch_literal(load: Workload, device: str = "cpu") -> tuple[Times, np.ndarra
     import torch
 
     touched = np.unique(load.pressure.indices)
-    w, z = torch.tensor(load.pressure[:, touched].toarray(),
-                        device=device), torch.tensor(load.pressure_z, device=device)
+    w = torch.tensor(load.pressure[:, touched].toarray(), device=device)
+    z = torch.tensor(load.pressure_z, device=device)
     mean, var = (torch.full((len(touched),), x, dtype=torch.float64, device=device, requires_grad=True)
                  for x in (MEAN, STD**2))
 
@@ -278,53 +183,59 @@ ESTIMATORS = (
     Estimator("eq. 15, value and gradient", epoch, epoch_literal, "pressure",
               lambda m, n, k, r: (8.0 * (4 * m * n + 6 * m * m + 3 * n * n),
                                   6.0 * (m * n * n + m * m * n) + 12.0 * m**3)),
-    Estimator("eq. 16 from pressure", batch, batch_literal, "pressure", lambda m, n, k,
-              r: (16.0 * (m + n) * n, 12.0 * (m + n) * n * n)),
-    Estimator("eq. 16 from contact forces", batch_dense, batch_dense_literal, "dense", lambda m, n, k,
-              r: (16.0 * m * n + 24.0 * n * n, 2.0 * m * n * n + 25.0 * n**3)),
-    Estimator("diagonal filter", online, online_literal, "dense", lambda m, n, k,
-              r: (16.0 * r * (k + r), m / r * (4.0 * r * r * k + 2.0 * r**3))))
+    Estimator("eq. 16 from pressure", batch, batch_literal, "pressure",
+              lambda m, n, k, r: (16.0 * (m + n) * n, 12.0 * (m + n) * n * n)),
+    Estimator("eq. 16 from contact forces", batch_dense, batch_dense_literal, "dense",
+              lambda m, n, k, r: (16.0 * m * n + 24.0 * n * n, 2.0 * m * n * n + 25.0 * n**3)),
+    Estimator("diagonal filter", online, online_literal, "dense",
+              lambda m, n, k, r: (16.0 * r * (k + r), m / r * (4.0 * r * r * k + 2.0 * r**3))))
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """One estimator. rows: of its matrix. particles: touched. time: ours. mib: ours [MiB].
-    part: touches of the workload that both were run on for the comparison (all of them where the literal form takes
-    them), 0 without one.
-    ours_on_part, literal: there. literal_mib: its memory there [MiB]. times: literal over ours there [-]. difference:
-    of the answers, over the largest value [-].
-    literal_bytes: that it would take on the whole [B]. literal_whole: time that it would, from its number of operations
-    [s]."""
+    """One estimator on one workload."""
 
     name: str
+    """Of the estimator."""
     rows: int
+    """Rows of its matrix [-]."""
     particles: int
+    """Touched particles [-]."""
     time: Times
+    """Time of ours."""
     mib: float
+    """Memory of ours [MiB]."""
     part: int
+    """Touches that both forms ran on for the comparison: all where the literal form takes them, 0 without one [-]."""
     ours_on_part: Times
+    """Time of ours there."""
     literal: Times
+    """Time of the literal form there."""
     literal_mib: float
+    """Its memory there [MiB]."""
     times: float
+    """Literal over ours there [-]."""
     difference: float
+    """Of the answers, over the largest value [-]."""
     literal_bytes: float
+    """Memory that the literal form would take on the whole [B]."""
     literal_whole: float
+    """Time that it would take, from its number of operations [s]."""
 
 
-def compare(load: Workload, *, literal: bool = True, device: str = "cpu", export: Path | None = None,
-            progress: Callable[[int, int, str], None] | None = None) -> list[Comparison]:
+def compare(load: Workload, *, literal: bool = True, device: str = "cpu",
+            progress: Progress = lambda _: None) -> list[Comparison]:
     """Run all estimators on one workload.
 
     Args:
-        load: the workload. literal: run the literal forms, too. device: of torch, where an estimator uses it (eq. 15).
-        export: folder to write the workload to, see `Workload.export`. progress: called with (done, of how many, what).
+        load: the workload.
+        literal: run the literal forms, too.
+        device: of torch, where an estimator uses it (eq. 15).
+        progress: called with what is going on.
     """
-    if export is not None:
-        load.export(export)
     out = []
-    for index, e in enumerate(ESTIMATORS):
-        if progress is not None:
-            progress(index, len(ESTIMATORS), e.name)
+    for e in ESTIMATORS:
+        progress(e.name)
         rows = getattr(load, e.matrix)
         taken, mib, answer = _apart(e.ours, load, device)
         size, work = e.cost(load)
@@ -336,8 +247,7 @@ def compare(load: Workload, *, literal: bool = True, device: str = "cpu", export
             less = load if part == load.touches else load.first(part)
             if part < load.touches:
                 mine, _, answer = _apart(e.ours, less, device)
-            if progress is not None:
-                progress(index, len(ESTIMATORS), f"{e.name}, literal, {part} touches")
+            progress(f"{e.name}, literal, {part} touches")
             other = _apart(e.literal, less, device)
         difference = float(np.abs(answer - other[2]).max() / np.abs(other[2]).max()) if part else np.nan
         whole = other[0].clock * work / e.cost(load.first(part))[1] if part else np.nan
@@ -349,29 +259,33 @@ def compare(load: Workload, *, literal: bool = True, device: str = "cpu", export
     return out
 
 
-def table(rows: Sequence[Comparison], touches: int) -> str:
-    """For a terminal."""
-    names = [f"{row.name}, {row.rows:,} x {row.particles:,}" for row in rows]
-    width = max(map(len, names))
-    lines = [f"{'':<{width}}  {'clock s':>8} {'busy s':>8} {'MiB':>6}  {'literal s':>9} {'busy s':>8} {'MiB':>6}  "
-             f"{'times':>6}  difference"]
+def report(settings: Mapping[str, Any], rows: Sequence[Comparison]) -> Measurement:
+    """The comparisons, with those that ran on fewer touches in a table of their own."""
+    stored = [{**asdict(row), "time": row.time._asdict(), "ours_on_part": row.ours_on_part._asdict(),
+               "literal": row.literal._asdict()} for row in rows]
+    tables = [Table("estimators, the whole workload", (
+        Column("name", "estimator"), Column("rows", "rows", "1", form=","),
+        Column("particles", "particles", "1", form=","), Column("time.clock", "clock", "s", form=".3f"),
+        Column("time.busy", "CPU", "s", form=".3f"), Column("mib", "memory", "MiB", form=".0f"),
+        Column("literal_bytes", "literal form would need", "B", "GB", ".1f"),
+        Column("literal_whole", "and take about", "s", form=".0f")), stored, name="estimators")]
+    if any(row.part for row in rows):
+        tables.append(Table("against the literal forms, on as many touches as they can take", (
+            Column("name", "estimator"), Column("part", "touches", "1"),
+            Column("ours_on_part.clock", "clock", "s", form=".3f"), Column("ours_on_part.busy", "CPU", "s", form=".3f"),
+            Column("literal.clock", "literal clock", "s", form=".2f"),
+            Column("literal.busy", "literal CPU", "s", form=".2f"),
+            Column("literal_mib", "literal memory", "MiB", form=".0f"), Column("times", "times", "1", form=".0f"),
+            Column("difference", "difference", "1", form=".1e")), [row for row in stored if row["part"]]))
+    return Measurement.of("methods", settings, tables)
 
-    def literal(row: Comparison) -> str:
-        return (f"{row.literal.clock:9.2f} {row.literal.busy:8.2f} {row.literal_mib:6.0f}  {row.times:6.0f}  "
-                f"{row.difference:.1e}")
 
-    for name, row in zip(names, rows):
-        left = f"{name:<{width}}  {row.time.clock:8.3f} {row.time.busy:8.3f} {row.mib:6.0f}  "
-        if not row.part:
-            lines.append(left + f"literal form not run; it needs {row.literal_bytes / 1e9:.1f} GB")
-        elif row.part == touches:
-            lines.append(left + literal(row))
-        else:
-            lines.append(left + f"literal form needs {row.literal_bytes / 1e9:.1f} GB and about "
-                                f"{row.literal_whole:.0f} s; measured on fewer touches:")
-            lines.append(f"{f'  the first {row.part} touches':<{width}}  {row.ours_on_part.clock:8.3f} "
-                         f"{row.ours_on_part.busy:8.3f} {'':>6}  " + literal(row))
-    return "\n".join(lines)
+def measure(load: Workload, *, literal: bool = True, device: str = "cpu",
+            progress: Progress = lambda _: None) -> Measurement:
+    """`compare` as a measurement."""
+    settings = {"particles": load.pressure.shape[1], "touches": load.touches, "frames": load.frames,
+                "literal": literal, "device": device}
+    return report(settings, compare(load, literal=literal, device=device, progress=progress))
 
 
 def _timed(work: Callable[[], np.ndarray]) -> tuple[Times, np.ndarray]:

@@ -1,18 +1,19 @@
-"""Which features and noise SBML should take, from training objects alone: `vsfsim measure features`.
+"""Errors of SBML with several features and noises, from training objects alone: `vsfsim measure features`.
 
-Leave-some-out over the training split of a task's dataset: the prior is learned on the other folds and asked for the
+Cross-validation over the training split of a task's dataset: the prior is learned on the other folds and predicts the
 forces of touches of the objects left out, after 0 touches and of each half of their touches after the other half. Test
-objects are not opened; but for `on_test`, the one look at them after everything was chosen.
+objects are opened by `on_test` alone: one evaluation after everything was chosen.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.baselines.sbml import Sbml
 from vsfsim.bench.method import build_method, parameters_of
@@ -25,27 +26,33 @@ from vsfsim.data.dataset import Dataset
 
 @dataclass(frozen=True)
 class Choice:
-    """One variant. zero, half: mean root mean square error over an object's touches, after none and after its other
-    half [task's unit]; difference: to the first variant's, mean over objects, at zero and half; spread: its standard
-    error."""
+    """Errors of one variant: root mean square over a touch, mean over touches and objects."""
 
     name: str
+    """Of the variant."""
     zero: float
+    """Error after no touch [task's unit]."""
     half: float
+    """Error on each half of the touches after the other half [task's unit]."""
     difference: tuple[float, float]
+    """Of both errors to the first sbml's, mean over objects [task's unit]."""
     spread: tuple[float, float]
+    """Standard errors of these differences [task's unit]."""
 
 
 def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Sequence[float], folds: int,
            seeds: int = 1, settings: Mapping[str, Any] | None = None,
-           on_test: bool = False, progress: Callable[[str], None] | None = None) -> list[Choice]:
+           on_test: bool = False, progress: Progress = lambda _: None) -> list[Choice]:
     """Score variants of SBML, and the naive Gaussian prior, by cross-validation over the training objects.
 
     Args:
-        task: what a reading is and its noise. dataset: its training split alone is read. features, noises: all pairs
-        are tried.
-        folds: of the objects. seeds: of each training. settings: parameters of `Sbml` besides. on_test: learn on all
-        training objects and ask the test objects, without folds.
+        task: what a reading is and its noise.
+        dataset: only its training split is read, but for ``on_test``.
+        features, noises: all pairs of them.
+        folds: of the objects.
+        seeds: trainings of each variant and fold.
+        settings: further parameters of `Sbml`.
+        on_test: learn on all training objects and predict the test objects, without folds.
         progress: called with what is going on.
 
     Raises:
@@ -54,11 +61,11 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     learned = dataset.names(task.protocol.train)
     folds = min(folds, len(learned))
     if folds < 2:
-        raise MethodError(f"bench features: {len(learned)} training objects and {folds} folds; at least two of each "
+        raise MethodError(f"measure features: {len(learned)} training objects and {folds} folds; at least two of each "
                           f"are needed.")
     asked = dataset.names(task.protocol.test) if on_test else []
     if on_test and len(asked) < 2:
-        raise MethodError(f"bench features: {len(asked)} test object; an error of a difference needs at least two.")
+        raise MethodError(f"measure features: {len(asked)} test object; an error of a difference needs at least two.")
     names = [*learned, *asked]
     # Each round leaves some objects out of the learning and asks them.
     rounds = [list(range(len(learned), len(names)))] if on_test else [list(range(fold, len(names), folds))
@@ -70,16 +77,14 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     variants: list[tuple[str, Callable[[int], object]]] = [("gaussian", lambda seed: GaussianAverage())]
     for feature in features:
         for noise in noises:
-            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, f=feature,
-                             n=noise: build_method(Sbml, parameters_of(Sbml,
-                                                                       {**(settings or {}), "features": f,
-                                                                        "noise_std": n, "seed": seed}))))
+            given = {**(settings or {}), "features": feature, "noise_std": noise}
+            variants.append((f"sbml, {feature}, noise_std {noise:g}", lambda seed, given=given:
+                             build_method(Sbml, parameters_of(Sbml, {**given, "seed": seed}))))
     errors = np.zeros((len(variants), len(views), 2))
     for k, (name, make) in enumerate(variants):
         for fold, out in enumerate(rounds):
-            if progress is not None:
-                progress(f"{name}, {len(names) - len(out)} objects to learn from, {len(out)} to ask, {fold + 1} of "
-                         f"{len(rounds)}")
+            progress(f"{name}, {len(names) - len(out)} objects to learn from, {len(out)} to predict, {fold + 1} of "
+                     f"{len(rounds)}")
             for seed in range(seeds):
                 method = make(seed)
                 if isinstance(method, Sbml):
@@ -95,15 +100,23 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
             e in zip(variants, errors)]
 
 
-def table(rows: Sequence[Choice], unit: str, *, on_test: bool = False) -> str:
-    """For a terminal."""
-    title = f"error on {'test objects' if on_test else 'training objects left out'} [{unit}]"
-    width = max(len(title), *(len(row.name) for row in rows))
-    lines = [f"{title:<{width}}  0 touches  half of them    paired difference to the first sbml, and its "
-             f"standard error"]
-    lines += [f"{row.name:<{width}}  {row.zero:9.3f}  {row.half:12.3f}    {row.difference[0]:+.3f} ± "
-              f"{row.spread[0]:.3f}, {row.difference[1]:+.3f} ± {row.spread[1]:.3f}" for row in rows]
-    return "\n".join(lines)
+def report(settings: Mapping[str, Any], rows: Sequence[Choice], unit: str, *, on_test: bool = False) -> Measurement:
+    """The errors of all variants."""
+    return Measurement.of("features", settings, [
+        Table(f"error on {'test objects' if on_test else 'training objects left out'}; paired differences to the first "
+              f"sbml and their standard errors [{unit}]", (
+            Column("name", "variant"), Column("zero", "0 touches", form=".3f"),
+            Column("half", "half of them", form=".3f"), Column("difference.0", "difference, 0", form="+.3f"),
+            Column("spread.0", "±", form=".3f"), Column("difference.1", "difference, half", form="+.3f"),
+            Column("spread.1", "±", form=".3f")), [asdict(row) for row in rows], name="variants")],
+        numbers={"unit": unit})
+
+
+def measure(task: Task, dataset: Dataset, **given: Any) -> Measurement:
+    """`choose` as a measurement; the arguments are the same."""
+    settings = {"task": task.name, "dataset": str(dataset.path), **{k: v for k, v in given.items() if k != "progress"}}
+    return report(settings, choose(task, dataset, **given), task.observation.unit,
+                  on_test=bool(given.get("on_test", False)))
 
 
 def _asked(method, view, recording) -> tuple[float, float]:

@@ -1,11 +1,10 @@
 """The point VSF, the neural VSF and its fast variant on one buried rope: F1 of its mask, time, size on disk
 (`vsfsim measure methods --fields`).
 
-The case is that of Neural VSF section IV-D in size: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope
-lies in a soft half-space; forces are those of the continuous VSF itself with 5 mN of noise a component (see
-`palpation`). F1 as in its table I: seen from above at pixels of 3 mm, a pixel is stiff where the rope lies under it
-within the pressed depth; a method's pixel is the largest stiffness in its column, cut at the threshold that is best for
-the method.
+The case has the size of Neural VSF section IV-D: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope lies in
+a soft half-space; forces are those of the continuous VSF itself with 5 mN of noise a component (see `palpation`). F1 is
+that of its table I: seen from above at pixels of 3 mm, a pixel is stiff where the rope lies under it within the pressed
+depth; a method's pixel is the largest stiffness in its column, cut at the threshold that is best for the method.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +20,8 @@ import torch
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from benchmarks.process_memory import held_memory, peak_memory
+from benchmarks.cost import most_memory, start_memory, wait
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
@@ -36,26 +36,29 @@ FRAMES = ((46, 15), (20, 16))
 BOUNDS = np.array([[-0.08, -0.06, -0.016], [0.08, 0.06, 0.001]])
 _EXTENT, _DEPTH, _NOISE = (0.11, 0.07), 0.012, 0.005
 _PIXEL = 0.003
-_ON_CPU = {"batch": 300, "samples": 32}
-"""Of the neural VSF on a CPU: a tenth of the paper's work an iteration, which alone is some seconds of a core."""
-# What the point model cannot place (a particle's own size) is some times the sensor's noise [N]. The prior: soft
-# ground, give or take 20 times that.
+# Noise of the point model [N], some times the sensor's, because it cannot place forces finer than its particles; and the
+# prior's standard deviation over its mean, the soft ground.
 _MODEL_NOISE, _WIDTH = 0.02, 20.0
 
 
 @dataclass(frozen=True)
 class FieldRow:
-    """One method. f1: of the mask [-]. seconds: of the fit [s], without `stick` for points; simulated: with it [s].
-    kilobytes: on disk [kB].
-    mib: of memory on the device, or of the process beyond what it held before [MiB]. settings: in words."""
+    """One method on the case."""
 
     name: str
+    """Of the method."""
     f1: float
+    """F1 of the mask [-]."""
     seconds: float
+    """Time of the fit; for points without `stick` [s]."""
     simulated: float
+    """Time with `stick` [s]."""
     kilobytes: float
+    """Size on disk [kB]."""
     mib: float
+    """Memory on the device, or of the process beyond what it held before [MiB]."""
     settings: str
+    """In words."""
 
 
 def check_device(device: str) -> None:
@@ -71,9 +74,20 @@ def check_device(device: str) -> None:
                        f"cpu, or a machine with such a device.") from error
 
 
+def neural_fitting(device: str, iterations: int | None, rate: float) -> Fitting:
+    """Settings of the neural VSF: the paper's and 2,000 iterations, or on a CPU a tenth of the paper's work an iteration
+    and 400 of them."""
+    if torch.device(device).type != "cpu":
+        return Fitting(iterations=iterations or 2000, rate=rate)
+    return Fitting(iterations=iterations or 400, rate=rate, batch=300, samples=32)
+
+
 def case(*, scale: float = 1.0, fresh: bool = False) -> tuple[list[DenseTouch], Callable[[np.ndarray], np.ndarray]]:
-    """Touches of the case and its true stiffness density [N/m^4]; ``scale`` < 1 takes that share of the touches. The
-    settings of our field were chosen on the first rope; ``fresh`` is another, under other touches."""
+    """Touches of the case and its true stiffness density [N/m^4].
+
+    ``scale`` < 1 takes that share of the touches. The settings of our field were chosen on the first rope; ``fresh`` is
+    another one, under other touches.
+    """
     field = layer_with_inclusion(radius=0.006, top=-0.003, path=(lambda x: 0.015 * np.cos(60.0 * x) - 0.25 * x)
                                  if fresh else None)
     out: list[DenseTouch] = []
@@ -85,53 +99,52 @@ def case(*, scale: float = 1.0, fresh: bool = False) -> tuple[list[DenseTouch], 
 
 def compare(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
             points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
-            grid_iterations: int = 250, progress: Callable[[str], None] | None = None) -> list[FieldRow]:
+            grid_iterations: int = 250, progress: Progress = lambda _: None) -> list[FieldRow]:
     """Fit every method to the case.
 
     Args:
-        device: torch's, of the fields. iterations: of the neural VSF; None: 2,000, or 400 on a CPU. On a CPU its
-        batches are smaller, too, see `_ON_CPU`.
-        rate: of its training, the paper's. points: of the point VSFs. scale: of the case, 1 for the paper's. fresh: a
-        rope that no setting was chosen on. grid_iterations: of ours.
+        device: of torch, for the fields.
+        iterations, rate: of the neural VSF, see `neural_fitting`.
+        points: of the point VSFs.
+        scale: of the case, 1 for the paper's.
+        fresh: a rope that no setting was chosen on.
+        grid_iterations: of our field.
         progress: called with what is going on.
     """
-    tell = progress or (lambda _: None)
     touches, field = case(scale=scale, fresh=fresh)
-    neural = Fitting(iterations=iterations or 2000,
-                     rate=rate) if torch.device(device).type != "cpu" else Fitting(iterations=iterations or 400,
-                                                                                   rate=rate, **_ON_CPU)
+    neural = neural_fitting(device, iterations, rate)
     pixels = _Pixels.of(touches, field)
     rows: list[FieldRow] = []
     for count in points:
-        rows += _points(count, touches, pixels, tell)
+        rows += _points(count, touches, pixels, progress)
     for name, kind, settings, more in (("neural VSF", "nerf", neural, {}),
                                        ("grid VSF (ours)", "grid",
                                         Fitting(iterations=grid_iterations, samples=24, rate=0.1), {"cell": 0.004})):
-        tell(f"{name}, {settings.iterations} iterations on {device}")
+        progress(f"{name}, {settings.iterations} iterations on {device}")
         _warm(kind, touches, device)
-        before = _memory(device, reset=True)
+        before = start_memory(device)
         start = time.perf_counter()
         model = fit(kind, touches, BOUNDS, settings, device=device, **more)
-        _wait(device)
+        wait(device)
         seconds = time.perf_counter() - start
         with tempfile.TemporaryDirectory() as folder:
             save_field(model, Path(folder) / "field.npz")
             size = (Path(folder) / "field.npz").stat().st_size / 1e3
         rows.append(FieldRow(name, pixels.f1(density(model, pixels.points)), seconds, seconds, size,
-                             _memory(device) - before,
+                             most_memory(device) - before,
                              f"{settings.iterations} iterations, N = {settings.samples}, B = {settings.batch}, rate "
                              f"{settings.rate:g}"))
     return rows
 
 
-def _points(count: int, touches: Sequence[DenseTouch], pixels: _Pixels, tell: Callable[[str], None]) -> list[FieldRow]:
+def _points(count: int, touches: Sequence[DenseTouch], pixels: _Pixels, progress: Progress) -> list[FieldRow]:
     """The point VSF with about ``count`` points, batch and online."""
     spacing = float((np.prod(BOUNDS[1] - BOUNDS[0]) / count) ** (1 / 3))
     axes = [np.arange(low + 0.5 * spacing, high, spacing) for low, high in BOUNDS.T]
     place = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     place = place[place[:, 2] < 0.0]
-    tell(f"point VSF, {len(place)} points")
-    start, before = time.perf_counter(), _memory("cpu", reset=True)
+    progress(f"point VSF, {len(place)} points")
+    start, before = time.perf_counter(), start_memory("cpu")
     w = sparse.vstack([dense_force_rows(stick(place, t.vertices, t.triangles), len(place), t.triangles,
                                         t.vertices.shape[1]) for t in touches]).tocsr()
     simulated = time.perf_counter() - start
@@ -146,35 +159,38 @@ def _points(count: int, touches: Sequence[DenseTouch], pixels: _Pixels, tell: Ca
         seconds = time.perf_counter() - start
         rows.append(FieldRow(f"point VSF, {name}", pixels.f1_of_points(place, stiffness), seconds, seconds + simulated,
                              _npz_size(place, stiffness),
-                             _memory("cpu") - before, f"{len(place)} points"))
+                             most_memory("cpu") - before, f"{len(place)} points"))
     return rows
 
 
-def table(rows: Sequence[FieldRow], title: str = "a rope under a soft layer") -> str:
-    """For a terminal."""
-    width = max(len(title), *(len(row.name) for row in rows))
-    lines = [f"{title:<{width}}  {'F1':>5}  {'seconds':>8} {'and motion':>10}  {'kB':>6} {'MiB':>6}"]
-    lines += [f"{row.name:<{width}}  {row.f1:5.3f}  {row.seconds:8.2f} {row.simulated:10.2f}  {row.kilobytes:6.0f} "
-              f"{row.mib:6.0f}  {row.settings}" for row in rows]
-    by = {row.name: row for row in rows}
-    if "neural VSF" in by and "grid VSF (ours)" in by:
-        paper, ours = by["neural VSF"], by["grid VSF (ours)"]
-        lines.append(f"ours against the neural VSF: {paper.seconds / max(ours.seconds, 1e-9):.0f} times as fast, F1 "
-                     f"{ours.f1:.3f} against {paper.f1:.3f}")
-    return "\n".join(lines)
+def table(rows: Sequence[FieldRow], name: str, title: str) -> Table:
+    """The rows, under the key ``name`` of the JSON."""
+    return Table(title, (
+        Column("name", "method"), Column("f1", "F1", "1", form=".3f"), Column("seconds", "fit", "s", form=".2f"),
+        Column("simulated", "with motion", "s", form=".2f"), Column("kilobytes", "on disk", "kB", form=".0f"),
+        Column("mib", "memory", "MiB", form=".0f"), Column("settings", "settings")), [asdict(row) for row in rows],
+        name=name)
+
+
+def measure(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
+            progress: Progress = lambda _: None) -> Measurement:
+    """Every method on two ropes: the one that the settings of our field were chosen on, and a fresh one."""
+    found = [table(compare(device=device, iterations=iterations, rate=rate, fresh=fresh, progress=progress), name, title)
+             for fresh, name, title in ((False, "fields", "a rope under a soft layer"),
+                                        (True, "fields_fresh", "another rope, that no setting was chosen on"))]
+    return Measurement.of("methods --fields", {"device": device, "iterations": iterations, "rate": rate}, found)
 
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Query points of the mask.
-
-    points: that some vertex came by (q, 3) [m]. pixel: of each (q,) [-]. stiff: whether the rope lies under a pixel
-    (p,) [-].
-    """
+    """Query points of the mask."""
 
     points: np.ndarray
+    """Points that some vertex passed (q, 3) [m]."""
     pixel: np.ndarray
+    """Pixel of each (q,)."""
     stiff: np.ndarray
+    """Whether the rope lies under a pixel (p,) bool."""
 
     @classmethod
     def of(cls, touches: Sequence[DenseTouch], field: Callable[[np.ndarray], np.ndarray]) -> _Pixels:
@@ -223,19 +239,4 @@ def _warm(kind: str, touches: Sequence[DenseTouch], device: str) -> None:
     """Load a device's kernels, which is not a method's time."""
     if device != "cpu":
         fit(kind, touches, BOUNDS, Fitting(iterations=3), device=device)
-        _wait(device)
-
-
-def _wait(device: str) -> None:
-    if device != "cpu":
-        torch.cuda.synchronize(device)
-
-
-def _memory(device: str, *, reset: bool = False) -> float:
-    """Held now, with ``reset``; else the peak since then [MiB]."""
-    if device == "cpu":
-        return held_memory(reset=True) if reset else peak_memory()
-    if reset:
-        torch.cuda.reset_peak_memory_stats(device)
-        return torch.cuda.memory_allocated(device) / 2**20
-    return torch.cuda.max_memory_allocated(device) / 2**20
+        wait(device)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import math
 import os
 import platform
 import subprocess
@@ -128,7 +129,7 @@ class Measurement:
         record = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
                   "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,
                   "date": self.date, "units": units}
-        return json.dumps({**record, **self.numbers, **rows}, indent=1)
+        return json.dumps(_without_nan({**record, **self.numbers, **rows}), indent=1)
 
 
 def machine(device: str = "cpu") -> str:
@@ -151,3 +152,12 @@ def commit() -> str:
         return git("rev-parse", "--short", "HEAD") + "+" * bool(git("status", "--porcelain", "--untracked-files=no"))
     except (OSError, subprocess.CalledProcessError):
         return ""
+
+
+def _without_nan(value: Any) -> Any:
+    """The same with None for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

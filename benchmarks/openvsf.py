@@ -1,21 +1,21 @@
 """A palpation as openvsf records one: an arm presses a Punyo into springs at known points, and every reading follows
 from f = -K u.
 
-The workload of `vsfsim measure methods` with a real arm's joint angles and the Punyo's dome in place of the bench's
-own, so that openvsf and our estimators can be asked for the same stiffnesses from the same numbers. Not physics: the
-dome is rigid, the object is the model that is estimated.
+The workload of `vsfsim measure methods` with a real arm's joint angles and the Punyo's dome, so that openvsf and our
+estimators can be asked for the same stiffnesses from the same numbers. This is not physics: the dome is rigid, and the
+object is the model that is estimated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy import sparse
 
-from benchmarks.estimators import MEAN, NOISE, STD, Workload, volume_points
+from benchmarks.measurement import Progress
+from benchmarks.workload import MEAN, NOISE, STD, Workload, volume_points
 from vsfsim.core.errors import VsfError
 from vsfsim.data.openvsf import Bubble, Model, Recorded, check_target, write_openvsf
 from vsfsim.physics.bubble.shape import HEIGHT, POWER
@@ -39,20 +39,24 @@ _DRAWS = 20  # of a touch that the arm cannot make
 
 @dataclass(frozen=True)
 class Palpation:
-    """points: of the springs, world (n, 3) [m]. stiffness: theirs (n,) [N/m]. bubble: the sensor. q: joint angles of
-    every touch (T, 7) [rad].
-    poses: of the bubble's body in the world (T, 4, 4) [m] a touch. unreachable: draws that the arm could not make."""
+    """Springs, and the arm's touches of them."""
 
     points: np.ndarray
+    """The springs, world (n, 3) [m]."""
     stiffness: np.ndarray
+    """Theirs (n,) [N/m]."""
     bubble: Bubble
+    """The sensor."""
     q: tuple[np.ndarray, ...]
+    """Joint angles of every touch (T, 7) [rad]."""
     poses: tuple[np.ndarray, ...]
+    """Poses of the bubble's body in the world, of every touch (T, 4, 4) [m]."""
     unreachable: int
+    """Draws of a touch that the arm could not make [-]."""
 
     @classmethod
     def of(cls, particles: int, touches: int, frames: int, *, seed: int = 0,
-           progress: Callable[[str], None] | None = None) -> Palpation:
+           progress: Progress = lambda _: None) -> Palpation:
         """About ``particles`` springs in the bench's volume under ``touches`` presses of ``frames`` frames, the first
         `TARE` free of contact.
 
@@ -68,7 +72,7 @@ class Palpation:
         rng = np.random.default_rng(np.random.SeedSequence(seed))
         q, poses, missed = [], [], 0
         for touch in range(touches):
-            if progress is not None and touch % 10 == 0:
+            if touch % 10 == 0:
                 progress(f"touch {touch + 1} of {touches}: joint angles")
             for _ in range(_DRAWS):
                 try:
@@ -115,7 +119,7 @@ class Palpation:
 
 
 def export(folder: Path, particles: int, touches: int, frames: int, *, urdf: Path | None = None, seed: int = 0,
-           progress: Callable[[str], None] | None = None) -> tuple[Workload, list[str]]:
+           progress: Progress = lambda _: None) -> tuple[Workload, list[str]]:
     """Write a palpation for openvsf (`vsfsim.data.openvsf`): the same readings for our estimators, and what the user
     still has to do.
 

@@ -1,17 +1,16 @@
-"""`vsfsim measure plants`: touches and readings a second of a plants dataset, the whole and stage by stage."""
+"""Touches and readings a second of a plants dataset, the whole and stage by stage: `vsfsim measure plants`."""
 
 from __future__ import annotations
 
 import os
-import platform
 import time
-from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shelf import find_scene
@@ -27,25 +26,27 @@ from vsfsim.physics.rods.solver import Ended, RodFrames
 
 PAPER_TOUCHES, PAPER_READINGS = 3255, 807_103  # SBML appendix B.1
 WHAT = {"grow": "the plant and its beams", "look": "RGB-D picture", "aim": "straight lines by inverse kinematics",
-        "kinematics": "poses of the capsules",
-        "solve": "equilibria of the plant", "torque": "J^T f and records", "truth": "stiffness of points, oracle VSF"}
-SOLVE_SHARE = 0.9  # of the time that the bench may take: when no launch is begun any more
+        "kinematics": "poses of the capsules", "solve": "equilibria of the plant", "torque": "J^T f and records",
+        "truth": "stiffness of points, oracle VSF"}
+"""What each stage does."""
+_SOLVE_SHARE = 0.9  # share of the time limit after which no launch begins
 
 
-def bench(*, device: str, scene: str, objects: int | None, views: int | None, touches: int | None,
-          progress: Callable[[str], None], seconds: float | None = None,
-          workers: int | None = None) -> dict[str, Any]:
-    """Make the object views of a scene as `vsfsim generate` does on a GPU, but for the files, and say where the time
-    went.
+def measure(*, device: str = "cpu", scene: str = "plants", objects: int | None = None, views: int | None = None,
+            touches: int | None = None, seconds: float | None = None, workers: int | None = None,
+            progress: Progress = lambda _: None) -> Measurement:
+    """Make the object views of a scene as `vsfsim generate` does on a GPU, without writing files, and measure the time
+    of each stage.
 
-    Views are prepared and finished by ``workers`` processes; this one solves those that are ready, together.
+    Worker processes prepare and finish views; this process solves the views that are ready, together.
 
     Args:
-        device: Warp device. scene: name or path. objects, views, touches: counts, None for the scene's. progress:
-        called with what is going on.
-        seconds: the bench ends about this long after the kernels are ready, and what was done by then is what is
-        counted; None for no limit.
-        workers: processes, None for one on a CPU and one a core on a GPU.
+        device: Warp device.
+        scene: name or path.
+        objects, views, touches: counts; None for 3, 1 and 6 on a CPU and the scene's on a GPU.
+        seconds: time limit, counted from when the kernels are ready [s]; what is done by then counts. None for none.
+        workers: processes; None for one on a CPU and one a core on a GPU.
+        progress: called with what is going on.
 
     Raises:
         VsfsimError: not one view was ready in time.
@@ -53,6 +54,8 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     from vsfsim.generate.run import kernels_of
     from vsfsim.physics.runtime import compile_kernels
 
+    if device == "cpu":
+        objects, views, touches = objects or 3, views or 1, touches or 6
     loaded = load_scene(find_scene(scene))
     recipe = make_recipe(loaded, seed=0, objects=objects, views=views, touches=touches, tier=None, device=device,
                          precision="float64", renderer="warp")
@@ -84,27 +87,28 @@ def bench(*, device: str, scene: str, objects: int | None, views: int | None, to
     with process_pool(len(jobs), count) as pool:
         waiting: list[Future[tuple[ObjectView, Seconds]]] = []
         for _, subject, frames in touched(jobs, pool, device=device, spent=spent,
-                                          until=None if seconds is None else start + SOLVE_SHARE * seconds,
+                                          until=None if seconds is None else start + _SOLVE_SHARE * seconds,
                                           watch=watch):
             found.append(frames)
             segments.append(len(subject.plant.nodes) - 1)
             planned += sum(len(a.plan) for a in subject.aims)
             waiting.append(pool.submit(finish_one, subject, frames, device))
         if not found:
-            raise VsfsimError(f"bench plants: no view was ready after {SOLVE_SHARE * (seconds or 0):.0f} s. Give it "
+            raise VsfsimError(f"measure plants: no view was ready after {_SOLVE_SHARE * (seconds or 0):.0f} s. Give it "
                               f"more --seconds, or fewer --touches a view.")
         clock["all touches solved"] = time.perf_counter() - start
         made = _finished(waiting, None if seconds is None else max(0.0, seconds - (time.perf_counter() - start)), spent)
         clock["all records made"] = time.perf_counter() - start
         progress(f"{clock['all records made']:.1f} s: records and truth of {len(made)} views")
-    return {"scene": loaded.name, "device": device, "machine": f"{platform.machine()}, {os.cpu_count()} CPU cores",
-            "workers": count, "views": len(found), "views_asked": len(jobs), "segments": segments,
-            **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned,
-            "touches_asked": recipe.touches * len(jobs), "views_made": len(made),
-            "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling,
-            "wall_s": clock["all records made"], "clock_s": clock,
-            "stages_s": {name: spent.spent[name] for name in WHAT},
-            "stages_cpu_s": {name: spent.cpu[name] for name in WHAT}}
+    numbers = {"scene": loaded.name, "device": device, "workers": count, "views": len(found), "views_asked": len(jobs),
+               "segments": segments, **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned,
+               "touches_asked": recipe.touches * len(jobs), "views_made": len(made),
+               "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling,
+               "wall_s": clock["all records made"], "clock_s": clock,
+               "stages_s": {name: spent.spent[name] for name in WHAT},
+               "stages_cpu_s": {name: spent.cpu[name] for name in WHAT}}
+    return report({"device": device, "scene": scene, "objects": recipe.objects, "views": recipe.views,
+                   "touches": recipe.touches, "seconds": seconds, "workers": count}, numbers)
 
 
 def _finished(waiting: list[Future[tuple[ObjectView, Seconds]]], limit: float | None,
@@ -155,30 +159,39 @@ def paper_seconds(found: dict[str, Any]) -> tuple[float, float]:
     return PAPER_READINGS * found["wall_s"] / n, PAPER_READINGS * sum(found["stages_cpu_s"].values()) / n
 
 
-def table(found: dict[str, Any]) -> str:
-    """The result for the terminal."""
+def report(settings: dict[str, Any], found: dict[str, Any]) -> Measurement:
+    """The numbers of `measure`, and what follows from them, as a measurement."""
     n, wall, (clock, cpu) = max(found["readings"], 1), found["wall_s"], paper_seconds(found)
-    ended = ("" if found["patience"] is None
-             else f", {found['given_up']} touches ended after {found['patience']}; {found['stopped']} at the arm's "
-                  f"protective stop")
-    cut = ("" if whole(found) else f" (NOT ALL: {found['touches_asked']} touches of {found['views_asked']} views were "
-                                   f"asked for, {found['cut']} were cut, records were made of {found['views_made']} "
-                                   f"views; the time was up)")
-    lines = [f"{found['scene']} on {found['device']} ({found['machine']}), {found['workers']} processes: "
-             f"{found['views']} views{cut} of plants with {min(found['segments'])} to "
-             f"{max(found['segments'])} segments, {found['touches']} touches, {found['readings']} of "
-             f"{found['readings_planned']} readings",
-             f"{found['in_contact']} readings in contact, {found['unconverged']} ({100 * found['unconverged'] / n:.2f} "
-             f"%) not converged and marked; deepest penetration {1e3 * found['largest_penetration']:.2g} mm, "
-             f"worst force balance {found['worst_balance']:.1e}; {found['mean_iterations']:.0f} Newton iterations a "
-             f"touch on average, {found['most_iterations']} the most{ended}", "",
-             f"{'stage':<12}{'s':>9}{'CPU s':>9}{'CPU ms a reading':>18}   what; seconds of all processes together"]
-    for name, what in WHAT.items():
-        s, busy = found["stages_s"][name], found["stages_cpu_s"][name]
-        lines.append(f"{name:<12}{s:>9.2f}{busy:>9.2f}{1e3 * busy / n:>18.3f}   {what}")
-    lines += ["", "after  " + ", ".join(f"{s:.1f} s {name}" for name, s in found["clock_s"].items()),
-              f"kernels were compiled or found before, in {found['compile_s']:.1f} s; the whole, preparation included, "
-              f"took {wall:.1f} s: {n / wall:.0f} readings a second, {found['touches'] / wall:.2f} touches a second",
-              f"the papers' data set ({PAPER_TOUCHES} touches, {PAPER_READINGS} readings) at this rate: "
-              f"{clock / 60:.1f} min on the clock, {cpu / 60:.0f} min of CPU time, {cpu / 120:.0f} min on two cores"]
-    return "\n".join(lines)
+    rates = {"readings_per_s": n / wall, "touches_per_s": found["touches"] / wall, "paper_clock_s": clock,
+             "paper_cpu_s": cpu, "unconverged_share": found["unconverged"] / n}
+    notes = [] if whole(found) else [
+        f"NOT ALL was done in time: {found['touches_asked']} touches of {found['views_asked']} views were asked for, "
+        f"{found['cut']} were cut, records were made of {found['views_made']} views."]
+    if found["patience"] is not None:
+        notes.append(f"A touch ends after {found['patience']} Newton iterations.")
+    notes.append(f"The papers' data set has {PAPER_TOUCHES} touches and {PAPER_READINGS} readings; its times are "
+                 f"extrapolated from the rates.")
+    stages = [{"stage": name, "what": what, "clock": found["stages_s"][name], "cpu": found["stages_cpu_s"][name],
+               "each": found["stages_cpu_s"][name] / n} for name, what in WHAT.items()]
+    return Measurement.of("plants", settings, [
+        Table(f"plants of {found['scene']}, {min(found['segments'])} to {max(found['segments'])} segments", (
+            Column("views", "views", "1"), Column("touches", "touches", "1"), Column("readings", "readings", "1"),
+            Column("readings_planned", "readings planned", "1"), Column("in_contact", "readings in contact", "1"),
+            Column("unconverged_share", "readings not converged, marked", "1", "%", ".2f"),
+            Column("stopped", "touches ended by the arm's protective stop", "1"),
+            Column("given_up", "touches ended by their iterations", "1"),
+            Column("mean_iterations", "Newton iterations a touch, mean", "1", form=".0f"),
+            Column("most_iterations", "Newton iterations a touch, most", "1"),
+            Column("largest_penetration", "deepest penetration", "m", "mm", ".2g"),
+            Column("worst_balance", "worst force balance", "1", form=".1e"),
+            Column("compile_s", "kernels compiled or found, before", "s", form=".1f"),
+            *(Column(f"clock_s.{name}", f"{name}, after", "s", form=".1f") for name in found["clock_s"]),
+            Column("touches_per_s", "touches a second", "1/s", form=".2f"),
+            Column("readings_per_s", "readings a second", "1/s", form=".0f"),
+            Column("paper_clock_s", "the papers' data set, on the clock", "s", "min", ".1f"),
+            Column("paper_cpu_s", "the papers' data set, CPU time", "s", "min", ".0f")), [{**found, **rates}],
+            single=True),
+        Table("stages, all processes together", (
+            Column("stage", "stage"), Column("clock", "time", "s", form=".2f"), Column("cpu", "CPU time", "s", form=".2f"),
+            Column("each", "CPU a reading", "s", "ms", ".3f"), Column("what", "what")), stages)],
+        notes=notes, numbers={**found, **rates})

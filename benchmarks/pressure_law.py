@@ -1,12 +1,13 @@
-"""How well do the pressure laws in use describe a sealed bubble? `vsfsim measure pressure-law`.
+"""Error of the pressure laws in use against the gas of a sealed bubble: `vsfsim measure pressure-law`.
 
-    sum|f|        SBML eq. 8: dp = sum_i K_i |u_i|, that is the sum of the sizes of the contact forces; its unit is
-    taken up by K, so the law has a free scale F_n / A       openvsf: dp = F_n / A_base, the force along the dome's axis
-    over the area inside the rim, 7.18e-3 m^2
+    sum|f|     SBML eq. 8: dp = sum_i K_i |u_i|, the sum of the sizes of the contact forces; K takes up its unit, so the
+               law has a free scale
+    F_n / A    openvsf: dp = F_n / A_base, the force along the dome's axis over the area inside the rim
 
-Both are given the simulator's true contact forces, so what is left is the law's own error and not that of a stiffness
-estimate. The truth is the gas:
-p V^gamma constant under the membrane's equilibrium, as the dataset stores it.
+A_base is 7.1827e-3 m^2 for openvsf's mesh of the bubble alone and 6.6019e-3 m^2 for its mesh on the arm
+(`references/openvsf_base_area.json`). Both laws get the simulator's true contact forces, so what remains is the law's own
+error and not that of a stiffness estimate. The truth is the gas: p V^gamma constant under the membrane's equilibrium, as
+the dataset stores it.
 """
 
 from __future__ import annotations
@@ -19,17 +20,20 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.dense_force import Plan, Progress, Spot, simulate
+import references
+from benchmarks.dense_force import Plan, Spot, simulate
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.shape import Sphere
+from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.sensing.membrane_fe import SensorError
 
-BASE_AREA = 7.18e-3
-"""Area inside the Punyo's rim [m^2]: openvsf's mesh, and pi times 57.25 mm times 40 mm to 0.2 %."""
+BASE_AREA = references.load("openvsf_base_area")["bubble_alone"]["area_m2"]
+"""Area inside the Punyo's rim [m^2], of openvsf's mesh of the bubble alone; pi times 57.25 mm times 40 mm is 0.2 % more."""
 
 SEMI_AXIS = Bubble().semi_axes[0]
 """The Punyo's long one [m]."""
@@ -43,38 +47,40 @@ _RINGS = (0.0, 0.2, 0.4, 1.0)
 
 @dataclass(frozen=True)
 class LawReadings:
-    """Frames in contact of all touches. All (k,).
-
-    change: of the chamber's pressure (k,) [Pa]. normal: force into the dome along its axis (k,) [N]. summed: sum of the
-    sizes of the nodes' forces (k,) [N], NaN if the dataset keeps none. distance: of the centre of the contact from the
-    dome's axis (k,) [m], NaN likewise. touch: which one (k,).
-    """
+    """Frames in contact of all touches."""
 
     change: np.ndarray
+    """Change of the chamber's pressure (k,) [Pa]."""
     normal: np.ndarray
+    """Force into the dome along its axis (k,) [N]."""
     summed: np.ndarray
+    """Sum of the sizes of the nodes' forces (k,) [N]; NaN if the dataset keeps none."""
     distance: np.ndarray
+    """Distance of the contact's centre from the dome's axis (k,) [m]; NaN likewise."""
     touch: np.ndarray
+    """Number of the touch (k,)."""
 
 
 @dataclass(frozen=True)
 class Law:
-    """One law on one set of frames.
-
-    name: of the law. scale: pressure per force it claims [Pa/N]. bias: mean error as it stands over the mean pressure
-    change, a fraction. best_scale: the scale that fits these frames best [Pa/N]. scatter: standard deviation of the
-    error with the best scale [Pa]; relative: that over the RMS pressure change, a fraction. rms: error as it stands
-    [Pa]. frames: how many.
-    """
+    """One law on one set of frames."""
 
     name: str
+    """Of the law."""
     scale: float
+    """Pressure per force that it claims [Pa/N]."""
     bias: float
+    """Mean error as it stands, over the mean pressure change [-]."""
     best_scale: float
+    """Scale that fits these frames best [Pa/N]."""
     scatter: float
+    """Standard deviation of the error with the best scale [Pa]."""
     relative: float
+    """That over the RMS pressure change [-]."""
     rms: float
+    """Error as it stands, RMS [Pa]."""
     frames: int
+    """Number of frames [-]."""
 
 
 def readings(views: Iterable[ObjectView]) -> LawReadings:
@@ -171,12 +177,13 @@ def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEM
     """All laws on all frames, and by the distance of the contact from the dome's axis.
 
     Args:
-        found: frames. area: A_base [m^2]. semi_axis: the long one [m], which the bins are in.
+        found: frames.
+        area: A_base [m^2].
+        semi_axis: the long one [m]; the bins are shares of it.
 
     Returns:
-        "laws": list of `Law` as dictionaries. "rings": list of {"from", "to" [m], "frames", "normal": best Pa/N of F_n,
-        "summed": of sum|f|}.
-        "frames", "touches": how many. "area".
+        "laws": list of `Law` as dictionaries. "rings": list of {"from", "to" [m], "frames", "normal": best scale of F_n,
+        "summed": of sum|f| [Pa/N]}. "frames", "touches": numbers of them. "area" [m^2].
     """
     laws = [law("F_n / A_base", found.normal, found.change, scale=1.0 / area),
             law("F_n / A fitted", found.normal, found.change, scale=None)]
@@ -193,26 +200,52 @@ def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEM
             "touches": len(np.unique(found.touch)), "area": area}
 
 
-def table(result: dict[str, Any]) -> str:
-    """The study as text."""
-    out = [f"{result['frames']} frames in contact of {result['touches']} touches; truth: the gas. Bias and RMS of the "
-           f"law as it stands; scatter about its best scale:",
-           f"{'law':22}{'Pa/N':>8}{'bias':>9}{'RMS Pa':>9}{'best Pa/N':>11}{'scatter Pa':>12}{'of dp':>8}"]
-    for x in result["laws"]:
-        out.append(f"{x['name']:22}{x['scale']:8.1f}{100 * x['bias']:+8.1f}%{x['rms']:9.1f}{x['best_scale']:11.1f}{x['scatter']:12.1f}{100 * x['relative']:7.1f}%")
+def report(settings: dict[str, Any], result: dict[str, Any]) -> Measurement:
+    """The result of `study` as a measurement."""
+    tables = [Table(f"{result['frames']} frames in contact of {result['touches']} touches; bias and RMS error of each "
+                    f"law as it stands, scatter about its best scale", (
+        Column("name", "law"), Column("scale", "scale", "Pa/N", form=".1f"), Column("bias", "bias", "1", "%", "+.1f"),
+        Column("rms", "RMS", "Pa", form=".1f"), Column("best_scale", "best scale", "Pa/N", form=".1f"),
+        Column("scatter", "scatter", "Pa", form=".1f"), Column("relative", "of the change", "1", "%", ".1f")),
+        result["laws"], name="laws")]
     if result["rings"]:
-        out += ["", "by the distance of the contact's centre from the dome's axis, Pa for each N:",
-                f"{'distance mm':16}{'frames':>7}{'of F_n':>9}{'of sum|f|':>11}"]
-        for r in result["rings"]:
-            span = f"{1e3 * r['from']:.0f} to {1e3 * r['to']:.0f}"
-            out.append(f"{span:16}{r['frames']:7}{r['normal']:9.1f}{r['summed']:11.1f}")
+        tables.append(Table("best scales by the distance of the contact's centre from the dome's axis", (
+            Column("from", "from", "m", "mm", ".0f"), Column("to", "to", "m", "mm", ".0f"),
+            Column("frames", "frames", "1"), Column("normal", "of F_n", "Pa/N", form=".1f"),
+            Column("summed", "of sum|f|", "Pa/N", form=".1f")), result["rings"], name="rings"))
+    notes = [] if result["rings"] else [
+        "The dataset keeps no forces on the sensor's nodes (node_force), so sum|f| and the distance of the contact are "
+        "not known."]
+    return Measurement.of("pressure-law", settings, tables, notes=notes, numbers=result)
+
+
+def measure(dataset: Dataset | None = None, *, nodes: int = 390, area: float | None = None, plot: Path | None = None,
+            progress: Progress = lambda _: None) -> Measurement:
+    """The laws on the touches of a dataset, or on eight presses on a rigid ball.
+
+    Args:
+        dataset: made with a bubble; None for the presses.
+        nodes: of the membrane, without a dataset.
+        area: A_base [m^2]; None for the area inside the rim.
+        plot: PNG to draw, or None.
+        progress: called with what is going on.
+
+    Raises:
+        DatasetError: no touch has a pressure, or no frame is in contact.
+        SensorError: no press found an equilibrium.
+    """
+    if dataset is None:
+        found, rim = rigid_presses(nodes=nodes, progress=progress), (BASE_AREA, SEMI_AXIS)
     else:
-        out += ["", "The dataset keeps no forces on the sensor's nodes (node_force), so sum|f| and the distance of the "
-                    "contact are not known."]
-    return "\n".join(out)
+        found, rim = readings(dataset), rim_of_dataset(dataset.load(dataset.names()[0]))
+    result = study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
+    if plot is not None:
+        draw(found, result, plot)
+    return report({"dataset": None if dataset is None else str(dataset.path), "nodes": nodes, "area": result["area"]},
+                  result)
 
 
-def plot(found: LawReadings, result: dict[str, Any], out_png: str | Path) -> None:
+def draw(found: LawReadings, result: dict[str, Any], out_png: str | Path) -> None:
     """Each law's pressure against the gas's, coloured by the distance of the contact from the dome's axis."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

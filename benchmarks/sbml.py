@@ -1,54 +1,63 @@
-"""SBML's offline training at the paper's size: `vsfsim measure methods --sbml`.
+"""Cost of SBML's offline training at the paper's size: `vsfsim measure methods --sbml`.
 
 One training object of 10,000 readings and 20,000 particles (200 presses of 50 frames), features of 384 numbers and the
-paper's network. Printed are the time to reduce
-the readings, which is done once, and that of a step: eq. 15 and its gradient through the network to Adam. A training of
-the paper's kind is objects x epochs such steps. Presses are straight ones of a ball: a particle in its way is pushed
-along the press as far as the ball's surface has come past it.
+paper's network. Measured are the time to reduce the readings, once an object, and the time of a step: eq. 15 and its
+gradient through the network to Adam. A training of the paper's kind is objects x epochs such steps. A ball presses
+straight down: a particle in its way moves along the press by as much as the ball's surface has passed it.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import torch
 from scipy import sparse
 
-from benchmarks.process_memory import held_memory, peak_memory
-from vsfsim.core.errors import VsfError
+from benchmarks.cost import most_memory, start_memory, wait
+from benchmarks.measurement import Column, Measurement, Progress, Table
+from benchmarks.workload import volume_points
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
-# (particles, presses, frames of each): the paper's upper end, and the size that `measure methods` has.
-PAPER, MINI = (20_000, 200, 50), (2000, 100, 20)
+PAPER = (20_000, 200, 50)
+"""(particles, presses, frames of each): the upper end of the paper's sizes."""
 FEATURES = 384
 """Numbers of a feature: DINOv2 ViT-S/14."""
 OBJECTS, EPOCHS = 20, 400
-"""Of the training that the estimate is for; 400 epochs is the most that `baselines.sbml` makes."""
+"""Of the training whose time is estimated; 400 epochs is the most that `baselines.sbml` makes."""
 
 _BALL, _DEPTH, _NOISE, _MEAN = 0.03, 0.012, 0.05, 20.0
-# Steps at most, and seconds after which no more are begun: on a CPU one of the paper's size takes minutes.
-_STEPS, _ENOUGH = 5, 20.0
+_STEPS, _ENOUGH = 5, 20.0  # steps at most, and the time after which no other one begins [s]
 
 
 @dataclass(frozen=True)
 class TrainingCost:
-    """readings, particles: of one object; touched: particles that some reading moves. reduce: seconds of the reduction
-    [s]. step: of one training step, the fastest of some [s]. mib: peak memory on the device, or of the process beyond
-    what it held before the reduction [MiB]. value: NLL a reading at the first and the last step, in nats [-]."""
+    """Cost of one object's share of a training."""
 
     readings: int
+    """Of the object [-]."""
     particles: int
+    """Of the object [-]."""
     touched: int
+    """Particles that some reading moves [-]."""
     device: str
+    """Of torch."""
     reduce: float
+    """Time of the reduction [s]."""
     step: float
+    """Time of one training step, the fastest of some [s]."""
     mib: float
+    """Peak memory on the device, or of the process beyond what it held before the reduction [MiB]."""
     value: tuple[float, float]
+    """Negative log likelihood a reading at the first and the last step [-]."""
+
+    @property
+    def whole(self) -> float:
+        """Estimated time of a training of `OBJECTS` objects and `EPOCHS` epochs [s]."""
+        return OBJECTS * (self.reduce + EPOCHS * self.step)
 
 
 def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tuple[sparse.csr_matrix, np.ndarray,
@@ -59,15 +68,8 @@ def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tup
     Raises:
         VsfError: a size below 1, or fewer than two frames.
     """
-    if min(particles, presses) < 1 or frames < 2:
-        raise VsfError(f"bench methods --sbml: {particles} particles, {presses} touches, {frames} frames; give at "
-                       f"least 1, 1 and 2.")
+    points, _ = volume_points(particles, presses, frames)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
-    spacing = (0.16 * 0.12 * 0.015 / particles) ** (1 / 3)
-    axes = [np.arange(-half + 0.5 * spacing, half, spacing) for half in (0.08,
-                                                                         0.06)] + [np.arange(-0.015 + 0.5 * spacing,
-                                                                                             0.0, spacing)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     truth = _MEAN * np.exp(rng.normal(0.0, 1.0, len(points)))
     travel, blocks = np.linspace(0.0, _DEPTH, frames + 1)[1:], []
     for _ in range(presses):
@@ -82,26 +84,23 @@ def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tup
     return w, w @ truth + _NOISE * rng.standard_normal(w.shape[0]), np.repeat(np.arange(presses), frames)
 
 
-def measure(particles: int, presses: int, frames: int, *, device: str = "cpu",
-            progress: Callable[[str], None] | None = None) -> TrainingCost:
+def train(particles: int, presses: int, frames: int, *, device: str = "cpu",
+          progress: Progress = lambda _: None) -> TrainingCost:
     """Time one object's share of a training.
 
     Args:
-        particles, presses, frames: of the object. device: torch's. progress: called with what is going on.
+        particles, presses, frames: of the object.
+        device: of torch.
+        progress: called with what is going on.
     """
-    tell = progress or (lambda _: None)
-    cuda = torch.device(device).type == "cuda"
-    tell(f"SBML: {presses * frames:,} readings of {particles:,} particles")
+    progress(f"SBML: {presses * frames:,} readings of {particles:,} particles")
     w, z, touch = readings(particles, presses, frames)
-    before = held_memory(reset=True)
-    if cuda:
-        torch.cuda.init()  # else there is no device yet whose peak could be reset
-        torch.cuda.reset_peak_memory_stats(device)
+    before = start_memory(device)
     start = time.perf_counter()
     evidence = Evidence.of(w, z, noise_std=_NOISE, touch=touch, device=device)
-    _wait(device)
+    wait(device)
     reduce = time.perf_counter() - start
-    tell(f"SBML: up to {_STEPS} training steps on {device}")
+    progress(f"SBML: up to {_STEPS} training steps on {device}")
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         prior = MetaPrior(FEATURES, shared=False, spread=Spread(_MEAN, _MEAN)).to(device)
@@ -115,23 +114,24 @@ def measure(particles: int, presses: int, frames: int, *, device: str = "cpu",
         loss.backward()
         optimiser.step()
         values.append(float(loss.detach()) / evidence.readings)
-        _wait(device)
+        wait(device)
         best = min(best, time.perf_counter() - start)
-    mib = torch.cuda.max_memory_allocated(device) / 2**20 if cuda else peak_memory() - before
-    return TrainingCost(len(z), w.shape[1], len(evidence.touched), device, reduce, best, mib, (values[0], values[-1]))
+    return TrainingCost(len(z), w.shape[1], len(evidence.touched), device, reduce, best, most_memory(device) - before,
+                        (values[0], values[-1]))
 
 
-def table(cost: TrainingCost) -> str:
-    """For a terminal."""
-    whole = OBJECTS * (cost.reduce + EPOCHS * cost.step)
-    return (f"SBML, eq. 15 through the network, {cost.readings:,} readings x {cost.particles:,} particles "
-            f"({cost.touched:,} touched), {FEATURES} features, on {cost.device}\n"
-            f"  reduction, once an object    {cost.reduce:8.2f} s\n"
-            f"  a step (an object's epoch)   {cost.step:8.3f} s, {cost.mib:.0f} MiB, NLL a reading {cost.value[0]:.3f} "
-            f"-> {cost.value[1]:.3f}\n"
-            f"  {OBJECTS} objects, {EPOCHS} epochs        {whole / 60.0:8.1f} min, estimated from the two")
-
-
-def _wait(device: str) -> None:
-    if torch.device(device).type == "cuda":
-        torch.cuda.synchronize(device)
+def measure(particles: int, presses: int, frames: int, *, device: str = "cpu",
+            progress: Progress = lambda _: None) -> Measurement:
+    """`train` as a measurement."""
+    cost = train(particles, presses, frames, device=device, progress=progress)
+    return Measurement.of("methods --sbml", {"particles": particles, "presses": presses, "frames": frames,
+                                             "device": device}, [
+        Table(f"SBML, eq. 15 through the network, {FEATURES} features", (
+            Column("readings", "readings", "1", form=","), Column("particles", "particles", "1", form=","),
+            Column("touched", "touched particles", "1", form=","),
+            Column("reduce", "reduction, once an object", "s", form=".2f"),
+            Column("step", "a step (an object's epoch)", "s", form=".3f"), Column("mib", "memory", "MiB", form=".0f"),
+            Column("value.0", "NLL a reading, first step", "1", form=".3f"),
+            Column("value.1", "NLL a reading, last step", "1", form=".3f"),
+            Column("whole", f"{OBJECTS} objects, {EPOCHS} epochs, estimated", "s", "min", ".1f")),
+            [{**asdict(cost), "whole": cost.whole}], name="training", single=True)])

@@ -1,20 +1,19 @@
-"""What the solver costs and how far off it is: `vsfsim measure solver`.
+"""Time and error of the solver: `vsfsim measure solver`.
 
-Two measurements. *One touch*: the reference presses S1 and S2 at every tier and precision, the second touch of the
-object (mesh, factor and columns of the inverse are there), its force against the reference and the CPU time of a load
-step with its parts. *A batch*: touches of one object that advance together, 40 frames each, touches per second.
+Two measurements. *One touch*: the reference presses S1 and S2 at every tier and precision. The second touch of the
+object is measured, when mesh, factor and columns of the inverse exist: its force against the reference and the CPU time
+of a load step with its parts. *A batch*: touches of one object that advance together, 40 frames each, touches a second.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 
 import references
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
 from vsfsim.physics import clock, tiers
@@ -36,65 +35,81 @@ _SPREAD = 0.015  # the batch's touches lie in a square of this half-width about 
 _TOUCH = TouchSpec(count=1, depth=0.005, approach=0.002, force_limit=1e9, frames=(4, 20, 4, 12))  # 40 frames
 _SAME = 8  # touches of a GPU batch that are run on the CPU as well
 
-Progress = Callable[[str], None]
-
 
 @dataclass(frozen=True)
 class OneTouch:
-    """One press of one object, the second one.
-
-    case, tier, precision, device: what was run. tets, unknowns: number of them [-]. force: at full depth, along the
-    press [N]. error: of it against the reference [-]. step_seconds: CPU time of a load step [s]. newton, cg,
-    back_solves, tangents, products: numbers a step [-].
-    back_solve_ms, tangent_ms, product_ms: of one [ms]. residual, balance: the worst of the press [-]. factor_seconds:
-    once an object [s].
-    """
+    """The second press of one object."""
 
     case: str
+    """Reference case, "S1" or "S2"."""
     tier: str
+    """Fidelity."""
     precision: str
+    """Of the elements: "float64" or "float32"."""
     device: str
+    """Warp device."""
     tets: int
+    """Number of tetrahedra [-]."""
     unknowns: int
+    """Number of unknowns [-]."""
     force: float
+    """At full depth, along the press [N]."""
     error: float
+    """Relative error of the force against the reference [-]."""
     step_seconds: float
+    """CPU time of a load step [s]."""
     newton: float
+    """Newton iterations a step [-]."""
     cg: float
+    """Conjugate gradients a step [-]."""
     back_solves: float
+    """Solutions with the factor a step [-]."""
     back_solve_ms: float
+    """Time of one [ms]."""
     tangents: float
+    """Assemblies of the tangent a step [-]."""
     tangent_ms: float
+    """Time of one [ms]."""
     products: float
+    """Products with the tangent a step [-]."""
     product_ms: float
+    """Time of one [ms]."""
     residual: float
+    """Worst relative residual of the press [-]."""
     balance: float
+    """Worst relative force balance of the press [-]."""
     factor_seconds: float
+    """Time of the factorisation, once an object [s]."""
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Many touches of one object together.
-
-    tier, device: what was run. touches, frames, unknowns: number of them [-]. seconds: of the whole batch [s].
-    per_second: touches [1/s].
-    newton, cg: iterations of a frame, on average [-]. converged: share of the frames [-]. parts: spent in each part of
-    the solver [s], from another run (the clock waits for the device). difference: largest difference of a force from
-    the CPU's over the largest force [-], or None.
-    """
+    """Many touches of one object together."""
 
     tier: str
+    """Fidelity."""
     device: str
+    """Warp device."""
     touches: int
+    """Number of touches [-]."""
     frames: int
+    """Frames of a touch [-]."""
     unknowns: int
+    """Unknowns of the object [-]."""
     seconds: float
+    """Time of the whole batch [s]."""
     per_second: float
+    """Touches a second [1/s]."""
     newton: float
+    """Newton iterations of a frame, mean [-]."""
     cg: float
+    """Conjugate gradients of a frame, mean [-]."""
     converged: float
+    """Share of the frames that converged [-]."""
     parts: dict[str, float]
+    """Time in each part of the solver [s], from another run, because the clock waits for the device."""
     difference: float | None
+    """Largest difference of a force from the CPU's, over the largest force [-]; None if not compared."""
 
 
 def _scene(name: str) -> Scene:
@@ -182,50 +197,45 @@ def batch(tier: str, touches: int, *, device: str = "cpu", name: str = "indent-h
                  float(frames.cg_iterations.mean()), float(frames.converged.mean()), parts, difference)
 
 
-def bench(*, device: str = "cpu", tiers_asked: tuple[str, ...] | None = None, touches: int | None = None,
-          compare: bool = True,
-          progress: Progress = lambda _: None) -> dict[str, Any]:
-    """All of it.
+def measure(*, device: str = "cpu", tier: tuple[str, ...] | None = None, touches: int | None = None,
+            compare: bool = True, progress: Progress = lambda _: None) -> Measurement:
+    """Both measurements.
 
     Args:
-        device: Warp device. tiers_asked: which, or None for linear to fem-fine. touches: of a batch; None for 4 on a
-        CPU and,
-            on a GPU, 256 (nonlinear) or 4,096 (linear: it has less to do for each). compare: a GPU's batch with the
-            CPU's forces.
-
-    Returns:
-        Lists "one_touch" and "batch" of plain dictionaries, fields as `OneTouch` and `Batch`.
+        device: Warp device.
+        tier: which ones; None for linear to fem-fine.
+        touches: of a batch; None for 4 on a CPU and, on a GPU, 256 (nonlinear) or 4,096 (linear).
+        compare: also run some touches of a GPU's batch on the CPU.
+        progress: called with what is going on.
     """
-    chosen = tiers_asked or ("linear", "fem-coarse", "fem", "fem-fine")
+    chosen = tier or ("linear", "fem-coarse", "fem", "fem-fine")
     singles, batches = [], []
     for name in CASES:
-        for tier in chosen:
-            for precision in ("float64", "float32") if tiers.TIERS[tier].nonlinear else ("float64",):
-                progress(f"{name} at {tier}, {precision}")
-                singles.append(asdict(one_touch(name, tier, device=device, precision=precision)))
-    for tier in [t for t in chosen if t in ("linear", "fem-coarse", "fem")]:
-        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[tier].nonlinear else 4096)
-        progress(f"a batch of {count} touches at {tier}")
-        batches.append(asdict(batch(tier, count, device=device, compare=compare)))
-    return {"one_touch": singles, "batch": batches}
-
-
-def table(result: dict[str, Any]) -> str:
-    """Both lists as text."""
-    out = ["second touch of an object, a load step of a tenth of 5 mm, CPU seconds of one process:",
-           f"{'case':5}{'tier':11}{'precision':10}{'tets':>6}{'unknowns':>9}{'force N':>9}{'error':>8}{'s/step':>8}{'Newton':>7}{'CG':>6}"
-           f"{'solves x ms':>13}{'tangents x ms':>15}{'products x ms':>15}{'residual':>10}{'balance':>9}{'factor s':>9}"]
-    for r in result["one_touch"]:
-        parts = "".join(f"{r[f'{p}s']:>{w}.1f} x {r[f'{p}_ms']:4.1f}" for p,
-                        w in (("back_solve", 6), ("tangent", 8), ("product", 8)))
-        out.append(f"{r['case']:5}{r['tier']:11}{r['precision']:10}{r['tets']:6}{r['unknowns']:9}{r['force']:9.3f}{100 * r['error']:+7.1f}%"
-                   f"{r['step_seconds']:8.3f}{r['newton']:7.1f}{r['cg']:6.1f}{parts}{r['residual']:10.0e}{r['balance']:9.0e}{r['factor_seconds']:9.2f}")
-    out += ["", "touches of one object together, 40 frames each (4 free, 20 in to 5 mm, 4 hold, 12 out):",
-            f"{'tier':11}{'device':9}{'touches':>8}{'unknowns':>9}{'seconds':>9}{'touches/s':>11}{'Newton':>8}{'CG':>6}{'converged':>10}{'off the CPU':>12}"]
-    for r in result["batch"]:
-        off = "-" if r["difference"] is None else f"{r['difference']:.0e}"
-        out.append(f"{r['tier']:11}{r['device']:9}{r['touches']:8}{r['unknowns']:9}{r['seconds']:9.2f}{r['per_second']:11.2f}{r['newton']:8.2f}"
-                   f"{r['cg']:6.1f}{100 * r['converged']:9.1f}%{off:>12}")
-        out.append("    of which (a run with the clock on) " + ", ".join(f"{k} {v:.2f} s" for k,
-                                                                         v in r["parts"].items()))
-    return "\n".join(out)
+        for one in chosen:
+            for precision in ("float64", "float32") if tiers.TIERS[one].nonlinear else ("float64",):
+                progress(f"{name} at {one}, {precision}")
+                singles.append(asdict(one_touch(name, one, device=device, precision=precision)))
+    for one in [t for t in chosen if t in ("linear", "fem-coarse", "fem")]:
+        count = touches or (4 if device == "cpu" else 256 if tiers.TIERS[one].nonlinear else 4096)
+        progress(f"a batch of {count} touches at {one}")
+        batches.append(asdict(batch(one, count, device=device, compare=compare)))
+    parts = [{"tier": b["tier"], "part": part, "seconds": spent} for b in batches for part, spent in b["parts"].items()]
+    return Measurement.of("solver", {"device": device, "tier": chosen, "touches": touches, "compare": compare}, [
+        Table("second touch of an object, a load step of a tenth of 5 mm, CPU time of one process", (
+            Column("case", "case"), Column("tier", "tier"), Column("precision", "precision"),
+            Column("tets", "tets", "1"), Column("unknowns", "unknowns", "1"), Column("force", "force", "N", form=".3f"),
+            Column("error", "error", "1", "%", "+.1f"), Column("step_seconds", "step", "s", form=".3f"),
+            Column("newton", "Newton", "1", form=".1f"), Column("cg", "CG", "1", form=".1f"),
+            Column("back_solves", "solves", "1", form=".1f"), Column("back_solve_ms", "each", "ms", form=".1f"),
+            Column("tangents", "tangents", "1", form=".1f"), Column("tangent_ms", "each", "ms", form=".1f"),
+            Column("products", "products", "1", form=".1f"), Column("product_ms", "each", "ms", form=".1f"),
+            Column("residual", "residual", "1", form=".0e"), Column("balance", "balance", "1", form=".0e"),
+            Column("factor_seconds", "factor", "s", form=".2f")), singles, name="one_touch"),
+        Table("touches of one object together, 40 frames each (4 free, 20 in to 5 mm, 4 hold, 12 out)", (
+            Column("tier", "tier"), Column("device", "device"), Column("touches", "touches", "1"),
+            Column("unknowns", "unknowns", "1"), Column("seconds", "time", "s", form=".2f"),
+            Column("per_second", "touches a second", "1/s", form=".2f"), Column("newton", "Newton", "1", form=".2f"),
+            Column("cg", "CG", "1", form=".1f"), Column("converged", "converged", "1", "%", ".1f"),
+            Column("difference", "difference from the CPU", "1", form=".0e")), batches, name="batch"),
+        Table("parts of a batch, from a run of their own", (
+            Column("tier", "tier"), Column("part", "part"), Column("seconds", "time", "s", form=".2f")), parts)])
