@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import json
 import math
 import os
 import platform
@@ -121,15 +120,15 @@ class Measurement:
         said.append(f"vsfsim {self.version}{f' ({self.commit})' if self.commit else ''}, {self.machine}, {self.date}")
         return "\n".join(said)
 
-    def as_json(self) -> str:
-        """Every number, the units of the tables' columns, and the record of the run."""
+    def record(self) -> dict[str, Any]:
+        """Every number, the units of the tables' columns, and the circumstances of the run, as JSON values."""
         stored = [table for table in self.tables if table.name]
         rows = {table.name: table.rows[0] if table.single else list(table.rows) for table in stored}
         units = {table.name: {c.key: c.unit for c in table.columns if c.unit} for table in stored}
-        record = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
-                  "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,
-                  "date": self.date, "units": units}
-        return json.dumps(_without_nan({**record, **self.numbers, **rows}), indent=1)
+        run = {"command": f"vsfsim measure {self.command}", "settings": dict(self.settings),
+               "notes": list(self.notes), "machine": self.machine, "version": self.version, "commit": self.commit,
+               "date": self.date, "units": units}
+        return _without_nan({**run, **self.numbers, **rows})
 
 
 def machine(device: str = "cpu") -> str:

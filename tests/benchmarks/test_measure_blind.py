@@ -1,9 +1,9 @@
-"""The bench of blind localisation: its objects, its methods, its table."""
+"""Measurement of blind localisation: its objects, its methods, its report."""
 
 import numpy as np
 import pytest
 
-from benchmarks.blind import COVER, OUTLINES, SOFT, STIFF, BlindRow, Buried, compare, prism, table
+from benchmarks.blind import COVER, OUTLINES, SOFT, STIFF, BlindRow, Buried, compare, prism, report
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.pose.localise import KnownObject, stiffness_pose
 
@@ -33,14 +33,17 @@ def test_three_starts_tell_an_object_from_itself_turned_over():
     assert shift < 0.004 and np.degrees(turn) < 10.0
 
 
-def test_the_table_has_the_mean_over_objects_and_no_search_for_contact_points():
+def test_the_report_has_the_mean_over_objects_and_no_search_for_contact_points():
     none = np.full((2, 2), np.nan)
-    rows = [BlindRow("contact points", np.array([0.01, 0.03]), np.radians([10.0, 30.0]), none, 0.0),
-            BlindRow("point VSF", np.array([0.002, 0.004]), np.radians([1.0, 3.0]),
-                     np.array([[0.001, np.radians(1.0)]] * 2), 5.0)]
-    lines = table(rows).splitlines()
-    assert lines[1].split()[-3:] == ["20.0", "20", "0.0"]
-    assert lines[2].split()[-5:] == ["3.0", "2", "1.0", "1", "5.0"]
+    found = report({}, [BlindRow("contact points", np.array([0.01, 0.03]), np.radians([10.0, 30.0]), none, 0.0),
+                        BlindRow("point VSF", np.array([0.002, 0.004]), np.radians([1.0, 3.0]),
+                                 np.array([[0.001, np.radians(1.0)]] * 2), 5.0)])
+    first, second = found.record()["methods"]
+    assert first["shift"] == pytest.approx(0.02) and first["refined_shift"] is None
+    assert second["refined_turn"] == pytest.approx(np.radians(1.0))
+    lines = [line.split() for line in found.text().splitlines()]
+    assert ["contact", "points", "20.0", "20", "-", "-", "0.0"] in lines
+    assert ["point", "VSF", "3.0", "2", "1.0", "1", "5.0"] in lines
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ def press(toy, name, centre, newtons):
     return PressRecord(name, depth, position, pressure, force)
 
 
-def test_rows_and_table(monkeypatch):
+def test_rows_and_report(monkeypatch):
     monkeypatch.setattr(dense_force_score, "STIFFNESSES", (1.0, 2.0))
     monkeypatch.setattr(dense_force_score, "FORCE_SCALES", (0.02, 0.1))
     toy = bubble(5)
@@ -40,17 +40,16 @@ def test_rows_and_table(monkeypatch):
     assert len(rows) == 6 * 2 * 2 and all(r.frames == 2 for r in rows)
     by = {(r.label, r.noise, r.low): r for r in rows}
     shallow = by["membrane", 0.0, 0.0]
-    assert shallow.net_size == pytest.approx(0.3 * np.sqrt((9 + 4)
-                                                           / 2)) and shallow.node_rms < 0.2 * shallow.node_size and shallow.converged == 1.0
+    assert shallow.net_size == pytest.approx(0.3 * np.sqrt((9 + 4) / 2))
+    assert shallow.node_rms < 0.2 * shallow.node_size and shallow.converged == 1.0
     for low in (0.0, 3e-3):
         assert by["membrane", 5e-5, low].node_rms < by["paper", 5e-5, low].node_rms < by["residual", 5e-5, low].node_rms
         assert by["membrane", 0.0, low].node_rms < by["membrane, E h +10 %", 0.0, low].node_rms
-    text = bench.table(rows, field, presses)
-    assert "2 presses (middle, aside), 4 frames" in text and "calibrated to E h" in text and "noise 0.05 mm" in text
+    found = bench.report({}, rows, field, presses)
+    text = found.text()
+    assert "2 presses (middle, aside), 4 frames" in text and "calibrated by" in text and "noise 0.05 mm" in text
     assert f"{shallow.node_rms:.4f}" in text
-    assert len(bench.tables(rows, field)["rows"]) == len(rows) and set(bench.tables(rows,
-                                                                                    field)["calibrated"]) == {"paper",
-                                                                                                              "taut"}
+    assert len(found.record()["rows"]) == len(rows) and set(found.record()["calibrated"]) == {"paper", "taut"}
 
 
 @pytest.mark.slow

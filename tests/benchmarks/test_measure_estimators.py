@@ -11,42 +11,46 @@ from benchmarks import estimators as side_by_side
 from benchmarks import fields as bench_fields
 from benchmarks import process_memory
 from benchmarks import sbml as bench_sbml
-from benchmarks.estimators import Workload, batch, batch_dense
+from benchmarks.estimators import batch, batch_dense
+from benchmarks.workload import Workload
 from vsfsim.core.errors import VsfError
 
 
 def test_equal_answers():
-    load = side_by_side.Workload.of(150, 3, 4)
+    load = Workload.of(150, 3, 4)
     for ours, theirs in ((side_by_side.epoch, side_by_side.epoch_literal),
                          (side_by_side.batch, side_by_side.batch_literal),
                          (side_by_side.batch_dense, side_by_side.batch_dense_literal),
                          (side_by_side.online, side_by_side.online_literal)):
         (taken, answer), (_, expected) = ours(load), theirs(load)
-        assert taken.clock > 0.0 and taken.busy > 0.0 and answer.shape == expected.shape and abs(answer
-                                                                                                 - expected).max() < 1e-8 * abs(expected).max(), ours.__name__
+        assert taken.clock > 0.0 and taken.busy > 0.0 and answer.shape == expected.shape
+        assert abs(answer - expected).max() < 1e-8 * abs(expected).max(), ours.__name__
 
 
 def test_what_does_not_fit_is_measured_on_fewer_touches_and_said(monkeypatch):
-    load = side_by_side.Workload.of(60, 8, 3)
+    load = Workload.of(60, 8, 3)
     monkeypatch.setattr(side_by_side, "MOST_BYTES", side_by_side.ESTIMATORS[2].cost(load.first(3))[0])
     asked = []
-    monkeypatch.setattr(side_by_side, "_apart", lambda work, part,
-                        device: (asked.append((work.__name__, part.touches)),
-                                 (side_by_side.Times(0.5, 2.0 if 'literal' in work.__name__ else 0.1), 10.0,
-                                  np.ones(3)))[1])
+
+    def in_no_time(work, part, device):
+        asked.append((work.__name__, part.touches))
+        return side_by_side.Times(0.5, 2.0 if "literal" in work.__name__ else 0.1), 10.0, np.ones(3)
+
+    monkeypatch.setattr(side_by_side, "_apart", in_no_time)
     rows = side_by_side.compare(load)
     small = rows[2]
     assert small.part == 2
     assert small.literal_whole > small.literal.clock and small.difference == 0.0 and small.times == pytest.approx(20.0)
     assert ("batch_dense", 8) in asked and ("batch_dense_literal", 8) not in asked
-    told = side_by_side.table(rows, 8)
-    assert f"the first {small.part} touches" in told and "needs 0.0 GB and about" in told
+    found = side_by_side.report({}, rows)
+    assert [row["part"] for row in found.tables[1].rows][:3] == [8, 8, 2]
+    assert found.record()["estimators"][2]["literal"]["busy"] == 2.0 and "literal CPU [s]" in found.text()
     alone = side_by_side.compare(load, literal=False)
-    assert all(row.part == 0 for row in alone) and "literal form not run" in side_by_side.table(alone, 8)
+    assert all(row.part == 0 for row in alone) and "literal CPU" not in side_by_side.report({}, alone).text()
 
 
 def test_a_part_is_the_first_touches():
-    load = side_by_side.Workload.of(150, 3, 4)
+    load = Workload.of(150, 3, 4)
     part = load.first(2)
     assert (part.touches == 2 and part.pressure.shape[0] == 8 and part.dense.shape[0] == 8 * load.frame
             and part.touch.tolist() == [0] * 4 + [1] * 4)
@@ -70,15 +74,16 @@ def test_the_peak_is_that_of_the_work_alone():
     del held
 
 
-def test_the_training_bench_counts_what_it_says():
+def test_the_cost_of_training_counts_readings_and_particles():
     w, z, press = bench_sbml.readings(300, 6, 5)
     assert w.shape[0] == len(z) == 30 and press.tolist() == [p for p in range(6) for _ in range(5)]
     assert (np.diff(np.asarray(w.sum(axis=1)).reshape(6, 5), axis=1) > 0.0).all(), "deeper is more"
-    cost = bench_sbml.measure(300, 6, 5)
+    cost = bench_sbml.train(300, 6, 5)
     assert cost.readings == 30 and cost.touched == len(np.unique(w.indices)) <= cost.particles == w.shape[1]
     assert cost.value[1] < cost.value[0] and cost.step > 0.0, "it learns"
-    told = bench_sbml.table(cost)
-    assert f"{bench_sbml.OBJECTS * (cost.reduce + bench_sbml.EPOCHS * cost.step) / 60:.1f} min" in told
+    assert cost.whole == pytest.approx(20 * (cost.reduce + 400 * cost.step))
+    (row,) = bench_sbml.measure(300, 6, 5).tables[0].rows
+    assert row["readings"] == 30 and row["whole"] > 0.0
     with pytest.raises(VsfError, match="at least 1, 1 and 2"):
         bench_sbml.readings(300, 6, 1)
 
@@ -87,13 +92,13 @@ def test_the_fields_are_compared_on_one_case():
     rows = bench_fields.compare(iterations=2, rate=1e-3, points=(200,), scale=0.06, fresh=True, grid_iterations=2)
     assert [row.name for row in rows] == ["point VSF, batch", "point VSF, filter", "neural VSF", "grid VSF (ours)"]
     assert all(0.0 < row.f1 <= 1.0 and row.seconds > 0.0 and row.kilobytes > 0.0 for row in rows)
-    told = bench_fields.table(rows, "a title")
-    assert "times as fast, F1" in told and "N = 32, B = 300, rate 0.001" in told and told.startswith("a title")
+    text = bench_fields.table(rows, "fields", "a title").text()
+    assert "N = 32, B = 300, rate 0.001" in text and text.startswith("a title")
 
 
 def test_refusals():
     with pytest.raises(VsfError, match="at least 1, 1 and 2"):
-        side_by_side.Workload.of(100, 0, 3)
+        Workload.of(100, 0, 3)
 
 
 def test_an_exported_workload_gives_an_outsider_the_same_answer(tmp_path):

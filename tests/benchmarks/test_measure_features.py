@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.features import choose, table
+from benchmarks.features import choose, report
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -34,7 +34,8 @@ def test_variants_are_scored_on_objects_left_out_and_test_objects_stay_closed(tm
     assert [row.name for row in rows] == ["gaussian", "sbml, xyzrgb, noise_std 1", "sbml, xyzrgb, noise_std 30"]
     assert rows[1].spread == (0.0, 0.0) and rows[1].half < rows[1].zero, "touches help"
     assert abs(rows[2].zero - rows[2].half) < 0.2 * (rows[1].zero - rows[1].half), "a noise of 30 N hears no touch"
-    assert "sbml, xyzrgb, noise_std 30" in table(rows, "N")
+    text = report({}, rows, "N").text()
+    assert "sbml, xyzrgb, noise_std 30" in text and "training objects left out" in text
 
 
 def test_the_one_look_at_the_test_objects(tmp_path):
@@ -55,7 +56,7 @@ def test_the_one_look_at_the_test_objects(tmp_path):
         errors += [np.sqrt(np.mean((a - c) ** 2)) for a, c in zip(answers, recording.clean)]
     assert first.zero == pytest.approx(np.mean(errors)), ("all training objects, no touch, every touch of both "
                                                           "test objects")
-    assert "error on test objects" in table([first, second], "N", on_test=True)
+    assert "error on test objects" in report({}, [first, second], "N", on_test=True).text()
     with pytest.raises(MethodError, match="1 test object"):
         choose(task, made(tmp_path / "small", 2, 1), features=("xyzrgb",), noises=(1.0,), folds=2, on_test=True)
 

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 from typer.testing import CliRunner
 
-from benchmarks.pressure_law import BASE_AREA, law, plot, readings, study, table
+from benchmarks.pressure_law import BASE_AREA, draw, law, readings, report, study
 from vsfsim.bench.mock import mock_view
 from vsfsim.cli.main import app
 from vsfsim.core.errors import DatasetError
@@ -69,14 +69,15 @@ def test_the_true_law_has_no_scatter_and_the_other_is_told_apart(dataset, tmp_pa
     assert mine["best_scale"] == pytest.approx(165.0, rel=1e-6)  # float32 of the nodes' forces
     assert mine["relative"] < 1e-6 and abs(mine["bias"]) < 1e-6
     # F_n is 1 / 1.39 of the sum, if no frame slants: sqrt(1 + 1/4) 0.8 + sqrt(0.2^2 + 0.4^2)
-    assert laws["F_n / A_base"]["scale"] == pytest.approx(1 / BASE_AREA) == pytest.approx(139.3, abs=0.1)
+    assert laws["F_n / A_base"]["scale"] == pytest.approx(1 / BASE_AREA) == pytest.approx(139.2, abs=0.1)
     assert laws["F_n / A_base"]["bias"] < -0.2
     assert laws["F_n / A fitted"]["scatter"] >= mine["scatter"] and abs(laws["F_n / A fitted"]["bias"]) < 0.05
     assert result["frames"] == len(found.change) > 20 and result["touches"] > 5
     # the centre of the contact is 0.01 to 0.02 m off the axis: the second ring of three, 11.45 to 22.9 mm, holds all
     assert [r["frames"] for r in result["rings"]] == [result["frames"]]
-    assert "F_n / A_base" in table(result) and "165.0" in table(result)
-    plot(found, result, tmp_path / "law.png")
+    text = report({}, result).text()
+    assert "F_n / A_base" in text and "165.0" in text
+    draw(found, result, tmp_path / "law.png")
     image = np.asarray(Image.open(tmp_path / "law.png").convert("L"))
     assert image.shape[1] > 1000 and (image < 128).mean() > 0.002
 
@@ -85,7 +86,7 @@ def test_without_forces_on_the_nodes_the_sum_is_left_out():
     found = readings([bubble_view(0, nodes=False)])
     result = study(found)
     assert [x["name"] for x in result["laws"]] == ["F_n / A_base", "F_n / A fitted"] and result["rings"] == []
-    assert "keeps no forces" in table(result)
+    assert "keeps no forces" in report({}, result).text()
 
 
 def test_frames_without_contact_or_equilibrium_do_not_count():
@@ -106,8 +107,10 @@ def test_a_rigid_probe_is_refused():
 
 
 def test_the_command(dataset, tmp_path):
-    done = CliRunner().invoke(app, ["bench", "pressure-law", str(dataset.path), "--plot", str(tmp_path / "x.png"),
+    done = CliRunner().invoke(app, ["measure", "pressure-law", str(dataset.path), "--plot", str(tmp_path / "x.png"),
                                     "--json", str(tmp_path / "x.json")])
     assert done.exit_code == 0, done.output
     assert "F_n / A_base" in done.output and (tmp_path / "x.png").stat().st_size > 1000
-    assert json.loads((tmp_path / "x.json").read_text())["touches"] > 5
+    found = json.loads((tmp_path / "x.json").read_text())
+    assert found["touches"] > 5 and found["command"] == "vsfsim measure pressure-law"
+    assert found["units"]["laws"]["scatter"] == "Pa" and found["settings"]["area"] == found["area"]

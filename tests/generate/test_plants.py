@@ -11,8 +11,8 @@ import pytest
 from stems import crossing
 from stems import touch as push
 
-from benchmarks import arm as bench_arm
-from benchmarks.plants import bench, table
+from benchmarks import arm as arm_modes
+from benchmarks import plants as plant_touches
 from vsfsim.bench.protocol import record
 from vsfsim.bench.reached_points import reached
 from vsfsim.bench.task import load_task
@@ -303,15 +303,16 @@ def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
     assert lost.sum() == pytest.approx(0.35 * 196, rel=0.35) and not lost[11:-11, 11:-11].any()
 
 
-def test_the_bench_prints_what_it_measured(scene_file, tmp_path):
+def test_the_measurement_of_plants_counts_readings_and_stages(scene_file, tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
-    found = bench(device="cpu", scene=str(path), objects=1, views=1, touches=1, progress=lambda what: None)
-    assert found["readings"] > 5 and found["touches"] == 1 and set(found["stages_s"]) == {"grow", "look", "aim",
-                                                                                          "kinematics", "solve",
-                                                                                          "torque", "truth"}
-    assert "touches a second" in table(found) and "stage" in table(found) and "NOT ALL" not in table(found)
-    assert "NOT ALL" in table({**found, "cut": 1}) and "NOT ALL" in table({**found, "views_made": 0})
+    measured = plant_touches.measure(device="cpu", scene=str(path), objects=1, views=1, touches=1)
+    found = measured.record()
+    assert found["readings"] > 5 and found["touches"] == 1 and found["readings_per_s"] > 0.0
+    assert set(found["stages_s"]) == {"grow", "look", "aim", "kinematics", "solve", "torque", "truth"}
+    assert "NOT ALL" not in measured.text()
+    for less in ({"cut": 1}, {"views_made": 0}):
+        assert "NOT ALL" in plant_touches.report({}, {**measured.numbers, **less}).text()
 
 
 def test_the_full_scene_has_the_papers_size():
@@ -398,21 +399,21 @@ def test_a_sweep_through_the_whole_crown(step, device):
 
 
 @pytest.mark.slow
-def test_bench_arm_tells_what_the_dynamic_arm_reads_beside_the_kinematic_one(scene_file, tmp_path):
+def test_the_measurement_of_the_arm_splits_what_the_dynamic_arm_reads_beside_the_kinematic_one(scene_file, tmp_path):
     """The difference is the sum of its parts (friction, inertia, lag) joint by joint, and the soft drive leaves the
     path further than the stiff one."""
     path = tmp_path / "small.toml"
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))
-    found = bench_arm.bench(device="cpu", scene=str(path), touches=2, progress=lambda what: None)
-    stiff, soft = found["rows"]
+    measured = arm_modes.measure(device="cpu", scene=str(path), touches=2)
+    stiff, soft = rows = measured.record()["rows"]
     assert (stiff["drive"], soft["drive"]) == ("position", "impedance") and stiff["touches"] == soft["touches"] > 0
-    assert np.array_equal(stiff["kinematic_rms"],
-                          soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01 and soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
-    for row in found["rows"]:
+    assert np.array_equal(stiff["kinematic_rms"], soft["kinematic_rms"]) and max(stiff["kinematic_rms"]) > 0.01
+    assert soft["tool_m"] > 2.0 * stiff["tool_m"] > 0.0
+    for row in rows:
         parts = np.array([row[part] for part in ("friction", "inertia", "lag")])
         # rms of a sum: at most the sum of the rms (Minkowski), and no less than the largest less the others
         whole = np.array(row["rms"])
         assert (whole <= parts.sum(axis=0) + 1e-9).all() and (whole >= 2 * parts.max(axis=0) - parts.sum(axis=0)
                                                               - 1e-9).all() and (whole > 0.0).any()
-    printed = bench_arm.table(found)
-    assert "position drive" in printed and "impedance drive" in printed and f"{stiff['rms'][0]:.3f}" in printed
+    text = measured.text()
+    assert "position" in text and "impedance" in text and f"{stiff['rms'][0]:.3f}" in text

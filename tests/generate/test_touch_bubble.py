@@ -316,7 +316,7 @@ def test_the_pressure_laws_read_it(made):
     area, semi_axis = law.rim_of_dataset(Dataset.open(made).load("felt-0000-v0"))
     assert area == pytest.approx(law.BASE_AREA, rel=0.01) and semi_axis == pytest.approx(law.SEMI_AXIS, rel=1e-6)
     result = law.study(found, area=area, semi_axis=semi_axis)
-    assert result["touches"] == 2 and "sum|f|, scale fitted" in law.table(result)
+    assert result["touches"] == 2 and "sum|f|, scale fitted" in law.report({}, result).text()
     # a small contact in the middle of a dome: more pressure a newton than F over the base
     assert 130.0 < result["laws"][0]["best_scale"] < 250.0
 
@@ -339,7 +339,7 @@ def test_the_force_estimators_read_it(made):
     assert (calibration.stiffness == pytest.approx(680.0) and calibration.rim.sum() == 64
             and calibration.pressure == Bubble().gauge_pressure)
     with pytest.raises(DatasetError, match="2 touches to calibrate on and 0 to score"):
-        dense.bench_dataset(data)
+        dense.measure(data)
 
 
 def test_a_dataset_without_a_skin_has_no_dense_forces(tmp_path):

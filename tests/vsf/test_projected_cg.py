@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import optimize, sparse
 
-from benchmarks.estimators import MEAN, NOISE, STD, Workload
+from benchmarks.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -29,6 +30,11 @@ def _group(context: typer.Context) -> None:
         sys.path.insert(0, root)  # `benchmarks` is a folder of the checkout; worker processes inherit the path
 
 
+def _report(measurement: Any, out: Path | None) -> None:
+    """Write a `benchmarks.measurement.Measurement`."""
+    report(measurement.text(), measurement.record(), out, indent=1)
+
+
 @app.command()
 def solver(device: Device = "cpu",
            tier: Annotated[list[str] | None, typer.Option(help="Only this tier; may be given again.")] = None,
@@ -41,13 +47,12 @@ def solver(device: Device = "cpu",
            out: JsonFile = None) -> None:
     """Force error, iterations, back-solve and assembly times of every tier and precision, and touches a second of a
     batch."""
-    from benchmarks.solver import TIERS, bench, table
+    from benchmarks.solver import TIERS, measure
 
     for name in tier or []:
         check_choice("--tier", name, TIERS)
-    result = bench(device=device, tiers_asked=tuple(tier) if tier else None, touches=touches, compare=compare,
-                   progress=step)
-    report(table(result), result, out, indent=1)
+    _report(measure(device=device, tier=tuple(tier) if tier else None, touches=touches, compare=compare, progress=step),
+            out)
 
 
 @app.command()
@@ -84,50 +89,52 @@ def methods(paper: Annotated[bool,
                                                            "ours to ship.")] = None,
             blind: Annotated[bool,
                              typer.Option("--blind",
-                                          help="Only this: where a known object lies in a soft block, by "
+                                          help="Only this: pose of a known object in a soft block, by "
                                                "every method.")] = False,
             sbml: Annotated[bool,
                             typer.Option("--sbml",
                                          help="Only this: SBML's training on objects of 10,000 readings and 20,000 "
                                               "particles (or the sizes given).")] = False,
-            device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu") -> None:
+            device: Annotated[str, typer.Option(help="Torch device: cpu or cuda:0.")] = "cpu",
+            out: JsonFile = None) -> None:
     """Time and memory of every estimator beside its literal dense form, at equal answers; and of the fields, with F1
     and size on disk."""
-    from benchmarks import blind as bench_blind
-    from benchmarks import fields as bench_fields
-    from benchmarks import sbml as bench_sbml
-    from benchmarks.estimators import MINI, PAPER, Workload, compare, table
+    from benchmarks import blind as blind_localisation
+    from benchmarks import estimators
+    from benchmarks import fields as buried_rope
+    from benchmarks import sbml as training
+    from benchmarks.workload import Workload
 
-    bench_fields.check_device(device)
+    buried_rope.check_device(device)
     if urdf is not None and openvsf is None:
         raise VsfsimError(f"--urdf is {urdf}, but nothing is exported for openvsf; add --openvsf FOLDER.")
     if openvsf is not None and (blind or sbml):
         raise VsfsimError("--openvsf exports the workload of the estimators; leave out --blind and --sbml.")
 
-    given, learning = (particles, touches, frames), {} if rate is None else {"rate": rate}
+    sizes = training.PAPER if sbml else estimators.PAPER if paper else estimators.MINI
+    size = [one or default for one, default in zip((particles, touches, frames), sizes)]
+    learning = {"device": device, "iterations": iterations, **({} if rate is None else {"rate": rate})}
     if sbml:
-        size = [one or default for one, default in zip(given, bench_sbml.PAPER)]
-        print(bench_sbml.table(bench_sbml.measure(*size, device=device, progress=step)))
+        _report(training.measure(*size, device=device, progress=step), out)
         return
     if blind:
-        print(bench_blind.table(bench_blind.compare(device=device, iterations=iterations, **learning, progress=step)))
+        _report(blind_localisation.measure(**learning, progress=step), out)
         return
-    size = [one or default for one, default in zip(given, PAPER if paper else MINI)]
+    notes: list[str] = []
     if openvsf is None:
         load = Workload.of(*size)
     else:
         from benchmarks.openvsf import export as export_openvsf
 
         load, notes = export_openvsf(openvsf, *size, urdf=urdf, progress=step)
-        print("\n".join([f"written to {openvsf}: {load.touches} sequences for openvsf",
-                         *(f"note: {sentence}" for sentence in notes), ""]))
-    print(table(compare(load, literal=literal, device=device, export=export,
-                        progress=lambda done, total, what: step(what)), size[1]))
+        notes.insert(0, f"{load.touches} sequences for openvsf are in {openvsf}.")
+    if export is not None:
+        load.export(export)
+    found = estimators.measure(load, literal=literal, device=device, progress=step)
     if fields if fields is not None else device != "cpu":
-        for fresh, title in ((False, "a rope under a soft layer"),
-                             (True, "another rope, that no setting was chosen on")):
-            print("\n" + bench_fields.table(bench_fields.compare(device=device, iterations=iterations, **learning,
-                                                                 fresh=fresh, progress=step), title))
+        more = buried_rope.measure(**learning, progress=step)
+        found = replace(found, tables=[*found.tables, *more.tables])
+    _report(replace(found, notes=[*notes, *found.notes]), out)
 
 
 @app.command()
@@ -144,20 +151,19 @@ def features(task: Annotated[str,
              seeds: Annotated[int, typer.Option(min=1, help="Trainings of each variant and fold.")] = 1,
              settings: Parameters = None,
              on_test: Annotated[bool, typer.Option("--on-test",
-                                                   help="Learn on all training objects and ask the test objects: once, "
-                                                        "after everything was chosen.")] = False) -> None:
+                                                   help="Learn on all training objects and predict the test objects: "
+                                                        "once, after everything was chosen.")] = False,
+             out: JsonFile = None) -> None:
     """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
-    from benchmarks.features import choose, table
+    from benchmarks.features import measure
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.data.dataset import Dataset
 
     wanted = load_task(task)
     data = open_dataset(wanted) if dataset is None else Dataset.open(dataset)
-    rows = choose(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")),
-                  noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds,
-                  seeds=seeds, settings=parameters_of(settings), on_test=on_test,
-                  progress=step)
-    print(table(rows, wanted.observation.unit, on_test=on_test))
+    _report(measure(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")),
+                    noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds, seeds=seeds, settings=parameters_of(settings),
+                    on_test=on_test, progress=step), out)
 
 
 @app.command("pressure-law")
@@ -167,24 +173,17 @@ def pressure_law(dataset: Annotated[Path | None,
                  plot: Annotated[Path | None, picture_option("Also draw it here.")] = None,
                  nodes: Annotated[int, typer.Option(min=100, help="Nodes of the membrane, without a dataset.")] = 390,
                  area: Annotated[float | None, typer.Option(min=1e-6,
-                                                            help="A_base of openvsf's law [m^2]; default: inside the "
-                                                                 "rim of the dataset's bubble, a Punyo's 7.18e-3 "
-                                                                 "without one.")] = None,
+                                                            help="A_base of openvsf's law [m^2]: 7.1827e-3 for its "
+                                                                 "mesh of the bubble alone, 6.6019e-3 for its mesh on "
+                                                                 "the arm; default: the area inside the rim of the "
+                                                                 "dataset's bubble, 7.1827e-3 without one.")] = None,
                  out: JsonFile = None) -> None:
     """Bias and scatter of the pressure laws in use (SBML eq. 8, openvsf) against the gas of a sealed bubble."""
-    from benchmarks import pressure_law as law
+    from benchmarks.pressure_law import measure
     from vsfsim.data.dataset import Dataset
 
-    rim = (law.BASE_AREA, law.SEMI_AXIS)
-    if dataset is None:
-        found = law.rigid_presses(nodes=nodes, progress=step)
-    else:
-        data = Dataset.open(dataset, blind=True)
-        found, rim = law.readings(data), law.rim_of_dataset(data.load(data.names()[0]))
-    result = law.study(found, area=rim[0] if area is None else area, semi_axis=rim[1])
-    if plot is not None:
-        law.plot(found, result, plot)
-    report(law.table(result), result, out, indent=1)
+    data = None if dataset is None else Dataset.open(dataset, blind=True)
+    _report(measure(data, nodes=nodes, area=area, plot=plot, progress=step), out)
 
 
 @app.command("dense-force")
@@ -197,21 +196,17 @@ def dense_force(dataset: Annotated[Path | None,
                 device: Device = "cpu",
                 out: JsonFile = None) -> None:
     """Estimated contact forces of the bubble against the simulator's true ones, over depth and noise."""
-    from benchmarks import dense_force as bench
+    if dataset is None:
+        from benchmarks.dense_force import measure
 
-    notes: list[str] = []
-    if dataset is not None:
-        from benchmarks.dense_force_dataset import bench_dataset
-        from vsfsim.data.dataset import Dataset
+        _report(measure(nodes=nodes, device=device, progress=step), out)
+        return
+    if nodes is not None:
+        raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
+    from benchmarks.dense_force_dataset import measure as measure_dataset
+    from vsfsim.data.dataset import Dataset
 
-        if nodes is not None:
-            raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
-        rows, field, presses, notes = bench_dataset(Dataset.open(dataset, blind=True), progress=step)
-    else:
-        rows, field, presses = bench.bench(nodes=nodes, device=device, progress=step)
-    result = bench.tables(rows, field)
-    words = "\n".join([*(f"note: {sentence}" for sentence in notes), bench.table(rows, field, presses)])
-    report(words, result, out, indent=1)
+    _report(measure_dataset(Dataset.open(dataset, blind=True), progress=step), out)
 
 
 @app.command()
@@ -236,13 +231,10 @@ def plants(device: Device = "cpu",
                                                             "CPU, one a core on a GPU.")] = None,
            out: JsonFile = None) -> None:
     """Touches and readings a second of plants under an arm, split by stage."""
-    from benchmarks.plants import bench, table
+    from benchmarks.plants import measure
 
-    if device == "cpu":
-        objects, views, touches = objects or 3, views or 1, touches or 6
-    result = bench(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds,
-                   workers=workers, progress=step)
-    report(table(result), result, out, indent=1)
+    _report(measure(device=device, scene=scene, objects=objects, views=views, touches=touches, seconds=seconds,
+                    workers=workers, progress=step), out)
 
 
 @app.command()
@@ -263,13 +255,11 @@ def bubble(device: Device = "cpu",
                                                 "the forces.")] = 0,
            out: JsonFile = None) -> None:
     """Seconds a frame and touches a minute of a bubble pressed on a soft shoe."""
-    from benchmarks.bubble import bench, table
+    from benchmarks.bubble import measure
 
     check_choice("--tier", tier, ("fem-coarse", "fem", "fem-fine"))
-    result = bench(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes,
-                   compare=compare,
-                   progress=step)
-    report(table(result), result, out, indent=1)
+    _report(measure(device=device, touches=touches, frames=frames, tier=tier, resolution=resolution, nodes=nodes,
+                    compare=compare, progress=step), out)
 
 
 @app.command()
@@ -279,8 +269,6 @@ def arm(device: Annotated[str, typer.Option(help="Warp device of the plant: cpu 
         touches: Annotated[int, typer.Option(min=1, help="Touches of one plant.")] = 6,
         out: JsonFile = None) -> None:
     """The two arm modes side by side: joint torques of a moving arm less J^T f, part by part, and the time of both."""
-    from benchmarks.arm import bench, table
+    from benchmarks.arm import measure
 
-    result = bench(device=device, scene=scene, touches=touches,
-                   progress=step)
-    report(table(result), result, out, indent=1)
+    _report(measure(device=device, scene=scene, touches=touches, progress=step), out)
