@@ -22,7 +22,8 @@ from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.frames import Frames
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.press.probe import direction, tip
+from vsfsim.generate.presses.probe import tip
+from vsfsim.generate.presses.verdict import direction
 from vsfsim.robot.path import press_path, touch_path
 
 CASES = {"indent-homogeneous": "S1", "indent": "S2"}
@@ -117,7 +118,7 @@ def _scene(name: str) -> Scene:
 
 
 def _model(scene: Scene, tier: str) -> Model:
-    return tiers.build(scene, tier, focus=tip(scene, np.array(scene.press.stop), direction(scene))[None])
+    return tiers.build(scene, tier, focus=tip(scene, np.array(scene.press.stop), direction(scene.press))[None])
 
 
 def _solver(scene: Scene, model: Model, tier: str, device: str, precision: str) -> Solver:
@@ -140,7 +141,7 @@ def one_touch(name: str, tier: str, *, device: str = "cpu", precision: str = "fl
     spent = time.process_time() - began
     parts = clock.stop()
     steps = len(poses)
-    force = abs(float(frames.force[-1, 0] @ direction(scene)))
+    force = abs(float(frames.force[-1, 0] @ direction(scene.press)))
 
     def each(part: str) -> tuple[float, float]:
         calls, seconds = parts.get(part, (0, 0.0))

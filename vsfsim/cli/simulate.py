@@ -64,7 +64,7 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
 
     with Progress("press") as progress:
-        text, numbers, converged = run(loaded, seed=seed, tier=tier, device=device, precision=precision, refine=refine,
+        text, numbers, converged = run(loaded, seed=seed, tier=tier, device=device, precision=precision, meshes=refine,
                                        plot=plot, picture=picture, save=save, progress=progress)
     report(text, numbers, json)
     if not converged:

@@ -21,7 +21,7 @@ from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.core.shelf import EFFECTOR_GROUP, effectors
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.job import Job
-from vsfsim.generate.press_result import PressRequest, PressResult
+from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
 from vsfsim.sensing.surface import Surface
 
 
@@ -99,6 +99,14 @@ class Effector(Protocol):
 
         Raises:
             SceneError, MeshError: the press cannot be made.
+        """
+        ...
+
+    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
+        """The same press on ``meshes`` >= 3 finer and finer meshes.
+
+        Raises:
+            SceneError, MeshError: the press cannot be made, or its model has no finer mesh.
         """
         ...
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,6 +47,28 @@ def flat_coloured(vertices: np.ndarray, triangles: np.ndarray, colour: np.ndarra
     count = len(shades)
     look = Appearance((shades / 255.0) ** 2.2, ("plain",) * count, np.ones(count), np.zeros(count))  # linear light
     return Surface(vertices, triangles, region.reshape(-1), look, vertices if rest_vertices is None else rest_vertices)
+
+
+def with_rigid(body: Surface, rigid: Sequence[tuple[np.ndarray, np.ndarray]]) -> Surface:
+    """A body and rigid bodies in grey as one surface.
+
+    Args:
+        body: with an appearance.
+        rigid: vertices (v, 3) [m] and triangles (g, 3) of each rigid body, in the body's frame.
+    """
+    look = body.appearance
+    assert look is not None
+    if not rigid:
+        return body
+    placed, faces = zip(*rigid, strict=True)
+    start = np.cumsum([len(body.vertices), *(len(v) for v in placed)])
+    vertices = np.concatenate([body.vertices, *placed])
+    triangles = np.concatenate([body.triangles, *(f + s for f, s in zip(faces, start, strict=False))])
+    grey = len(look.texture)
+    region = np.concatenate([body.region, np.full(sum(len(f) for f in faces), grey)])
+    return Surface(vertices, triangles, region,
+                   Appearance(np.vstack([look.albedo, [0.35, 0.37, 0.40]]), (*look.texture, "plain"),
+                              np.ones(grey + 1), np.zeros(grey + 1)), vertices)
 
 
 def srgb(linear: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import Scene
+from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
@@ -17,6 +17,8 @@ from vsfsim.generate.plants.batches import make_together
 from vsfsim.generate.plants.prepare import grow
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import make_views
+from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.presses import arm as presses
 from vsfsim.generate.workers import make_each
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.memory import enter
@@ -60,6 +62,14 @@ class ArmEffector:
         """On a CPU each view in a process of its own; on a GPU the touches of many views are solved together."""
         make = make_each if device == "cpu" else make_together
         return make(jobs, device=device, workers=workers)
+
+    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+        """See `vsfsim.generate.presses.arm`."""
+        return presses.press(loaded, request)
+
+    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
+        """See `vsfsim.generate.presses.arm`."""
+        return presses.refine(loaded, request, meshes)
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The plant without its pot, and the sections and moduli of its parts in words."""

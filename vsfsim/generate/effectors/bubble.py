@@ -17,12 +17,14 @@ import numpy as np
 from vsfsim.core.bubble import CAMERA
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import SceneError
-from vsfsim.core.scene import Scene, TouchSpec
+from vsfsim.core.scene import Scene, SceneFile, TouchSpec
 from vsfsim.core.shape import Plane
 from vsfsim.data.records import ObjectView, Touch, View
 from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, surface_samples
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
+from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.presses import bubble as presses
 from vsfsim.generate.record import audit, verdict
 from vsfsim.generate.solid import batches, draw_solid, prepare
 from vsfsim.generate.truth import truth_of
@@ -112,6 +114,14 @@ class BubbleEffector:
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
         return make_each(jobs, device=device, workers=workers)
+
+    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+        """See `vsfsim.generate.presses.bubble`."""
+        return presses.press(loaded, request)
+
+    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
+        """See `vsfsim.generate.presses.bubble`."""
+        return presses.refine(loaded, request, meshes)
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The object, or the free dome where there is none."""

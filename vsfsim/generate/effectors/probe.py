@@ -8,11 +8,13 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from vsfsim.core.scene import Scene
+from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.generate.aim import Aim, aim_probe
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
+from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.generate.presses import probe as presses
 from vsfsim.generate.record import audit, verdict
 from vsfsim.generate.solid import batches, draw_solid, prepare
 from vsfsim.generate.truth import truth_of
@@ -60,6 +62,14 @@ class Probe:
     def make_all(self, jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
         """Each view in a process of its own."""
         return make_each(jobs, device=device, workers=workers)
+
+    def press(self, loaded: SceneFile, request: PressRequest) -> PressResult:
+        """See `vsfsim.generate.presses.probe`."""
+        return presses.press(loaded, request)
+
+    def refine(self, loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
+        """See `vsfsim.generate.presses.probe`."""
+        return presses.refine(loaded, request, meshes)
 
     def draw(self, scene: Scene, seed: np.random.SeedSequence) -> Drawing:
         """The object."""

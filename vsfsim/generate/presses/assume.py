@@ -1,4 +1,4 @@
-"""What a press takes for granted where the scene says nothing; every assumption is a sentence for the user."""
+"""Defaults of a press where the scene has no probe or no path; each is reported to the user in a sentence."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ from vsfsim.physics.contact import sdf
 from vsfsim.physics.model import Model
 from vsfsim.robot.path import turn_to
 
-# of the default probe, over the object's smallest edge: sharp enough to indent, blunt enough to be resolved
-RADIUS = 0.2
-LARGEST_RADIUS = 0.02  # [m]
-DEPTH = 0.1  # of the default press, over the object's height
-BLUNT = 0.5  # and over the probe's radius: deeper, a ball meets the body with its equator
-FRAMES = 10
+RADIUS = 0.2  # of the default probe over the object's smallest edge [-]: it indents, and the mesh resolves it
+LARGEST_RADIUS = 0.02  # of the default probe [m]
+DEPTH = 0.1  # of the default press over the object's height [-]
+BLUNT = 0.5  # of the default press over the probe's radius, at most [-]: deeper, a ball's equator meets the body
+FRAMES = 10  # of the default press
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -28,14 +27,13 @@ def with_probe(scene: Scene) -> tuple[Scene, list[str]]:
     """The scene with a probe that suits the object's size, if the file has none, and what was assumed."""
     if "probe" in scene.given:
         return scene, []
-    # a path is made for a certain probe: the grammar's own
+    # A path is made for a certain probe: the default one of the scene format.
     if scene.press is not None or isinstance(scene.object.shape, Family):
         assert scene.probe == Sphere(LARGEST_RADIUS)
         return scene, [f"No [probe] is given: a ball of {1e3 * LARGEST_RADIUS:g} mm radius was taken."]
     shape = scene.object.shape
     if isinstance(shape, MeshFile):
-        # scan pulls in trimesh; a box does not need it
-        from vsfsim.physics.mesh.scan import extents
+        from vsfsim.physics.mesh.scan import extents  # imports trimesh
 
         size = extents(shape)
     else:
@@ -71,8 +69,7 @@ def with_press(scene: Scene, model: Model) -> tuple[Scene, list[str]]:
         where = "at its highest point (from above, the middle is empty)"
     else:
         raise SceneError(f"{scene.source}: there is no [press], and a probe that comes from above meets nothing; add "
-                         f"from and to, "
-                         "world coordinates of the probe's centre in metres.")
+                         f"from and to, world coordinates of the probe's centre in metres.")
     height = float(high[2] - low[2])
     room = min(DEPTH * height, BLUNT * min(sdf.reach(scene.probe), height))
     depth = float(f"{room:.2g}")

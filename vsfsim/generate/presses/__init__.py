@@ -1,0 +1,1 @@
+"""How each effector makes the one press of `vsfsim press`."""

@@ -1,0 +1,207 @@
+"""Equilibria of an air-filled bubble that is pressed on a deformable object or on rigid bodies.
+
+The mount's origin follows ``[press]``, its +z leads. Against rigid bodies the solver works in the mount frame, where
+the obstacles move; with an object both bodies find one equilibrium (`CoupledSolver`).
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.rotation import rotation_matrix
+from vsfsim.core.scene import Scene
+from vsfsim.core.shape import Plane
+from vsfsim.generate.aim import clearance
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.presses.verdict import direction
+from vsfsim.physics import tiers
+from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.mesh.membrane_refine import wishes
+from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import compile_kernels
+from vsfsim.physics.solve.coupled import CoupledSolver, free_way
+from vsfsim.physics.solve.frames import Frames, SolverOptions
+from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
+from vsfsim.physics.solve.touches import Solver
+from vsfsim.robot.path import press_path
+
+OPTIONS = SolverOptions(tolerance=5e-4)
+"""As tier fem: with friction, a smaller residual is not always reached where a point is at the limit of contact."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The frames of a bubble's press; positions and forces in the mount frame unless said."""
+
+    scene: Scene
+    model: BubbleModel
+    mount: np.ndarray
+    """Mount to world (T, 4, 4) [m]."""
+    frames: Frames
+    gap: float
+    """Way of the mount to first contact [m]."""
+    position: np.ndarray
+    """Of the membrane's nodes (T, n, 3) [m]."""
+    push: np.ndarray
+    """Contact force on the nodes (T, n, 3) [N]."""
+    pressure: np.ndarray
+    """Gauge (T,) [Pa]."""
+    volume: np.ndarray
+    """Under the membrane (T,) [m^3]."""
+    reaction: np.ndarray
+    """Of the mount on the sensor, world (T, 3) [N]."""
+    body_force: np.ndarray
+    """On each body, world (T, K, 3) [N]."""
+    bodies: tuple[str, ...]
+    """Names (K,)."""
+    friction: tuple[float, ...]
+    """Coulomb coefficient of each body (K,) [-]."""
+    tolerance: float
+    """Of the residual [-]."""
+    notes: tuple[str, ...] = ()
+    object: Model | None = None
+    """The deformable body that is pressed."""
+    moved: np.ndarray | None = None
+    """Displacements of its nodes, world (T, N, 3) [m]."""
+    build_seconds: float = 0.0
+    """Spent on inflation and factorisation [s]."""
+
+    @property
+    def full(self) -> int:
+        """Number of the frame of full depth."""
+        assert self.scene.press is not None
+        return self.scene.press.inward - 1
+
+    @property
+    def way(self) -> np.ndarray:
+        """Way of the mount along the first part of its path (T,) [m]."""
+        assert self.scene.press is not None
+        return (self.mount[:, :3, 3] - np.array(self.scene.press.start)) @ direction(self.scene.press)
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Of the contact at the mount's origin, mount frame: force [N] and moment [N m] (T, 6)."""
+        return np.concatenate([self.push.sum(axis=1), np.cross(self.position, self.push).sum(axis=1)], axis=1)
+
+
+def solve(scene: Scene, request: PressRequest) -> Solved:
+    """Solve the ``[press]`` of a scene with a ``[sensor]`` and an object, or obstacles.
+
+    Args:
+        scene: concrete.
+        request: tier, of the object; seed; device; precision; cache; progress.
+
+    Raises:
+        SceneError: no path, both an object and obstacles, a tier or precision that a sensor cannot press, or something
+            that cannot be built.
+    """
+    spec, sensor = scene.press, scene.sensor
+    assert sensor is not None
+    if spec is None:
+        raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of the middle of its rim, "
+                         f"e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
+    if scene.object is not None and scene.obstacles:
+        raise SceneError(f"{scene.source}: a [sensor] presses an [object] or [[obstacles]]; this scene has both. Take "
+                         f"one of them out.")
+    if scene.object is None and request.tier is not None:
+        raise SceneError(f"--tier {request.tier}: this scene has a [sensor] and no [object], and tiers are of objects; "
+                         f"the sensor's mesh is set by nodes in [sensor]. Leave --tier out.")
+    if request.precision != "float64":
+        raise SceneError(f"--precision {request.precision}: a [sensor] needs float64. At rest its membrane balances "
+                         f"some 50 N of gas pressure node by node, and single precision leaves more of it unbalanced "
+                         f"than a light touch pushes.")
+    began = time.perf_counter()
+    where = f"{scene.source} [sensor]"
+    model = build_bubble(sensor, where=where, cache=request.cache)
+    mount = press_path(spec, Plane())  # a plane's +z leads, as a sensor's does
+    if scene.object is not None:
+        return _on_object(scene, model, mount, request, time.perf_counter() - began)
+    poses = in_mount(scene, mount)
+    notes: tuple[str, ...] = ()
+    finer = wishes(model.mesh.points, model.element_size, RigidBodies(scene.bodies), poses, sensor.contact_edge)
+    if finer:
+        model = build_bubble(sensor, finer=finer, where=where, cache=request.cache)
+        notes = (f"{sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller where bodies touch; "
+                 f"contact_edge in [sensor] says how small.",)
+    return _on_obstacles(scene, model, mount, poses, request, time.perf_counter() - began, notes)
+
+
+def _on_obstacles(scene: Scene, model: BubbleModel, mount: np.ndarray, poses: np.ndarray, request: PressRequest,
+                  built: float, notes: tuple[str, ...]) -> Solved:
+    assert scene.press is not None
+    compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
+                    progress=request.progress)
+    first = np.eye(4)
+    first[:3, :3], first[:3, 3] = mount[0, :3, :3], scene.press.start
+    axis = direction(scene.press)
+    gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
+              for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
+                    options=OPTIONS)
+    pressure: list[float] = []
+    volume: list[float] = []
+
+    def done(frames: int) -> None:
+        pressure.append(float(solver.elasticity.pressure.numpy()[0]))
+        volume.append(float(solver.elasticity.volume.numpy()[0]))
+        if request.progress is not None:
+            request.progress(frames, len(poses), "frames")
+
+    frames = solver.run(poses[:, None], keep=True, progress=done)
+
+    def world(force: np.ndarray) -> np.ndarray:
+        return np.einsum("tij,t...j->t...i", mount[:, :3, :3], force)
+
+    return Solved(scene, model, mount, frames, gap,
+                  model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history]),
+                  np.stack([f[..., 0] for f in solver.surface_force]), np.array(pressure), np.array(volume),
+                  world(frames.reaction[:, 0]), world(frames.body_force[:, 0]),
+                  tuple(f"obstacle {i + 1}" for i in range(len(scene.obstacles))), scene.frictions, OPTIONS.tolerance,
+                  notes, build_seconds=built)
+
+
+def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: PressRequest, built: float) -> Solved:
+    assert scene.sensor is not None and scene.press is not None
+    chosen = tiers.choose(scene, request.tier)
+    if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
+        if request.tier is not None or scene.object.tier != "auto":
+            raise SceneError(f"{scene.source}: tier {chosen!r} cannot be pressed by a [sensor], which bends far; tier "
+                             f"= \"fem-coarse\" or finer would do.")
+        chosen = "fem-coarse"
+    body = tiers.build(scene, chosen, seed=request.seed, cache=request.cache)
+    compile_kernels(coupled_kernels(request.precision, [block.kind for block in (*body.blocks, *model.blocks)]),
+                    request.device, progress=request.progress)
+    first = mount[0].copy()
+    first[:3, 3] = scene.press.start
+    options = tiers.options(chosen)
+    solver = CoupledSolver(body, model, friction=scene.sensor.friction, device=request.device,
+                           precision=request.precision, options=options)
+    frames = solver.run(mount[:, None], keep=True, progress=None if request.progress is None
+                        else lambda t: request.progress(t, len(mount), "frames"))
+    turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
+    position = np.einsum("tji,tnj->tni", turn, np.stack([x[..., 0] for x in solver.sensor_position]) - at)
+    push = np.einsum("tji,tnj->tni", turn, np.stack([f[..., 0] for f in solver.sensor_force]))
+    notes = (*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the "
+                                f"object's")
+    # The mount holds against what holds the object.
+    return Solved(scene, model, mount, frames, free_way(body, model, first, direction(scene.press)), position, push,
+                  np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], -frames.reaction[:, 0], -frames.force,
+                  ("object",), (scene.sensor.friction,), options.tolerance, notes, body,
+                  np.stack([u[:3 * len(body.mesh.points), 0].reshape(-1, 3) for u in solver.history]), built)
+
+
+def in_mount(scene: Scene, mount: np.ndarray) -> np.ndarray:
+    """Poses of the obstacles in the mount frame (T, K, 4, 4) for poses of the mount in the world (T, 4, 4)."""
+    stand = np.tile(np.eye(4), (len(scene.obstacles), 1, 1))
+    for pose, body in zip(stand, scene.obstacles, strict=True):
+        pose[:3, :3], pose[:3, 3] = rotation_matrix(body.rotation), body.position
+    turn, at = mount[:, None, :3, :3], mount[:, None, :3, 3]
+    out = np.tile(np.eye(4), (len(mount), len(stand), 1, 1))
+    out[..., :3, :3] = np.swapaxes(turn, -1, -2) @ stand[None, :, :3, :3]
+    out[..., :3, 3] = np.einsum("...ji,...j->...i", turn, stand[None, :, :3, 3] - at)
+    return out

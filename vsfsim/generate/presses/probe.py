@@ -1,0 +1,279 @@
+"""The press of a rigid probe and its parts, with obstacles beside the object: force against depth."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import Scene, SceneFile
+from vsfsim.core.shape import MeshFile, Plane, ProbeShape
+from vsfsim.generate.aim import clearance
+from vsfsim.generate.press_result import (
+    BodyPanel,
+    Camera,
+    Colours,
+    Column,
+    Curves,
+    MeshSeries,
+    PressRequest,
+    PressResult,
+)
+from vsfsim.generate.presses.assume import with_press, with_probe
+from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
+from vsfsim.generate.presses.verdict import (
+    direction,
+    force_columns,
+    of_mesh,
+    path_notes,
+    series,
+    solved,
+    solver_columns,
+    statement,
+)
+from vsfsim.physics import tiers
+from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.model import Model
+from vsfsim.physics.runtime import compile_kernels
+from vsfsim.physics.solve.kernels import solver_kernels
+from vsfsim.physics.solve.touches import Solver
+from vsfsim.robot.path import body_poses, pose_at, press_path
+from vsfsim.sensing.camera import fitting_camera
+from vsfsim.sensing.surface import Surface
+from vsfsim.sensing.tessellate import tessellate
+
+RATIO = 1.3  # of the edges of two meshes: three meshes span 1.69, the finest has 4.8 times the tetrahedra of the first
+PICTURE = (640, 512)  # width and height of a view [px]
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A press that is ready to be solved."""
+
+    scene: Scene
+    """With probe and path."""
+    model: Model
+    """Of the object."""
+    tier: str
+    notes: tuple[str, ...]
+    """What was assumed."""
+    seconds: float
+    """Spent on meshing and factorisation [s]."""
+
+    @property
+    def element_size(self) -> float:
+        """Edge length that the mesh aims at [m]."""
+        return tiers.element_size(self.scene.object, self.tier, self.scene.probe)
+
+
+def press(loaded: SceneFile, request: PressRequest) -> PressResult:
+    """Carry out the ``[press]`` of a scene, or a default one from above.
+
+    Raises:
+        SceneError, MeshError: the scene cannot be built, or the probe begins inside the object.
+    """
+    return solve(prepare(loaded.sample(request.seed), request), request)
+
+
+def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
+    """The same press on ``meshes`` meshes, each finer than the one before by `RATIO`.
+
+    Raises:
+        SceneError, MeshError: as `press`.
+    """
+    first = prepare(loaded.sample(request.seed), request)
+    results, edge = [], []
+    for k in range(meshes):
+        prepared, asked = first, dataclasses.replace(request, keep=request.keep and k == meshes - 1,
+                                                     progress=of_mesh(request.progress, k, meshes))
+        if k > 0:
+            body = dataclasses.replace(first.scene.object, resolution=first.element_size / RATIO**k)
+            prepared = _discretise(dataclasses.replace(first.scene, object=body), first.tier, asked, first.notes)
+        results.append(solve(prepared, asked))
+        # the triangles of a scan are of all sizes
+        volume = float(prepared.model.mesh.volume.sum())
+        edge.append((volume / results[-1].more["tets"]) ** (1.0 / 3.0)
+                    if isinstance(first.scene.object.shape, MeshFile) else results[-1].more["edge_at_contact"])
+    force = [float(np.linalg.norm(r.force[r.deepest])) for r in results]
+    change = ["", *(f"{100 * (b / a - 1.0):+.2f}" if a else "-" for a, b in pairwise(force))]
+    columns = (
+        Column("mesh", range(1, meshes + 1), "d"), Column("tetrahedra", [r.more["tets"] for r in results], "d"),
+        Column("nodes", [r.more["nodes"] for r in results], "d"), Column("edge mm", [1e3 * h for h in edge], ".2f"),
+        Column("force N", force, ".5g"), Column("change %", change),
+        Column("converged", [f"{int(r.converged.sum())}/{len(r.converged)}" for r in results]),
+        Column("balance", [r.audit["force_balance"].max() for r in results], ".1e"),
+        Column("penetr. %", [100 * r.audit["penetration"].max() / r.more["edge"] for r in results], ".2g"),
+        Column("seconds", [r.more["build_seconds"] + r.more["seconds"].sum() for r in results], ".1f"))
+    return MeshSeries(tuple(results), tuple(edge), {"force": ("N", force)}, results[0].more["tolerance"],
+                      f"Force at full depth on {meshes} meshes:", columns, [r.table() for r in results],
+                      f"{', '.join(str(r.more['tets']) for r in results)} tetrahedra",
+                      "give a finer resolution in [object]")
+
+
+def prepare(scene: Scene, request: PressRequest) -> Prepared:
+    """The scene with its defaults filled in, and its model.
+
+    Raises:
+        SceneError, MeshError: the scene cannot be built.
+    """
+    chosen = tiers.choose(scene, request.tier)
+    scene, notes = with_probe(scene)
+    notes += RigidBodies(scene.bodies).notes  # a broken probe is refused before the object is meshed
+    return _discretise(scene, chosen, request, tuple(notes))
+
+
+def _discretise(scene: Scene, tier: str, request: PressRequest, notes: tuple[str, ...]) -> Prepared:
+    began = time.perf_counter()
+    focus = None if scene.press is None else tip(scene, np.array(scene.press.stop), direction(scene.press))[None]
+    model = tiers.build(scene, tier, seed=request.seed, cache=request.cache, focus=focus)
+    scene, more = with_press(scene, model)
+    return Prepared(scene, model, tier, (*notes, *more), time.perf_counter() - began)
+
+
+def solve(prepared: Prepared, request: PressRequest) -> PressResult:
+    """Solve the frames of a prepared press.
+
+    Raises:
+        SceneError: the probe begins inside the object.
+    """
+    scene, model, tier = prepared.scene, prepared.model, prepared.tier
+    spec = scene.press
+    assert spec is not None
+    poses = press_path(spec, scene.probe)
+    first = pose_at(spec, scene.probe, 0)
+    inside = overlap(model, scene.probe, first, str(scene.source))
+    compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
+                    progress=request.progress)
+    axis = direction(spec)
+    moving = 1 + len(scene.parts)
+    gap = min(clearance(model, shape, pose, axis)
+              for shape, pose in zip(scene.bodies[:moving], body_poses(scene, first[None])[0], strict=False))
+    linear, options = not tiers.TIERS[tier].nonlinear, tiers.options(tier)
+    solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
+                    options=options, linear=linear)
+    placed = body_poses(scene, poses)
+    frames = solver.run(placed[:, None], keep=request.keep, progress=None if request.progress is None
+                        else lambda done: request.progress(done, len(poses), "frames"))
+    body_force = frames.body_force[:, 0]
+    # Obstacles do not belong to the probe.
+    force = frames.force[:, 0] - body_force[:, moving:].sum(axis=1)
+    way = (poses[:, :3, 3] - np.array(spec.start)) @ axis
+    depth = np.maximum(way - gap, 0.0)
+    edge, full = model.element_size, spec.inward - 1
+    said = statement(frames, edge=edge, tolerance=options.tolerance, linear=linear)
+    names = ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))),
+             *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
+    fields, more = solved(frames)
+    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside))
+    tets, nodes = len(model.mesh.tets), len(model.mesh.points)
+    more |= {"body_force": body_force, "bodies": names, "friction": scene.frictions, "pressure": None,
+             "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,
+             "precision": request.precision, "element_size": prepared.element_size, "edge": edge,
+             "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
+             "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
+             "statement": said}
+    words = [said, f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
+                   f"{1e3 * prepared.element_size:.1f} mm, {request.precision} on {request.device}; built in "
+                   f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
+    if len(names) > 1 or max(scene.frictions) > 0.0:
+        words.insert(0, _bodies_in_words(names, scene.frictions, body_force[full], float(more["slipping"][full])))
+    panels, arrays = (), {}
+    if request.keep:
+        moved = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
+        push = np.stack([f[..., 0] for f in solver.surface_force])
+        panels = _panels(model, scene.bodies, placed[full], moved[full], push[full])
+        arrays = {**_arrays(model, placed, moved, push), **series(depth, force, frames.reaction[:, 0], fields)}
+    size = np.linalg.norm(force, axis=1)
+    return PressResult(
+        depth=depth, force=force, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
+        columns=(*force_columns(depth, force), Column("balance", frames.force_balance[:, 0], ".1e"),
+                 Column("min det F", frames.min_det_f[:, 0], ".3f"), Column("energy J", frames.energy[:, 0], ".2e"),
+                 *solver_columns(frames, edge)),
+        words=tuple(words), notes=notes,
+        plot=(Curves("force [N]", {"reaction of the supports": np.linalg.norm(frames.reaction[:, 0], axis=1),
+                                   "force on the probe": size}),),
+        abscissa="depth past first contact [mm]", model=f"tier {tier}, {tets} tetrahedra",
+        headline=f"depth {1e3 * depth[full]:.2f} mm, force {size[full]:.4g} N",
+        caption="left: with the rigid bodies; right: the body alone", panels=panels, arrays=arrays)
+
+
+def _bodies_in_words(names: tuple[str, ...], friction: tuple[float, ...], force: np.ndarray, slipping: float) -> str:
+    """The force on each body (K, 3) [N] at full depth, and the share of points that slip."""
+    each = [f"{name}{f' (friction {mu:g})' if mu else ''} ({', '.join(f'{v:.4f}' for v in f + 0.0)}) N"
+            for name, mu, f in zip(names, friction, force, strict=True)]
+    end = f"; {100 * slipping:.0f} % of the points in contact slip." if max(friction) > 0.0 else "."
+    return f"At full depth: {'; '.join(each)}{end}"
+
+
+def _panels(model: Model, shapes: tuple[ProbeShape, ...], poses: np.ndarray, moved: np.ndarray,
+            push: np.ndarray) -> tuple[BodyPanel, ...]:
+    """The deformed body (displacements (n, 3) [m], surface forces (s, 3) [N]) with the rigid bodies, and alone."""
+    vertices, triangles, owner, length = deformed_surface(model.mesh, moved)
+    pressure = face_pressure(model.mesh, push)[owner]
+    size = float(np.ptp(vertices, axis=0).max())
+    rigid = [(v @ pose[:3, :3].T + pose[:3, 3], f)
+             for (v, f), pose in zip((tessellate(shape, 1.2 * size) for shape in shapes), poses, strict=True)]
+    intrinsics, pose = fitting_camera(vertices, np.concatenate([v for v, _ in rigid]), *PICTURE)
+    # A wall between the camera and the body would hide it.
+    shown = [part for part, shape, p in zip(rigid, shapes, poses, strict=True)
+             if not (isinstance(shape, Plane) and float((pose[:3, 3] - p[:3, 3]) @ p[:3, 2]) < 0.0)]
+    surface = Surface(vertices, triangles, np.zeros(len(triangles), int), None, vertices)
+    camera = Camera(intrinsics, pose, *PICTURE)
+    return (BodyPanel(surface, camera, tuple(shown), 1e3 * length,
+                      Colours("viridis", 0.0, 1e3 * float(length.max()), "displacement [mm]")),
+            BodyPanel(surface, camera, (), pressure / 1e3,
+                      Colours("inferno_r", 0.0, float(pressure.max()) / 1e3, "contact pressure [kPa]", True)))
+
+
+def _arrays(model: Model, poses: np.ndarray, moved: np.ndarray, push: np.ndarray) -> dict[str, tuple[np.ndarray, str]]:
+    mesh = model.mesh
+    return {
+        "points": (mesh.points, "nodes at rest, world (n, 3) [m]"),
+        "tets": (mesh.tets, "quadratic tetrahedra (m, 10): corners, then the edges 01 12 20 03 13 23"),
+        "faces": (mesh.faces, "boundary triangles (f, 6): corners, then the edges 01 12 20"),
+        "surface_nodes": (mesh.surface_nodes(), "nodes on the boundary (s,)"),
+        "displacement": (moved, "of every node (T, n, 3) [m]"),
+        "contact_force": (push, "on every surface node (T, s, 3) [N]"),
+        "contact_pressure": (np.stack([face_pressure(mesh, f) for f in push]),
+                             "mean over every boundary triangle (T, f) [Pa]"),
+        "young_modulus": (model.young_modulus.mean(axis=1), "mean of every tetrahedron (m,) [Pa]"),
+        "poses": (poses, "rigid bodies to world (T, K, 4, 4) [m]")}
+
+
+def edge_at(model: Model, point: np.ndarray) -> float:
+    """Mean edge [m] of the two dozen boundary triangles nearest to ``point`` (3,) [m], of the body at rest."""
+    corners = model.mesh.points[model.mesh.faces[:, :3]]
+    near = np.argsort(np.linalg.norm(corners.mean(axis=1) - point, axis=1))[:24]
+    return float(np.linalg.norm(corners[near] - np.roll(corners[near], 1, axis=1), axis=2).mean())
+
+
+def overlap(model: Model, probe: ProbeShape, pose: np.ndarray, where: str) -> float:
+    """How deep the body's surface at rest lies inside a probe at ``pose`` (4, 4) [m]; 0 if they are apart.
+
+    Raises:
+        SceneError: the whole probe is inside the body. ``where`` is the scene file.
+    """
+    centre = pose[:3, 3]
+    corners = model.mesh.points[model.mesh.tets[:, :4]]
+    weights = np.linalg.solve(np.swapaxes(corners[:, 1:] - corners[:, :1], 1, 2),
+                              (centre - corners[:, 0])[..., None])[..., 0]
+    inside = (weights >= 0.0).all(axis=1) & (weights.sum(axis=1) <= 1.0)
+    points = (model.mesh.points[np.unique(model.mesh.faces)] - centre) @ pose[:3, :3]
+    nearest = float(sdf.distance(probe, points).min())
+    if inside.any() and nearest > 0.0:
+        raise SceneError(f"{where} [press]: from = {[round(v, 6) for v in centre.tolist()]} puts the whole probe "
+                         f"inside the body, where it touches nothing; start outside (world coordinates of the probe's "
+                         f"centre, in metres).")
+    return max(0.0, -nearest)
+
+
+def tip(scene: Scene, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """The leading point of the probe (3,) [m] when its centre is at ``centre``, moving along ``axis``."""
+    assert scene.press is not None
+    turn = pose_at(scene.press, scene.probe, scene.press.inward)[:3, :3]
+    return centre + sdf.support(scene.probe, turn.T @ axis) * axis

@@ -1,0 +1,26 @@
+"""Every number of a press in one file."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.data.disk import write_atomic
+from vsfsim.generate.press_result import PressResult
+
+
+def save(result: PressResult, path: Path) -> None:
+    """Write the arrays of a result that kept them to ``path`` (.npz), with their shapes and units as JSON in ``units``.
+
+    Raises:
+        DatasetError: the file cannot be written.
+    """
+    assert result.arrays
+    units = {name: words for name, (_, words) in result.arrays.items()}
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, units=np.array(json.dumps(units)),
+                        **{name: values for name, (values, _) in result.arrays.items()})
+    write_atomic(path, buffer.getvalue())

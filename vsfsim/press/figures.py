@@ -1,0 +1,129 @@
+"""The plot of a press against depth, and the picture of its frame of full depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
+from vsfsim.sensing.camera import render
+from vsfsim.sensing.surface import flat_coloured, with_rigid
+
+DPI = 100
+_HEAD, _FOOT = 0.4, 0.3  # of a picture, for title and caption [inch]
+_BAR = 0.9  # width of a colour bar with its label [inch]
+_DOT = 30.0  # area of the largest dot [square points]
+_GREY = 0.82  # of a surface without contact
+_SHADING = 0.55  # of a body that is coloured by values, so that a colour can be found again on the bar
+
+
+def plot(result: PressResult, title: str, path: Path) -> None:
+    """Draw the curves of a result against depth into ``path`` (PNG); frames that did not converge are crossed out."""
+    count = len(result.plot)
+    figure = Figure(figsize=(6.4, 1.2 + 3.0 * count), dpi=130, facecolor="white", layout="tight")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
+    depth, bad = 1e3 * result.depth, ~result.converged
+    for axes, panel in zip(panels, result.plot, strict=True):
+        for name, values in panel.values.items():
+            axes.plot(depth, values, ".-", ms=5, label=name)
+            axes.plot(depth[bad], values[bad], "x", ms=9, color="tab:red")
+        if bad.any():
+            axes.plot([], [], "x", ms=9, color="tab:red", label="not converged")
+        axes.set_ylabel(panel.label)
+        axes.legend(frameon=False, fontsize=8, ncols=-(-len(panel.values) // 4))
+        axes.grid(alpha=0.3)
+    panels[-1].set_xlabel(result.abscissa)
+    panels[0].set_title(f"{title}: {result.model}", fontsize=10)
+    figure.savefig(path)
+
+
+def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu") -> None:
+    """Draw the panels of a result that kept them into ``path`` (PNG), side by side.
+
+    Args:
+        result: with panels.
+        title: above everything.
+        path: the file.
+        device: Warp device of the ray caster.
+    """
+    assert result.panels
+    tall = max(panel.camera.height for panel in result.panels if isinstance(panel, BodyPanel)) / DPI
+    widths = [_width(panel, tall) for panel in result.panels]
+    height = tall + _HEAD + _FOOT
+    figure = Figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    left = 0.0
+    for panel, width in zip(result.panels, widths, strict=True):
+        bar = _BAR if isinstance(panel, BodyPanel) and _has_bar(panel) else 0.0
+        place = (left / sum(widths), _FOOT / height, (width - bar) / sum(widths), tall / height)
+        if isinstance(panel, MapPanel):
+            _map(figure, panel, place)
+        else:
+            axes = figure.add_axes(place)
+            axes.imshow(panel.rgb if isinstance(panel, ImagePanel) else _render(panel, device))
+            axes.set_axis_off()
+        if bar:
+            axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
+            figure.colorbar(_scale(panel.colours), cax=axes).set_label(panel.colours.label, fontsize=9)
+        left += width
+    mark = "" if result.converged[result.deepest] else "   NOT CONVERGED"
+    figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {result.headline}{mark}", va="center", fontsize=12)
+    caption = f"{result.model}; {result.caption}" if result.caption else result.model
+    figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
+    figure.savefig(path)
+
+
+def _width(panel: Panel, tall: float) -> float:
+    """Of a panel ``tall`` inches high [inch]."""
+    if isinstance(panel, ImagePanel):
+        return panel.rgb.shape[1] / panel.rgb.shape[0] * tall
+    if isinstance(panel, MapPanel):
+        return 1.45 * tall
+    return panel.camera.width / panel.camera.height * tall + (_BAR if _has_bar(panel) else 0.0)
+
+
+def _has_bar(panel: BodyPanel) -> bool:
+    return panel.colours is not None and bool(panel.colours.label)
+
+
+def _scale(colours: Colours) -> Any:
+    """From a value to a colour."""
+    high = max(colours.high, 1e-12)
+    norm = (matplotlib.colors.TwoSlopeNorm(0.0, colours.low, high) if colours.low < 0.0
+            else matplotlib.colors.Normalize(colours.low, high))
+    return matplotlib.cm.ScalarMappable(norm, colours.name)
+
+
+def _render(panel: BodyPanel, device: str) -> np.ndarray:
+    """The panel's body and rigid bodies (H, W, 3) uint8."""
+    surface, camera, shading = panel.surface, panel.camera, 1.0
+    if panel.values is not None and panel.colours is not None:
+        colour = _scale(panel.colours).to_rgba(panel.values)[:, :3]
+        if panel.colours.grey_zero:
+            colour[panel.values <= 0.0] = _GREY
+        surface, shading = flat_coloured(surface.vertices, surface.triangles, colour), _SHADING
+    return render(with_rigid(surface, panel.rigid), camera.intrinsics, camera.pose, camera.width, camera.height,
+                  device=device, shading=shading, background=(255, 255, 255)).rgb
+
+
+def _map(figure: Figure, panel: MapPanel, place: tuple[float, float, float, float]) -> None:
+    left, bottom, width, height = place
+    axes = figure.add_axes((left + 0.1 * width, bottom + 0.11 * height, 0.75 * width, 0.85 * height))
+    scale = _scale(panel.colours)
+    x, y = panel.points.T
+    drawn = axes.tripcolor(x, y, panel.triangles, panel.values, shading="gouraud", cmap=scale.cmap, norm=scale.norm)
+    on = panel.dots > 0.0
+    if on.any():
+        axes.scatter(x[on], y[on], s=_DOT * panel.dots[on] / panel.dots.max(), color="k", linewidths=0.0)
+    axes.set_aspect("equal")
+    axes.set_xlabel(panel.labels[0])
+    axes.set_ylabel(panel.labels[1])
+    low, high = scale.norm.vmin, scale.norm.vmax
+    figure.colorbar(drawn, ax=axes, fraction=0.04, pad=0.02, ticks=[low, 0.5 * low, 0.0, 0.5 * high, high],
+                    format=lambda value, _: f"{value:.2g}").set_label(panel.colours.label)
