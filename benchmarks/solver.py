@@ -16,14 +16,14 @@ import references
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.generate.presses.probe import tip
+from vsfsim.generate.presses.verdict import direction
 from vsfsim.physics import clock, tiers
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.frames import Frames
 from vsfsim.physics.solve.kernels import solver_kernels
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.generate.presses.probe import tip
-from vsfsim.generate.presses.verdict import direction
 from vsfsim.robot.path import press_path, touch_path
 
 CASES = {"indent-homogeneous": "S1", "indent": "S2"}

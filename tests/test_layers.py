@@ -75,11 +75,8 @@ LONGEST = 440  # lines
 MOST_MODULES = 20  # at one level of a folder
 
 KNOWN_CIRCLES: list[tuple[str, ...]] = [
-    ("vsfsim.cli.main", "vsfsim.cli.measure"),
     ("vsfsim.generate.effectors.arm", "vsfsim.generate.plants.batches", "vsfsim.generate.run"),
-    ("vsfsim.press.probe", "vsfsim.press.text"),
     ("vsfsim.robot.arm", "vsfsim.robot.menagerie"),
-    ("vsfsim.sensing.camera", "vsfsim.sensing.render_pyrender", "vsfsim.sensing.render_warp"),
     ("vsfsim.vsf.features.descriptor", "vsfsim.vsf.features.dinov2", "vsfsim.vsf.features.interface"),
 ]
 """Circles that wait to be broken; the list only shrinks."""

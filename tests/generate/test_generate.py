@@ -17,11 +17,12 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import verify
+from vsfsim.generate.effector import find_effector
 from vsfsim.generate.job import Stream, stream
+from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.recipe import splits_for
 from vsfsim.generate.run import generate
-from vsfsim.press import probe as presses
-from vsfsim.press import text as press_text
+from vsfsim.press.text import text
 
 SCENE = """
 name = "tiny"
@@ -204,7 +205,7 @@ def check_press(table):
 
 
 def test_press_gives_all_that_the_design_promises(scene):
-    check_press(presses.press(scene.sample(0)).table())
+    check_press(find_effector("probe").press(scene, PressRequest()).table())
 
 
 def test_press_prints_one_json_object(scene, tmp_path):
@@ -213,13 +214,13 @@ def test_press_prints_one_json_object(scene, tmp_path):
     assert out.returncode == 0, out.stderr
     table = json.loads(out.stdout)
     check_press(table)
-    assert table["force"] == presses.press(scene.sample(0)).table()["force"], ("the same seed gives the same bits in "
-                                                                               "another process")
+    here = find_effector("probe").press(scene, PressRequest()).table()
+    assert table["force"] == here["force"], "the same seed gives the same bits in another process"
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_text_table_for_people(scene):
-    lines = press_text.text(presses.press(scene.sample(0))).splitlines()
+    lines = text(find_effector("probe").press(scene, PressRequest())).splitlines()
     assert (len(lines) == 9 and "force N" in lines[0] and lines[7].startswith("All 6 frames converged.")
             and lines[8].startswith("Tier fem-coarse"))
 

@@ -10,10 +10,13 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shelf import find_scene
-from vsfsim.press import bubble as press_bubble
-from vsfsim.press import file_bubble as press_bubble_file
-from vsfsim.press import picture_bubble as press_bubble_picture
+from vsfsim.generate.press_result import Colours, PressRequest
+from vsfsim.generate.presses.bubble import outside, result_of
+from vsfsim.generate.presses.bubble_solve import solve
+from vsfsim.generate.presses.dent import inward_distance
+from vsfsim.press import archive, figures
 from vsfsim.press.command import press as command
+from vsfsim.press.text import text as words
 
 
 def text(path):
@@ -38,7 +41,9 @@ def run(tmp_path_factory):
     cache = tmp_path_factory.mktemp("bubbles")
 
     def make(path):
-        return press_bubble.press(parse_scene(text(path), "small.toml").sample(0), cache=cache, keep=True)
+        request = PressRequest(cache=cache, keep=True)
+        solved = solve(parse_scene(text(path), "small.toml").sample(0), request)
+        return solved, result_of(solved, request)
 
     return make
 
@@ -49,36 +54,37 @@ def down(run):
 
 
 def test_force_depth_and_pressure(down):
+    _, down = down
     assert down.converged.all()
-    apex = 0.3 + 0.010 + down.apex  # of the mount's origin when it first touches
+    apex = 0.3 + 0.010 + down.more["apex"]  # of the mount's origin when it first touches
     # first contact on triangles: their chord under the dome is 0.1 mm off at most
     assert down.depth == pytest.approx([max(apex - z, 0.0) for z in (0.342, 0.339, 0.336)], abs=1e-4)
     assert (np.diff(down.force[:, 2]) > 0.0).all(), "pushed back up"
     assert np.abs(down.force[:, :2]).max() < 1e-3 * down.force[-1, 2]
     assert down.reaction == pytest.approx(-down.force, rel=1e-3, abs=1e-3), "the mount holds it"
-    assert down.body_force[:, 0] == pytest.approx(-down.force, rel=1e-9, abs=1e-9)
+    assert down.more["body_force"][:, 0] == pytest.approx(-down.force, rel=1e-9, abs=1e-9)
     # the mount frame is turned over: +z leads downwards
-    assert down.wrench[:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
+    assert down.more["wrench"][:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
     ambient, gamma, gas = 101325.0, 1.4, 150e-6
-    assert (down.pressure + ambient) * down.volume**gamma == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
-    assert down.pressure_change == pytest.approx(down.pressure - 7820.0, abs=1e-9)
+    assert (down.more["pressure"] + ambient) * down.more["volume"]**gamma == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
+    assert down.more["pressure_change"] == pytest.approx(down.more["pressure"] - 7820.0, abs=1e-9)
 
 
 def test_the_same_press_from_another_side(run, down):
-    other = run(SIDEWAYS)
+    (_, down), (_, other) = down, run(SIDEWAYS)
     assert other.force[:, 0] == pytest.approx(down.force[:, 2], rel=0.02)  # the dome may be turned about its axis
     assert np.abs(other.force[:, 1:]).max() < 1e-2 * other.force[-1, 0]
 
 
 def test_what_is_saved(down, tmp_path):
-    press_bubble_file.save(down, tmp_path / "out.npz")
+    archive.save(down[1], tmp_path / "out.npz")
     with np.load(tmp_path / "out.npz") as data:
         assert set(json.loads(str(data["units"]))) == set(data.files) - {"units"}
         assert data["node_position"].shape == data["node_force"].shape == (3, 390, 3)
         assert data["fine_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-12, abs=1e-15)
         assert data["node_force"].sum(axis=1) == pytest.approx(data["wrench"][:, :3], rel=1e-9, abs=1e-12)
-        assert np.abs(data["node_position"][:,
-                                            data["rim"]] - data["free_node_position"][data["rim"]]).max() < 1e-15, "the rim is clamped"
+        off = data["node_position"][:, data["rim"]] - data["free_node_position"][data["rim"]]
+        assert np.abs(off).max() < 1e-15, "the rim is clamped"
 
 
 def shades(image):
@@ -88,47 +94,49 @@ def shades(image):
     return np.array([(red > blue + 60).sum(), (blue > red + 60).sum(), grey.sum()])
 
 
+def rendered(solved, frame, values):
+    """The picture from outside, one value a triangle: red above zero, blue below."""
+    return figures.rendered(outside(solved, frame, values, Colours("bwr", -1.0, 1.0)), "cpu")
+
+
 def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
-    scene = parse_scene(text(DOWN), "small.toml").sample(0)
-    depth = press_bubble_picture.inwards(down.state, 2)
+    solved, result = down
+    depth = inward_distance(solved.model, solved.position[2])
     # the node nearest the ball's pole has gone as far as the mount has; the skin around bulges out, since the air has
     # to go somewhere
-    assert depth.max() == pytest.approx(down.depth[2],
-                                        rel=0.05) and -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
-    assert np.abs(depth[down.state.model.mesh.rim]).max() < 1e-12
-    faces = down.state.model.mesh.faces
-    colour = np.where((depth[faces].mean(axis=1) > 0.0)[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
-    alone = dataclasses.replace(scene, obstacles=())
-    with_ball, without = (shades(press_bubble_picture.outside(down.state, s, 2, colour, "cpu")) for s in (scene, alone))
+    assert depth.max() == pytest.approx(result.depth[2], rel=0.05)
+    assert -0.3 * depth.max() < depth.min() < -0.01 * depth.max()
+    assert np.abs(depth[solved.model.mesh.rim]).max() < 1e-12
+    sign = np.where(depth[solved.model.mesh.faces].mean(axis=1) > 0.0, 1.0, -1.0)
+    alone = dataclasses.replace(solved, scene=dataclasses.replace(solved.scene, obstacles=()))
+    with_ball, without = (shades(rendered(s, 2, sign)) for s in (solved, alone))
     assert (with_ball > 2000).all() and (without[:2] > 2000).all() and without[2] == 0
-    press_bubble_picture.picture(down, scene, "small", tmp_path / "p.png")
+    figures.picture(result, "small", tmp_path / "p.png")
     drawn = matplotlib.image.imread(tmp_path / "p.png")
     assert drawn.shape[1] > 3 * drawn.shape[0] and np.ptp(drawn[:, -200:, 0]) > 0.3, "the camera inside sees dots"
 
 
-def test_what_a_sensor_has_not_is_said():
+def test_what_a_sensor_has_not_is_refused():
     scene = load_scene(find_scene("punyo"))
     with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
-        command(load_scene(find_scene("punyo-block")), seed=0, device="cpu", precision="float64",
-                progress=lambda *a: None, tier=None, refine=3, picture=None, plot=None, save=None)
+        command(load_scene(find_scene("punyo-block")), meshes=3)
     with pytest.raises(SceneError, match="--tier fem"):
-        command(scene, seed=0, device="cpu", precision="float64", progress=lambda *a: None, tier="fem", refine=None,
-                picture=None, plot=None, save=None)
+        command(scene, tier="fem")
     with pytest.raises(SceneError, match=r"needs a \[press\]"):
-        press_bubble.press(dataclasses.replace(scene.sample(0), press=None))
+        solve(dataclasses.replace(scene.sample(0), press=None), PressRequest())
 
 
 @pytest.mark.slow
 def test_the_punyo_pressed_10_mm_onto_a_tip():
-    result = press_bubble.press(load_scene(find_scene("punyo")).sample(0), keep=True)
-    print(press_bubble.text(result))
+    request = PressRequest()
+    result = result_of(solve(load_scene(find_scene("punyo")).sample(0), request), request)
+    print(words(result))
     assert result.converged.all() and result.depth[-1] == pytest.approx(0.010, abs=1e-5)
     # over a ball of 3 mm, 10 mm deep: `vsfsim press punyo --refine 3` is extrapolated to 938.8 Pa and 4.890 N, errors
     # of 0.14 and 0.22 %
-    assert result.pressure_change[-1] == pytest.approx(938.8,
-                                                       rel=0.01) and result.force[-1,
-                                                                                  2] == pytest.approx(4.890, rel=0.01)
-    assert (result.audit["penetration"] < 0.01 * result.edge).all()
+    assert result.more["pressure_change"][-1] == pytest.approx(938.8, rel=0.01)
+    assert result.force[-1, 2] == pytest.approx(4.890, rel=0.01)
+    assert (result.audit["penetration"] < 0.01 * result.more["edge"]).all()
 
 
 SOFT = '''name = "soft"
@@ -149,17 +157,17 @@ frames = 2
 
 
 def test_on_an_object_the_mount_holds_and_the_read_out_bears_what_the_object_pushes():
-    scene = parse_scene(SOFT, "soft.toml").sample(0)
-    result = press_bubble.press(scene, keep=True)
+    request = PressRequest(keep=True)
+    solved = solve(parse_scene(SOFT, "soft.toml").sample(0), request)
+    result = result_of(solved, request)
+    saved = {name: values for name, (values, _) in result.arrays.items()}
     assert result.converged.all() and result.force[-1, 2] > 0.5
     assert result.reaction == pytest.approx(-result.force, rel=1e-2, abs=1e-3), "the mount holds it"
-    assert result.body_force[:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
-    own = np.einsum("tji,tj->ti", result.state.mount[:, :3, :3], result.force)
-    assert result.state.read_out_force().sum(axis=1) == pytest.approx(own, rel=1e-9, abs=1e-9)
-    moment = np.cross(result.state.read_out_position(), result.state.read_out_force()).sum(axis=1)
-    assert moment == pytest.approx(result.wrench[:, 3:], abs=1e-9)
+    assert result.more["body_force"][:, 0] == pytest.approx(-result.force, rel=1e-9, abs=1e-9)
+    own = np.einsum("tji,tj->ti", solved.mount[:, :3, :3], result.force)
+    assert saved["node_force"].sum(axis=1) == pytest.approx(own, rel=1e-9, abs=1e-9)
+    moment = np.cross(saved["node_position"], saved["node_force"]).sum(axis=1)
+    assert moment == pytest.approx(result.more["wrench"][:, 3:], abs=1e-9)
     # the picture's block lies where the skin is pushed in
-    faces = result.state.model.mesh.faces
-    red, _, grey = shades(press_bubble_picture.outside(result.state, scene, 1,
-                                                       np.tile([1.0, 0.0, 0.0], (len(faces), 1)), "cpu"))
+    red, _, grey = shades(rendered(solved, 1, np.ones(len(solved.model.mesh.faces))))
     assert red > 2000 and grey > 20_000

@@ -12,9 +12,11 @@ import references
 from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Sphere
 from vsfsim.core.shelf import find_scene
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.presses.probe import prepare
+from vsfsim.generate.presses.probe import solve as solve_press
 from vsfsim.physics import tiers
 from vsfsim.physics.solve.touches import Solver
-from vsfsim.press.probe import press
 
 S1, S2, S1_DEEP, HERTZ = (references.load(name)["force_N"][-1] for name in ("s1", "s2", "s1_deep", "hertz_layer"))
 S1_CURVE = np.array(references.load("s1")["force_N"])  # every 0.5 mm
@@ -23,12 +25,13 @@ S1_CURVE = np.array(references.load("s1")["force_N"])  # every 0.5 mm
 def run(name, tier, device, frames=10):
     scene = load_scene(find_scene(name)).sample(0)
     scene = dataclasses.replace(scene, press=dataclasses.replace(scene.press, frames=(frames,)))
-    result = press(scene, tier=tier, device=device)
+    request = PressRequest(tier=tier, device=device)
+    result = solve_press(prepare(scene, request), request)
     assert result.converged.all()
     # the probe's force is what the supports give back; the solver's tolerance bounds the difference
     assert result.audit["force_balance"].max() <= 1e-3
-    assert result.audit["penetration"].max() < 0.01 * result.element_size
-    print(f"{name} {tier}: {result.tets} tets, {result.seconds.mean():.2f} s a frame, forces "
+    assert result.audit["penetration"].max() < 0.01 * result.more["element_size"]
+    print(f"{name} {tier}: {result.more['tets']} tets, {result.more['seconds'].mean():.2f} s a frame, forces "
           f"{np.round(result.force[:, 2], 3)}")
     return result.force[:, 2]
 

@@ -66,7 +66,7 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
             _map(figure, panel, place)
         else:
             axes = figure.add_axes(place)
-            axes.imshow(panel.rgb if isinstance(panel, ImagePanel) else _render(panel, device))
+            axes.imshow(panel.rgb if isinstance(panel, ImagePanel) else rendered(panel, device))
             axes.set_axis_off()
         if bar:
             axes = figure.add_axes(((left + width - bar + 0.05) / sum(widths), 0.25, 0.14 / sum(widths), 0.5))
@@ -100,8 +100,8 @@ def _scale(colours: Colours) -> Any:
     return matplotlib.cm.ScalarMappable(norm, colours.name)
 
 
-def _render(panel: BodyPanel, device: str) -> np.ndarray:
-    """The panel's body and rigid bodies (H, W, 3) uint8."""
+def rendered(panel: BodyPanel, device: str) -> np.ndarray:
+    """The panel's body and rigid bodies as sRGB (H, W, 3) uint8."""
     surface, camera, shading = panel.surface, panel.camera, 1.0
     if panel.values is not None and panel.colours is not None:
         colour = _scale(panel.colours).to_rgba(panel.values)[:, :3]

@@ -33,7 +33,7 @@ def dent(model: BubbleModel, position: np.ndarray, axis: np.ndarray) -> Dent:
     mesh = model.mesh
     along = (position - mesh.points) @ axis
     most = float(along.max())
-    share = _share_above(along[mesh.faces] - 0.5 * most)
+    share = share_above(along[mesh.faces] - 0.5 * most)
     area = float((np.abs(area_vectors(mesh.points, mesh.faces) @ axis) * share).sum())
     return Dent(most, float(np.sqrt(area / np.pi)), float(-inward_distance(model, position).min()))
 
@@ -44,7 +44,7 @@ def inward_distance(model: BubbleModel, position: np.ndarray) -> np.ndarray:
     return -((position - mesh.points) * nodal_normals(mesh.points, mesh.faces)).sum(axis=1)
 
 
-def _share_above(values: np.ndarray) -> np.ndarray:
+def share_above(values: np.ndarray) -> np.ndarray:
     """Share of a triangle's area where a linear function, given at its corners (f, 3), is positive (f,)."""
     low, middle, high = np.sort(values, axis=1).T
     with np.errstate(divide="ignore", invalid="ignore"):
