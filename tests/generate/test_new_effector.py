@@ -23,6 +23,7 @@ from vsfsim.data.verify import verify
 from vsfsim.generate.effector import find_effector
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.generate.run import generate
+from vsfsim.press.command import press
 
 LOAD_CELL = '''
 """A flat load cell behind a rigid probe: it reads the force along its axis in steps, up to its range."""
@@ -37,6 +38,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.table import Table
 from vsfsim.data import schema
 from vsfsim.generate.effectors.probe import Probe
+from vsfsim.generate.press_result import Column, Curves
 
 schema.FIELDS.append(schema.Field("touches/*/channels/cell_force", "float64", ("T",), "N",
                                   "Force along the axis of the load cell.", required=False, masked=True))
@@ -72,6 +74,14 @@ class LoadCell(Probe):
         return dataclasses.replace(view, touches=tuple(
             dataclasses.replace(touch, channels={"cell_force": self.reading(touch.normal_force(), most, step)})
             for touch in view.touches))
+
+    def press(self, loaded, request):
+        result, (most, step) = super().press(loaded, request), self.settings(loaded.sample(request.seed))
+        cell = self.reading(result.force[:, 2], most, step)
+        return dataclasses.replace(
+            result, more={**result.more, "cell_force": cell}, columns=(*result.columns, Column("cell N", cell, ".2f")),
+            plot=(*result.plot, Curves("load cell [N]", {"reading": cell})),
+            arrays={**result.arrays, "cell_force": (cell, "reading of the load cell (T,) [N]")})
 
     @staticmethod
     def reading(force, most, step):
@@ -169,6 +179,17 @@ def test_methods_are_scored_on_it(made):
     nothing = evaluate("gaussian-zero", task, made).scores["rmse"]["0"].mean
     print({name: {shot: f"{row.mean:.3f}" for shot, row in score.items()} for name, score in scores.items()}, nothing)
     assert all(score["3"].mean < 0.9 * nothing for score in scores.values())
+
+
+def test_it_is_pressed_printed_drawn_and_saved(load_cell, tmp_path):
+    (tmp_path / "weighed.toml").write_text(SCENE)
+    text, numbers, converged = press(load_scene(tmp_path / "weighed.toml"), plot=tmp_path / "p.png",
+                                     picture=tmp_path / "q.png", save=tmp_path / "s.npz")
+    assert converged and "cell N" in text.splitlines()[0]
+    force = np.array(numbers["force"])[:, 2]
+    assert force[-1] > 0.1 and numbers["cell_force"] == pytest.approx(np.clip(force, -2.0, 2.0), abs=0.025 + 1e-12)
+    assert np.load(tmp_path / "s.npz")["cell_force"].tolist() == numbers["cell_force"]
+    assert all((tmp_path / name).read_bytes()[:4] == b"\x89PNG" for name in ("p.png", "q.png"))
 
 
 def test_its_own_settings_are_refused_by_itself(load_cell):
