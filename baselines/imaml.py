@@ -18,7 +18,7 @@ from vsfsim.baselines.vsf_object import digest
 from vsfsim.bench.method import Action, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.features.interface import NAMES, view_token
+from vsfsim.vsf.features.registry import NAMES, view_token
 
 HIDDEN = (32, 128, 64, 32, 16)
 ENCODER = (64, 7)
@@ -60,7 +60,6 @@ class Imaml:
         import torch
 
         from vsfsim.baselines import implicit_maml as im
-        from vsfsim.vsf.fields.adam import Adam
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:
@@ -81,7 +80,7 @@ class Imaml:
         theta = [p.to(self.device) for p in self._network.start(torch.Generator().manual_seed(self.seed))]
         for p in theta:
             p.requires_grad_(True)
-        optimiser = Adam(theta, rate=self.outer_rate)
+        optimiser = torch.optim.Adam(theta, lr=self.outer_rate, foreach=True)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other

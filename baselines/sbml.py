@@ -18,7 +18,8 @@ from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSe
 from vsfsim.bench.method import Action, Estimate, Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.features.interface import NAMES, Normaliser, particle_features
+from vsfsim.vsf.features.interface import Normaliser
+from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 
 
@@ -27,7 +28,7 @@ class Sbml:
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.interface`.
+        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.registry`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.

@@ -19,7 +19,6 @@ from benchmarks.cost import most_memory, start_memory, wait
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.workload import volume_points
 from vsfsim.vsf.estimate.evidence import Evidence
-from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
 PAPER = (20_000, 200, 50)
@@ -106,11 +105,11 @@ def train(particles: int, presses: int, frames: int, *, device: str = "cpu",
         prior = MetaPrior(FEATURES, shared=False, spread=Spread(_MEAN, _MEAN)).to(device)
         features = torch.randn(len(evidence.touched), FEATURES).to(device)
     none = torch.zeros(0, FEATURES, device=device)
-    optimiser, best, values, begun = Adam(prior.parameters(), rate=1e-4), np.inf, [], time.perf_counter()
+    optimiser, best, values, begun = torch.optim.Adam(prior.parameters(), lr=1e-4, foreach=True), np.inf, [], time.perf_counter()
     while len(values) < _STEPS and (not values or time.perf_counter() - begun < _ENOUGH):
         start = time.perf_counter()
         loss = evidence.nll(*prior(features, none))
-        optimiser.clear()
+        optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         values.append(float(loss.detach()) / evidence.readings)

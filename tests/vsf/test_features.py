@@ -7,15 +7,8 @@ import pytest
 
 from vsfsim.bench.mock import camera_view, particles
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.features.interface import (
-    NEIGHBOURS,
-    FeatureImage,
-    Normaliser,
-    particle_features,
-    project,
-    see,
-    view_token,
-)
+from vsfsim.vsf.features.interface import NEIGHBOURS, FeatureImage, Normaliser, project, projection
+from vsfsim.vsf.features.registry import particle_features, view_token
 
 
 @pytest.fixture(scope="module")
@@ -28,13 +21,13 @@ def test_bilinear_on_the_seen_and_mean_of_ten_on_the_hidden(view):
     rows, columns = np.indices(view.mask.shape)
     image = FeatureImage(np.stack([columns, 2.0 * rows], axis=-1).astype(np.float32), np.ones_like(view.mask),
                          np.zeros(1))
-    geometry = see(view, particles(), 0.005)
-    out = project(image, geometry)
-    seen = geometry.visible
-    assert 0 < seen.sum() < len(seen) and np.abs(geometry.behind[seen]).max() <= 0.005
-    np.testing.assert_allclose(out[seen], geometry.pixel[seen] * [1.0, 2.0], atol=1e-4)
+    projected = projection(view, particles(), 0.005)
+    out = project(image, projected)
+    seen = projected.visible
+    assert 0 < seen.sum() < len(seen) and np.abs(projected.behind[seen]).max() <= 0.005
+    np.testing.assert_allclose(out[seen], projected.pixel[seen] * [1.0, 2.0], atol=1e-4)
     hidden = int(np.flatnonzero(~seen)[0])
-    away = np.linalg.norm(geometry.points[seen] - geometry.points[hidden], axis=1)
+    away = np.linalg.norm(projected.points[seen] - projected.points[hidden], axis=1)
     ten = np.sort(away)[NEIGHBOURS - 1]
     near = away < ten - 1e-9  # ties at the rim may fall either way
     low, high = out[seen][near].min(axis=0), out[seen][away <= ten + 1e-9].max(axis=0)
@@ -45,8 +38,8 @@ def test_a_coarse_grid_of_features_reads_the_same_place(view):
     rows, columns = np.indices((16, 16))
     coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32),
                           np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
-    geometry = see(view, particles(), 0.005)
-    np.testing.assert_allclose(project(coarse, geometry)[geometry.visible], geometry.pixel[geometry.visible], atol=1e-4)
+    projected = projection(view, particles(), 0.005)
+    np.testing.assert_allclose(project(coarse, projected)[projected.visible], projected.pixel[projected.visible], atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["local", "local-full", "xyzrgb"])

@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
 from vsfsim.vsf.fields.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
 from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
@@ -163,39 +162,3 @@ def test_a_soft_and_a_stiff_half_are_told_from_totals_alone():
     assert right > 3.0 * left
     told = predict_totals(model, totals[0], samples=16)
     assert told[0] == 0.0 and np.abs(told - totals[0].force).max() < 0.25 * np.abs(totals[0].force).max()
-
-
-def test_adam_takes_the_steps_of_the_published_rule():
-    # By hand for one number: m = 0.1 g, v = 0.001 g^2, both corrected to g and g^2: the first step is the rate,
-    # whatever the gradient.
-    p = torch.tensor([1.0, -2.0], dtype=torch.float64, requires_grad=True)
-    still = torch.ones(2, requires_grad=True)
-    ours = Adam([p, still], rate=0.1)
-    (p * torch.tensor([3.0, -0.01])).sum().backward()
-    ours.step()
-    np.testing.assert_allclose(p.detach().numpy(), [0.9, -1.9], atol=1e-6)
-    reference = torch.tensor([0.9, -1.9], dtype=torch.float64)
-    m, v = 0.1 * np.array([3.0, -0.01]), 0.001 * np.array([9.0, 1e-4])
-    for _ in range(3):
-        ours.clear()
-        (p**2).sum().backward()
-        gradient = 2.0 * reference.numpy()
-        m, v = 0.9 * m + 0.1 * gradient, 0.999 * v + 0.001 * gradient**2
-        steps = ours.steps + 1
-        reference = reference - 0.1 * torch.as_tensor(m / (1 - 0.9**steps) / (np.sqrt(v / (1 - 0.999**steps)) + 1e-8))
-        ours.step()
-    torch.testing.assert_close(p.detach(), reference, rtol=1e-5, atol=1e-7)
-    assert still.tolist() == [1.0, 1.0]
-
-
-def test_steps_counted_on_the_device_are_the_same():
-    start = torch.tensor([[1.0, -2.0], [0.5, 3.0]], dtype=torch.float64)
-    here, there = (start.clone().requires_grad_(True) for _ in range(2))
-    plain, counted = Adam([here], rate=0.05), Adam([there], rate=0.05, counted_there=True)
-    for _ in range(20):
-        plain.clear()
-        (here**4).sum().backward()
-        plain.step()
-        counted.along(torch.autograd.grad((there**4).sum(), [there]))
-    torch.testing.assert_close(here, there, rtol=1e-12, atol=1e-12)
-    assert (here - start).abs().min() > 0.1

@@ -11,7 +11,7 @@ from vsfsim.core.errors import VsfsimError
 
 EXTRA_OF = {
     "warp": "sim", "mujoco": "sim", "trimesh": "sim", "cholespy": "sim", "pytetwild": "sim", "pyvista": "sim",
-    "torch": "methods",
+    "torch": "methods", "sklearn": "methods", "safetensors": "methods",
     "matplotlib": "render", "PIL": "render", "pyrender": "render",
 }
 """The extra that a message names, by the name that is imported. `pyproject.toml` may list a package in several."""

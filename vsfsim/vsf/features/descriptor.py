@@ -1,20 +1,18 @@
-"""The default features: what a view says about a surface at several metric scales, without anything to download.
+"""The default features: what a view shows of a surface at several metric scales, without anything to download.
 
-`local`, for the tens of training objects there usually are: the mean colour over 8 mm, the energy of three bands of
-luminance (texture), and of every
-particle its position, depth behind the surface and distance to the nearest visible point: 11 numbers. `local-full` has
-everything below. With a dozen shoes to learn from its 32 numbers overfit; with many it has more to say. For every
-masked pixel, at scales given in metres (so that the camera's distance does not matter):
+`local` is for the tens of training objects that there usually are. It has 11 numbers: the mean colour over 8 mm, the
+energy of three bands of luminance (texture), and for every particle its position, its depth behind the surface and its
+distance to the nearest visible point. `local-full` has everything below; with a dozen shoes to learn from, its 32
+numbers overfit. Scales are in metres, so that the distance of the camera does not matter:
 
     colour      log luminance and two opponent colours, blurred over 3, 8 and 20 mm
-    texture     energy of the band between consecutive scales in luminance, and of the opponent colours; how much one
-    direction
-                dominates (coherence of the structure tensor)
+    texture     energy of the band between consecutive scales in luminance and in the opponent colours; coherence of
+                the structure tensor (how much one direction dominates)
     surface     height, upward and camera-facing component of the normal, mean curvature over 8 and 20 mm, distance to
-    the outline
+                the outline
 
-and for every particle its position in the visible box, how deep behind the surface it lies and how far from the nearest
-visible point. All blurs are normalised by the blurred mask, so that the background never leaks in.
+Every particle also has its position in the visible box, its depth behind the surface and its distance to the nearest
+visible point. All blurs are normalised by the blurred mask, so that the background has no influence.
 """
 
 from __future__ import annotations
@@ -24,7 +22,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import View
-from vsfsim.vsf.features.interface import FeatureImage, Geometry, normalised_position
+from vsfsim.vsf.features.interface import FeatureImage, Projection, normalised_position
 
 SCALES = (0.003, 0.008, 0.020)
 """Standard deviations of the blurs [m]."""
@@ -33,12 +31,16 @@ _CURVATURE_SCALES = (0.008, 0.020)
 _DARKEST = 0.01
 # Of the colour channels: luminance and opponents over 8 mm, and the three bands of luminance.
 _FEW = (1, 4, 7, 9, 10, 11)
-# Depths behind the surface beyond this say no more than "deep" [m].
+# Depths behind the surface are clipped here: deeper particles do not differ for touch [m].
 _DEEPEST = 0.05
 
 
 class LocalDescriptor:
-    """See the module. full: all channels."""
+    """The module's features.
+
+    Args:
+        full: all channels of `local-full`; else those of `local`.
+    """
 
     def __init__(self, *, full: bool = False):
         self.full = full
@@ -50,17 +52,18 @@ class LocalDescriptor:
         channels = _colour(view.rgb, mask, pixel_size)
         channels = [*channels, *_surface(view, mask, pixel_size)] if self.full else [channels[k] for k in _FEW]
         values = np.stack(channels, axis=-1).astype(np.float32)
-        seen = values[mask].astype(np.float64)
-        return FeatureImage(values, mask, np.concatenate([seen.mean(axis=0), seen.std(axis=0)]).astype(np.float32))
+        visible = values[mask].astype(np.float64)
+        token = np.concatenate([visible.mean(axis=0), visible.std(axis=0)])
+        return FeatureImage(values, mask, token.astype(np.float32))
 
-    def of_particles(self, view: View, geometry: Geometry) -> np.ndarray:
-        """Position, depth behind the surface and distance to the nearest visible point, both logarithmic; if full,
-        height, too (n, 5 or 6)."""
-        away = cKDTree(view.points()).query(geometry.points)[0]
-        behind = np.clip(geometry.behind, 0.0, _DEEPEST)
-        depth = np.log1p(np.stack([behind, away], axis=1) / geometry.spacing)
-        return np.concatenate([normalised_position(view, geometry.points), depth,
-                               geometry.points[:, 2:][:, : int(self.full)]], axis=1)
+    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
+        """Position, logarithms of the depth behind the surface and of the distance to the nearest visible point, and
+        in the full descriptor the height (n, 5 or 6)."""
+        away = cKDTree(view.points()).query(projected.points)[0]
+        behind = np.clip(projected.behind, 0.0, _DEEPEST)
+        depth = np.log1p(np.stack([behind, away], axis=1) / projected.spacing)
+        height = projected.points[:, 2:][:, : int(self.full)]
+        return np.concatenate([normalised_position(view, projected.points), depth, height], axis=1)
 
 
 class _Blur:
@@ -77,7 +80,7 @@ class _Blur:
 def _colour(rgb: np.ndarray, mask: np.ndarray, pixel_size: float) -> list[np.ndarray]:
     linear = (rgb.astype(np.float64) / 255.0) ** 2.2
     red, green, blue = np.moveaxis(np.log(linear + _DARKEST), 2, 0)
-    # Logarithms turn shading into an offset that the opponent colours do not feel.
+    # Logarithms turn shading into an offset, which cancels in the opponent colours.
     opponents = [(red + green + blue) / 3.0, red - green, 0.5 * (red + green) - blue]
     blurs = [_Blur(mask, scale / pixel_size) for scale in SCALES]
     levels = [[channel, *(blur(channel) for blur in blurs)] for channel in opponents]
@@ -104,11 +107,10 @@ def _coherence(luminance: np.ndarray, mask: np.ndarray, sigma: float) -> np.ndar
 def _surface(view: View, mask: np.ndarray, pixel_size: float) -> list[np.ndarray]:
     """Normals, curvature and the distance to the outline, from the depth image."""
     rows, columns = np.indices(mask.shape)
-    ray = np.linalg.solve(view.intrinsics, np.stack([columns, rows,
-                                                     np.ones_like(rows)]).reshape(3, -1).astype(np.float64))
-    out: list[np.ndarray] = []
+    pixels = np.stack([columns, rows, np.ones_like(rows)]).reshape(3, -1).astype(np.float64)
+    ray = np.linalg.solve(view.intrinsics, pixels)
     depth = view.depth.astype(np.float64)
-    # Half a scale wide: less would see the quantised depth, more would round the edges off.
+    # Half a scale wide: less would show the quantisation of the depth, more would round edges off.
     smooth = _Blur(mask, 0.5 * _CURVATURE_SCALES[0] / pixel_size)(depth)
     points = (ray * smooth.ravel()).reshape(3, *mask.shape)
     down, right = (np.gradient(points, axis=axis) for axis in (1, 2))
@@ -119,7 +121,7 @@ def _surface(view: View, mask: np.ndarray, pixel_size: float) -> list[np.ndarray
     world = np.einsum("ij,jkl->ikl", view.camera_pose[:3, :3], normal)
     height = np.einsum("i,ikl->kl", view.camera_pose[2, :3],
                        (ray * depth.ravel()).reshape(3, *mask.shape)) + view.camera_pose[2, 3]
-    out += [height, world[2], toward]
+    out = [height, world[2], toward]
     for scale in _CURVATURE_SCALES:
         # Laplacian of the depth along the view, over the scale: positive on a bump [1/m].
         fine, coarse = _Blur(mask, 0.7 * scale / pixel_size)(depth), _Blur(mask, 1.4 * scale / pixel_size)(depth)

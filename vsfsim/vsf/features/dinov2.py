@@ -1,16 +1,18 @@
 """DINOv2 features of a view (SBML appendix B.2): patch tokens of a pretrained vision transformer, from weights on this
 machine.
 
-Nothing is downloaded here. Weights are looked for where the user says, in $VSFSIM_DINOV2, and in the cache of
-torch.hub; the error that says they are missing prints the command that fetches them. They are read as plain tensors (no
-code in them is run), must fit the architecture name for name, and `sha256` of the file can be demanded.
+Nothing is downloaded here. Weights are searched for where the user says, in the folder $VSFSIM_DINOV2, and in the
+caches of torch.hub and of the Hugging Face hub. The error about missing weights prints the command that fetches them.
+Both published forms are read: the authors' `dinov2_vits14_pretrain.pth`, and timm's
+`vit_small_patch14_dinov2.lvd142m` (.safetensors or .pth). They are read as plain tensors (no code in them is run) and
+must fit the architecture name for name; the sha256 of the file can be demanded.
 """
 
 from __future__ import annotations
 
 import functools
-import hashlib
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -18,17 +20,22 @@ import torch
 from torch.nn import functional
 
 from vsfsim.core.errors import VsfError
+from vsfsim.data.disk import file_sha256
 from vsfsim.data.records import View
-from vsfsim.vsf.features.interface import FeatureImage, Geometry
-from vsfsim.vsf.features.vit import BASE, SMALL, Architecture, VisionTransformer
+from vsfsim.vsf.features.interface import FeatureImage, Projection
+from vsfsim.vsf.features.transformer import BASE, SMALL, Architecture, VisionTransformer
 
 ARCHITECTURES: dict[str, Architecture] = {"small": SMALL, "base": BASE}
 FILES = {"small": "dinov2_vits14_pretrain.pth", "base": "dinov2_vitb14_pretrain.pth"}
-"""File names of the published weights."""
+"""File names of the authors' weights."""
+TIMM_NAMES = {"small": "vit_small_patch14_dinov2.lvd142m", "base": "vit_base_patch14_dinov2.lvd142m"}
+"""Names of the same weights in timm and on the Hugging Face hub."""
+FOLDER_VARIABLE = "VSFSIM_DINOV2"
 
 _ADDRESS = "https://dl.fbaipublicfiles.com/dinov2/{folder}/{file}"
-FOLDER_VARIABLE = "VSFSIM_DINOV2"
-# Colour statistics the model was trained with.
+# The mask token serves pre-training only.
+_UNUSED = {"mask_token"}
+# Colour statistics of the training images (ImageNet).
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -44,8 +51,8 @@ class Dinov2:
 
         Args:
             size: "small" or "base".
-            weights: a .pth file, optionally followed by ``@`` and the sha256 it must have; "" searches $VSFSIM_DINOV2
-            and torch.hub's cache.
+            weights: a .pth or .safetensors file, optionally followed by ``@`` and the sha256 it must have; "" searches
+                as `find_weights` does.
             device: torch device.
 
         Raises:
@@ -58,82 +65,89 @@ class Dinov2:
 
     @torch.no_grad()
     def image(self, view: View) -> FeatureImage:
-        """Patch tokens, one cell a patch of 14 x 14 pixels; patches that see the object are valid (h, w, D)."""
+        """Patch tokens, one cell a patch of 14 x 14 pixels (h, w, D); a patch that meets the mask is valid."""
         patch = self.model.architecture.patch
         height, width = view.mask.shape
         # Bottom and right are padded to whole patches, so that cell (i, j) keeps its place in the image.
-        pad = (0, -width % patch, 0, -height % patch)
+        down, right = -height % patch, -width % patch
         rgb = torch.tensor(np.array(view.rgb), dtype=torch.float32, device=self.device).permute(2, 0, 1) / 255.0
-        rgb = (rgb - torch.tensor(_MEAN, device=self.device)[:, None,
-                                                             None]) / torch.tensor(_STD,
-                                                                                   device=self.device)[:, None, None]
-        token, tokens = self.model(functional.pad(rgb, pad)[None])
-        mask = np.pad(np.asarray(view.mask, bool), ((0, pad[3]), (0, pad[1])))
+        mean, std = (torch.tensor(x, device=self.device)[:, None, None] for x in (_MEAN, _STD))
+        token, tokens = self.model(functional.pad((rgb - mean) / std, (0, right, 0, down))[None])
+        mask = np.pad(np.asarray(view.mask, bool), ((0, down), (0, right)))
         valid = np.any(mask.reshape(mask.shape[0] // patch, patch, -1, patch), axis=(1, 3))
         return FeatureImage(tokens[0].float().cpu().numpy(), valid, token[0].float().cpu().numpy(), stride=patch,
                             offset=0.5 * (patch - 1))
 
-    def of_particles(self, view: View, geometry: Geometry) -> np.ndarray:
-        """Nothing beside the image, as in the paper (n, 0)."""
-        return np.zeros((len(geometry.points), 0), np.float32)
+    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
+        """No further columns, as in the paper (n, 0)."""
+        return np.zeros((len(projected.points), 0), np.float32)
 
 
 def find_weights(size: str, given: str = "") -> Path:
-    """The file of weights.
+    """The file of weights: ``given``, or the first found in $VSFSIM_DINOV2 and the caches of the two hubs.
 
     Raises:
         VsfError: there is none; the message has the command that fetches it.
     """
-    file = FILES[size]
-    hub = Path(os.environ.get("TORCH_HOME",
-                              Path(os.environ.get("XDG_CACHE_HOME",
-                                                  Path.home() / ".cache")) / "torch")) / "hub" / "checkpoints"
+    file, timm = FILES[size], TIMM_NAMES[size]
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    hub = Path(os.environ.get("TORCH_HOME", cache / "torch")) / "hub" / "checkpoints"
+    snapshots = Path(os.environ.get("HF_HOME", cache / "huggingface")) / "hub" / f"models--timm--{timm}" / "snapshots"
     if given:
         places = [Path(given)]
     else:
-        places = [Path(os.environ[FOLDER_VARIABLE]) / file] if FOLDER_VARIABLE in os.environ else []
-        places.append(hub / file)
+        folder = os.environ.get(FOLDER_VARIABLE)
+        own = [] if folder is None else [Path(folder) / name for name in (file, f"{timm}.safetensors", f"{timm}.pth")]
+        places = [*own, hub / file, *sorted(snapshots.glob("*/model.safetensors"))]
     for place in places:
         if place.is_file():
             return place
     url = _ADDRESS.format(folder=file.removesuffix("_pretrain.pth"), file=file)
     raise VsfError(f"features dinov2-{size[0]} need the published weights, which are not in "
                    f"{' or '.join(str(p) for p in places)}. This fetches them:\n\n"
-                   f"  mkdir -p {hub} && curl -L -o {hub / file} {url}\n\nOr give the file: --set weights=PATH, or its "
-                   f"folder in ${FOLDER_VARIABLE}. "
-                   "--set features=local needs no download.")
+                   f"  mkdir -p {hub} && curl -L -o {hub / file} {url}\n\nOr give a file, {file} or timm's {timm} "
+                   f"(.safetensors, .pth): --set weights=PATH, or its folder in ${FOLDER_VARIABLE}. "
+                   f"--set features=local needs no download.")
+
+
+def _state(path: str) -> Mapping[str, torch.Tensor]:
+    """Tensors of a checkpoint by name.
+
+    Raises:
+        VsfError: the file cannot be read, or holds something else.
+    """
+    try:
+        if path.endswith(".safetensors"):
+            from safetensors.torch import load_file
+
+            return load_file(path)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # both readers raise whatever their parsers meet
+        raise VsfError(f"weights {path} cannot be read as a torch state dict: {type(error).__name__}: "
+                       f"{str(error)[:200]} Fetch the file again.") from error
+    if not isinstance(state, dict):
+        raise VsfError(f"weights {path} hold a {type(state).__name__}; a state dict (name -> tensor) of DINOv2 is "
+                       f"wanted.")
+    return state
 
 
 @functools.lru_cache(maxsize=2)
 def _loaded(size: str, path: str, _changed: int, wanted: str) -> VisionTransformer:
     if wanted:
-        found = file_digest(path)
+        found = file_sha256(Path(path))
         if found != wanted:
             raise VsfError(f"weights {path} have the sha256 {found}, not {wanted}. The file is another one or was cut "
                            f"short; fetch it again.")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises whatever its unpickler meets
-        raise VsfError(f"weights {path} cannot be read as a torch state dict: {type(error).__name__}: "
-                       f"{str(error)[:200]} Fetch the file again.") from error
+    state = {name: value for name, value in _state(path).items() if name not in _UNUSED}
     model = VisionTransformer(ARCHITECTURES[size])
     own = model.state_dict()
-    if not isinstance(state, dict):
-        raise VsfError(f"weights {path} hold a {type(state).__name__}; a state dict (name -> tensor) of DINOv2 "
-                       f"{size} is wanted.")
     missing, extra = sorted(set(own) - set(state)), sorted(map(str, set(state) - set(own)))
-    wrong = [f"{k} {tuple(state[k].shape)} instead of {tuple(v.shape)}" for k,
-             v in own.items() if k in state and state[k].shape != v.shape]
+    wrong = [f"{name} {tuple(state[name].shape)} instead of {tuple(value.shape)}"
+             for name, value in own.items() if name in state and state[name].shape != value.shape]
+    faults = (("missing", missing), ("unknown", extra), ("wrong shape", wrong))
     if missing or extra or wrong:
-        words = [f"missing: {', '.join(missing[:3])}" * bool(missing), f"unknown: {', '.join(extra[:3])}" * bool(extra),
-                 f"wrong shape: {', '.join(wrong[:3])}" * bool(wrong)]
-        raise VsfError(f"weights {path} are not of DINOv2 {size} ({'; '.join(w for w in words if w)}). Give "
-                       f"{FILES[size]}, without registers.")
+        words = "; ".join(f"{fault}: {', '.join(names[:3])}" for fault, names in faults if names)
+        raise VsfError(f"weights {path} are not of DINOv2 {size} ({words}). Give {FILES[size]} or timm's "
+                       f"{TIMM_NAMES[size]}, without registers.")
     model.load_state_dict(state)
     return model.eval().requires_grad_(False)
-
-
-def file_digest(path: str | Path) -> str:
-    """sha256 of a file's bytes, in hexadecimal."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,26 +1,19 @@
-"""Visual features of the particles behind a view (SBML appendix B.2), behind one interface.
+"""What a feature extractor is, and how its image of features reaches the particles (SBML appendix B.2).
 
-An extractor turns a view into a dense image of features. The image is projected onto the particles: a visible particle
+An extractor turns a view into a dense image of features, which is projected onto the particles: a visible particle
 reads it by bilinear interpolation at its pixel, an occluded one takes the mean of its 10 nearest visible particles. An
-extractor may add columns that only geometry can tell (how deep behind the surface a particle lies).
-
-    xyzrgb      normalised position and colour (SBML appendix C.6), 6 numbers
-    local       the default: colour, texture and place relative to the seen surface, see `descriptor`, 11 numbers
-    local-full  the same at more scales, with normals, curvature and the distance to the outline, 32 numbers
-    dinov2-s    DINOv2 ViT-S/14 patch features (SBML's default), 384 numbers; needs weights, see `dinov2`
-    dinov2-b    DINOv2 ViT-B/14, 768 numbers
+extractor may add columns that follow from the geometry alone (how deep behind the surface a particle lies). `registry`
+lists the extractors.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.data.records import View
 
 NEIGHBOURS = 10
@@ -29,80 +22,52 @@ NEIGHBOURS = 10
 
 @dataclass(frozen=True)
 class FeatureImage:
-    """Dense features of a view.
-
-    values: (h, w, C) float32; cell (i, j) is centred on pixel (stride i + offset, stride j + offset).
-    valid: cells that hold a feature of the object (h, w) bool; the others never reach a particle.
-    stride, offset: of the cells [px].
-    token: the whole view in one vector (c,) float32, for methods without particles (SBML section 4.2).
-    """
+    """Dense features of a view."""
 
     values: np.ndarray
+    """(h, w, C) float32; cell (i, j) is centred on pixel (stride i + offset, stride j + offset)."""
     valid: np.ndarray
+    """Cells that hold a feature of the object (h, w) bool; no other cell reaches a particle."""
     token: np.ndarray
+    """The whole view in one vector (c,) float32, for methods without particles (SBML section 4.2)."""
     stride: float = 1.0
+    """Distance between cells [px]."""
     offset: float = 0.0
+    """Centre of the first cell [px]."""
 
 
 @dataclass(frozen=True)
-class Geometry:
-    """Particles as the camera sees them.
-
-    points: world (n, 3) [m]. pixel: (column, row) (n, 2) [px]. behind: how far behind the seen surface along the
-    optical axis, inf where the camera sees no object (n,) [m]. visible: at the surface (n,) bool. spacing: of the
-    particles [m].
-    """
+class Projection:
+    """Particles in the camera's image."""
 
     points: np.ndarray
+    """World positions (n, 3) [m]."""
     pixel: np.ndarray
+    """(column, row) (n, 2) [px]."""
     behind: np.ndarray
+    """Distance behind the visible surface along the optical axis, inf outside the mask (n,) [m]."""
     visible: np.ndarray
+    """Whether the particle is at the visible surface (n,) bool."""
     spacing: float
+    """Distance between neighbouring particles [m]."""
 
 
-def particle_features(name: str, view: View, particles: np.ndarray, *, spacing: float, weights: str = "",
-                      device: str = "cpu") -> np.ndarray:
-    """Features of the particles (n, F) float32, not normalised.
+class Extractor(Protocol):
+    """Features of a view."""
 
-    Args:
-        name: one of `NAMES`.
-        view: the image. particles: rest positions, world (n, 3) [m]. spacing: their distance [m]; a particle is visible
-        within
-            one spacing of the seen surface.
-        weights: file of pretrained weights, for the DINOv2 extractors; "" looks in the usual caches.
-        device: torch device of the DINOv2 extractors.
+    def image(self, view: View) -> FeatureImage:
+        """Dense features of the view."""
 
-    Raises:
-        VsfError: unknown name, no particle, an empty mask, particles of which the camera sees none, or weights that are
-        missing or do not fit.
-    """
-    extractor = _extractor(name, weights, device)
-    particles = np.asarray(particles, np.float64)
-    if particles.ndim != 2 or particles.shape[1:] != (3,) or len(particles) == 0:
-        raise VsfError(f"vsf.features: particles have shape {particles.shape}; give at least one world position (n, "
-                       f"3) in metres.")
-    if not view.mask.any():
-        raise VsfError("vsf.features: the view's mask is empty; point the camera at the object.")
-    geometry = see(view, particles, spacing)
-    image = extractor.image(view)
-    projected = project(image, geometry)
-    extra = extractor.of_particles(view, geometry)
-    return np.concatenate([projected, extra], axis=1).astype(np.float32)
+    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
+        """Further columns, from the geometry alone (n, c)."""
 
 
-def view_token(name: str, view: View, *, weights: str = "", device: str = "cpu") -> np.ndarray:
-    """One vector for the whole view (c,) float32: DINOv2's class token, or the mean and spread of a dense descriptor.
+def projection(view: View, particles: np.ndarray, spacing: float) -> Projection:
+    """``particles`` (n, 3) [m] in the camera's image.
 
     Raises:
-        VsfError: as `particle_features`.
+        VsfError: no particle is behind the view's mask.
     """
-    if not view.mask.any():
-        raise VsfError("vsf.features: the view's mask is empty; point the camera at the object.")
-    return _extractor(name, weights, device).image(view).token.astype(np.float32)
-
-
-def see(view: View, particles: np.ndarray, spacing: float) -> Geometry:
-    """Where the camera sees each of ``particles`` (n, 3) [m]."""
     world_to_camera = np.linalg.inv(np.asarray(view.camera_pose, np.float64))
     local = particles @ world_to_camera[:3, :3].T + world_to_camera[:3, 3]
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -116,32 +81,34 @@ def see(view: View, particles: np.ndarray, spacing: float) -> Geometry:
     behind = np.where(hit, local[:, 2] - view.depth[row, column], np.inf)
     visible = hit & (np.abs(behind) <= spacing)
     if not visible.any():
-        # A grid so coarse, or a mask so thin, that no particle is near the surface: the least deep ones stand for it.
+        # The grid is so coarse, or the mask so thin, that no particle is near the surface: take the least deep ones.
         if not hit.any():
             raise VsfError(f"vsf.features: none of the {len(particles)} particles lies on a ray through the view's "
                            f"mask, so that none has a feature; are they of this view?")
         nearest = np.abs(behind)
         visible = nearest <= nearest.min()
-    return Geometry(particles, pixel, behind, visible, spacing)
+    return Projection(particles, pixel, behind, visible, spacing)
 
 
-def project(image: FeatureImage, geometry: Geometry) -> np.ndarray:
+def project(image: FeatureImage, projected: Projection) -> np.ndarray:
     """Image features on the particles (n, C): bilinear where visible, else the mean of the nearest visible ones."""
-    out = np.empty((len(geometry.points), image.values.shape[2]), np.float32)
-    at = np.flatnonzero(geometry.visible)
-    seen = _bilinear(image, geometry.pixel[at])
-    out[at] = seen
-    hidden = np.flatnonzero(~geometry.visible)
+    out = np.empty((len(projected.points), image.values.shape[2]), np.float32)
+    at = np.flatnonzero(projected.visible)
+    visible = _bilinear(image, projected.pixel[at])
+    out[at] = visible
+    hidden = np.flatnonzero(~projected.visible)
     if len(hidden):
         count = min(NEIGHBOURS, len(at))
-        near = cKDTree(geometry.points[at]).query(geometry.points[hidden], k=range(1, count + 1))[1]
-        out[hidden] = seen[near].mean(axis=1)
+        near = cKDTree(projected.points[at]).query(projected.points[hidden], k=range(1, count + 1))[1]
+        out[hidden] = visible[near].mean(axis=1)
     return out
 
 
 def _bilinear(image: FeatureImage, pixel: np.ndarray) -> np.ndarray:
-    """(k, C) at (column, row) pixels (k, 2); cells without the object have no weight, and a pixel among none of them
-    takes the nearest cell."""
+    """Features (k, C) at (column, row) pixels (k, 2).
+
+    Invalid cells have no weight; a pixel between invalid cells only takes the nearest valid one.
+    """
     height, width = image.valid.shape
     x = np.clip((pixel[:, 0] - image.offset) / image.stride, 0.0, width - 1.0)
     y = np.clip((pixel[:, 1] - image.offset) / image.stride, 0.0, height - 1.0)
@@ -165,40 +132,25 @@ def _bilinear(image: FeatureImage, pixel: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Normaliser:
-    """Zero mean and unit variance over the training particles (SBML appendix B.2).
-
-    mean, std: (F,) float32; a column that never varied has std 1, so that it stays 0.
-    """
+    """Zero mean and unit variance over the training particles (SBML appendix B.2)."""
 
     mean: np.ndarray
+    """(F,) float32."""
     std: np.ndarray
+    """(F,) float32; 1 for a constant column, so that it becomes 0."""
 
     @classmethod
     def of(cls, features: list[np.ndarray]) -> Normaliser:
-        """From the features (n_k, F) of the training objects, every object weighing the same."""
+        """From the features (n_k, F) of the training objects, with equal weight for every object."""
         mean = np.mean([f.mean(axis=0, dtype=np.float64) for f in features], axis=0)
         var = np.mean([((f.astype(np.float64) - mean) ** 2).mean(axis=0) for f in features], axis=0)
         std = np.sqrt(var)
-        return cls(mean.astype(np.float32), np.where(std > 1e-6 * np.maximum(np.abs(mean), 1.0), std,
-                                                     1.0).astype(np.float32))
+        varies = std > 1e-6 * np.maximum(np.abs(mean), 1.0)
+        return cls(mean.astype(np.float32), np.where(varies, std, 1.0).astype(np.float32))
 
     def __call__(self, features: np.ndarray) -> np.ndarray:
-        """Normalised features, cut at 6 standard deviations: beyond, a network would extrapolate."""
+        """Normalised features, clipped at 6 standard deviations: a network would extrapolate beyond."""
         return np.clip((features - self.mean) / self.std, -6.0, 6.0)
-
-
-class XyzRgb:
-    """Normalised position and colour, the papers' naive feature."""
-
-    def image(self, view: View) -> FeatureImage:
-        """Colour in 0..1."""
-        values = view.rgb.astype(np.float32) / 255.0
-        seen = values[view.mask]
-        return FeatureImage(values, view.mask, np.concatenate([seen.mean(axis=0), seen.std(axis=0)]))
-
-    def of_particles(self, view: View, geometry: Geometry) -> np.ndarray:
-        """Position within the box around the visible cloud, -1..1 along each axis (n, 3)."""
-        return normalised_position(view, geometry.points)
 
 
 def normalised_position(view: View, points: np.ndarray) -> np.ndarray:
@@ -207,37 +159,3 @@ def normalised_position(view: View, points: np.ndarray) -> np.ndarray:
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     low[2] = min(low[2], 0.0)
     return (points - 0.5 * (low + high)) / np.maximum(0.5 * (high - low), 1e-6)
-
-
-def _extractor(name: str, weights: str, device: str) -> Any:
-    if name not in NAMES:
-        raise VsfError(f"vsf.features: there are no features called '{name}'. {did_you_mean(name, NAMES)}")
-    return NAMES[name](weights, device)
-
-
-def _local(full: bool) -> Callable[[str, str], Any]:
-    def make(_weights: str, _device: str) -> Any:
-        from vsfsim.vsf.features.descriptor import LocalDescriptor
-
-        return LocalDescriptor(full=full)
-
-    return make
-
-
-def _dinov2(size: str) -> Callable[[str, str], Any]:
-    def make(weights: str, device: str) -> Any:
-        from vsfsim.vsf.features.dinov2 import Dinov2
-
-        return Dinov2.load(size, weights, device=device)
-
-    return make
-
-
-NAMES: Mapping[str, Callable[[str, str], XyzRgb]] = {
-    "local": _local(False),
-    "local-full": _local(True),
-    "xyzrgb": lambda _weights, _device: XyzRgb(),
-    "dinov2-s": _dinov2("small"),
-    "dinov2-b": _dinov2("base"),
-}
-"""Extractors by name: (weights, device) -> extractor with `image` and `of_particles`."""

@@ -24,7 +24,6 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
-from vsfsim.vsf.fields.adam import Adam
 from vsfsim.vsf.fields.palpation import DenseTouch
 from vsfsim.vsf.fields.recorded import Recorded
 from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
@@ -143,7 +142,8 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         model = FIELDS[kind](bounds, unit, **field).to(device)
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
     on_host = torch.device(device).type == "cpu"
-    optimiser = Adam(model.parameters(), rate=s.rate, counted_there=not on_host)
+    parameters = list(model.parameters())
+    optimiser = torch.optim.Adam(parameters, lr=s.rate, foreach=True, capturable=not on_host)
     draws = _Draws(len(seen.index), size, s.free_points, generator, device)
 
     def step() -> torch.Tensor:
@@ -156,12 +156,10 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         # A hair inside the root keeps the gradient of |f - f_hat| finite where both are 0.
         misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
         loss = misfit + s.free_space * value[-s.free_points:].mean()
-        if on_host:
-            optimiser.clear()
-            loss.backward()
-            optimiser.step()
-        else:
-            optimiser.along(torch.autograd.grad(loss, optimiser.parameters))
+        # `grad` instead of `backward`: a CUDA graph may record it on its own stream.
+        for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters)):
+            parameter.grad = gradient
+        optimiser.step()
         return misfit.detach()
 
     recorded = Recorded(step, device=device)

@@ -1,10 +1,13 @@
-"""A vision transformer whose state dict has the names and shapes of the published DINOv2 checkpoints (Oquab et al.
-2023).
+"""DINOv2's vision transformer, forward pass only (Oquab et al. 2023; code of facebookresearch/dinov2).
 
-Patches of 14 x 14 pixels become tokens by a linear map; a class token goes before them, learned positions are added,
-and pre-norm blocks follow: x + ls1 * attention(norm1(x)), then x + ls2 * mlp(norm2(x)) with a GELU, layer scale ls and
-a last norm.
-Only the forward pass is here.
+Patches of 14 x 14 pixels become tokens by a linear map. A class token is put before them and learned positions are
+added. The blocks are pre-norm: x + ls1 * attention(norm1(x)), then x + ls2 * mlp(norm2(x)) with a GELU and layer scale
+ls. A last norm follows. The state dict has the names and shapes of the published checkpoints and of timm's
+`vit_small_patch14_dinov2` and `vit_base_patch14_dinov2`.
+
+timm itself is no dependency. It cannot be imported without torchvision, whose wheels on PyPI are built for CUDA: beside
+a CPU build of torch their import fails ("operator torchvision::nms does not exist"; timm 1.0.31, torchvision 0.28.0,
+torch 2.13.0+cpu). `references/dinov2` has the comparison of this transformer with timm's.
 """
 
 from __future__ import annotations
@@ -19,31 +22,34 @@ from torch.nn import functional
 
 @dataclass(frozen=True)
 class Architecture:
-    """width: of a token, D. depth: blocks. heads: of attention. patch: edge of a patch [px]. grid: patches along an
-    edge of the images whose positions were learned (518 px / 14)."""
+    """Sizes of a vision transformer."""
 
     width: int
+    """Numbers of a token, D."""
     depth: int
+    """Blocks."""
     heads: int
+    """Heads of the attention."""
     patch: int = 14
+    """Edge of a patch [px]."""
     grid: int = 37
+    """Patches along an edge of the images whose positions were learned (518 px / 14)."""
 
 
 SMALL, BASE = Architecture(384, 12, 6), Architecture(768, 12, 12)
 
-# The published models stretch their positions by (count + 0.1) / grid, and their outputs depend on it.
+# Added to the count of patches before the positions are interpolated, as in the published code (interpolate_offset).
 _OFFSET = 0.1
 
 
 class VisionTransformer(nn.Module):
-    """See the module. Input: normalised images (b, 3, h, w), h and w multiples of the patch."""
+    """The module's transformer, for normalised images (b, 3, h, w), h and w multiples of the patch."""
 
     def __init__(self, architecture: Architecture):
         super().__init__()
         a = self.architecture = architecture
         self.cls_token = nn.Parameter(torch.zeros(1, 1, a.width))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + a.grid**2, a.width))
-        self.mask_token = nn.Parameter(torch.zeros(1, a.width))  # of pre-training only; published with the weights
         self.patch_embed = _PatchEmbed(a)
         self.blocks = nn.ModuleList([_Block(a) for _ in range(a.depth)])
         self.norm = nn.LayerNorm(a.width, eps=1e-6)
@@ -62,7 +68,7 @@ class VisionTransformer(nn.Module):
         return x[:, 0], x[:, 1:].reshape(len(x), rows, columns, -1)
 
     def positions(self, rows: int, columns: int) -> torch.Tensor:
-        """Position of every token of a grid (1, 1 + rows * columns, D), the learned ones interpolated."""
+        """Position of every token of a grid (1, 1 + rows * columns, D), interpolated from the learned ones."""
         grid = self.architecture.grid
         if rows == columns == grid:
             return self.pos_embed
@@ -101,8 +107,8 @@ class _Attention(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         count, tokens, width = x.shape
-        query, key, value = self.qkv(x).reshape(count, tokens, 3, self.heads,
-                                                width // self.heads).permute(2, 0, 3, 1, 4)
+        parts = self.qkv(x).reshape(count, tokens, 3, self.heads, width // self.heads)
+        query, key, value = parts.permute(2, 0, 3, 1, 4)
         weight = (query @ key.transpose(-2, -1) / math.sqrt(width // self.heads)).softmax(dim=-1)
         return self.proj((weight @ value).transpose(1, 2).reshape(count, tokens, width))
 
