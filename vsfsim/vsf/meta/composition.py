@@ -7,8 +7,7 @@ The stiffnesses of the particles are a superposition of components, theta = B ph
     SEG  one component a segment; segments are clusters of similar features, 10 of them
 
 so that theta ~ N(mean + G g, diag(var) + G diag(group_var) G^T), with the columns of G the members of the shared
-components.
-B = [I, G] is sparse with two ones a row at most, and no n x n matrix is ever formed.
+components. B = [I, G] is sparse with at most two ones in a row, and no n x n matrix is formed.
 """
 
 from __future__ import annotations
@@ -24,25 +23,23 @@ STRUCTURES = ("HE", "HE+HO", "HE+SEG")
 SEGMENTS = 10
 """Segments of HE+SEG (SBML appendix C.5)."""
 
-_ITERATIONS, _RESTARTS = 60, 2
-# Features a mixture sees at most: the leading principal components; more would be noise to a clustering.
 _COMPONENTS = 12
-# Particles on which the mixture is fitted; all of them are then assigned.
+"""The most principal components that a mixture is fitted to; further ones would add noise."""
 _SAMPLE = 4000
-# A segment narrower than this fraction of the whole along some direction has collapsed onto single particles.
+"""The most particles that a mixture is fitted to; all particles are then assigned."""
 _FLOOR = 1e-3
+"""Added to the variances of a segment, as a fraction of the mean variance: it keeps a segment from collapsing onto a few
+particles."""
 
 
 @dataclass(frozen=True)
 class Composition:
-    """Which particles share a component.
-
-    membership: G, one column a shared component, ones for its particles (n, s) sparse; s = 0 for HE.
-    features: visual features of the shared components, the mean of their particles' (s, F).
-    """
+    """Which particles share a component."""
 
     membership: sparse.csr_matrix
+    """G, one column for each shared component, with ones for its particles (n, s) sparse; s = 0 for HE."""
     features: np.ndarray
+    """Visual features of the shared components, the means of their particles' (s, F)."""
 
     @classmethod
     def of(cls, structure: str, features: np.ndarray, *, segments: int = SEGMENTS, seed: int = 0) -> Composition:
@@ -51,7 +48,7 @@ class Composition:
         Args:
             structure: one of `STRUCTURES`.
             features: normalised features of the particles (n, F).
-            segments: how many clusters at most, for HE+SEG.
+            segments: the most segments, for HE+SEG.
             seed: of the clustering.
 
         Raises:
@@ -73,17 +70,18 @@ class Composition:
 
 @dataclass(frozen=True)
 class GaussianPrior:
-    """N(mean + G group_mean, diag(var) + G diag(group_var) G^T) on the stiffnesses of one object.
-
-    mean, var: of the heterogeneous components (n,) [N/m], [(N/m)^2], var > 0. membership: G (n, s).
-    group_mean, group_var: of the shared components (s,) [N/m], [(N/m)^2], group_var > 0.
-    """
+    """N(mean + G group_mean, diag(var) + G diag(group_var) G^T) on the stiffnesses of one object."""
 
     mean: np.ndarray
+    """Means of the heterogeneous components (n,) [N/m]."""
     var: np.ndarray
+    """Their variances, > 0 (n,) [(N/m)^2]."""
     membership: sparse.csr_matrix
+    """G of `Composition` (n, s)."""
     group_mean: np.ndarray
+    """Means of the shared components (s,) [N/m]."""
     group_var: np.ndarray
+    """Their variances, > 0 (s,) [(N/m)^2]."""
 
     @classmethod
     def plain(cls, mean: np.ndarray | float, var: np.ndarray | float, particles: int) -> GaussianPrior:
@@ -104,78 +102,25 @@ class GaussianPrior:
 def segment(features: np.ndarray, count: int, *, seed: int = 0) -> np.ndarray:
     """Clusters of similar features: labels (n,) int, 0 .. at most count - 1, each one used.
 
-    A Gaussian mixture with full covariances by expectation maximisation (Dempster, Laird and Rubin 1977), on the
-    leading principal components, started by k-means++; the best of a few starts. Same input and seed, same labels.
+    A Gaussian mixture with full covariances on the leading principal components; the better of two fits. The same
+    input and seed give the same labels.
 
     Args:
-        features: (n, F), finite. count: clusters at most. seed: of the starts, >= 0.
+        features: (n, F), finite.
+        count: the most clusters.
+        seed: of the starts, >= 0.
     """
+    # Only HE+SEG needs scikit-learn, whose import takes a second.
+    from sklearn.decomposition import PCA
+    from sklearn.mixture import GaussianMixture
+
     values = np.asarray(features, np.float64)
-    values = values - values.mean(axis=0)
-    size, axes = np.linalg.eigh(values.T @ values)
-    keep = max(1, min(_COMPONENTS, int(np.count_nonzero(size > 1e-12 * max(size[-1], 1e-300)))))
-    values = values @ axes[:, ::-1][:, :keep]
     count = min(count, len(np.unique(values, axis=0)))
     if count <= 1:
         return np.zeros(len(values), int)
-    floor = _FLOOR * float(values.var(axis=0).mean()) + 1e-12
+    values = PCA(min(_COMPONENTS, *values.shape), svd_solver="full").fit_transform(values)
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     sample = values if len(values) <= _SAMPLE else values[np.sort(rng.choice(len(values), _SAMPLE, replace=False))]
-    best: tuple = ()
-    best_fit = -np.inf
-    for _ in range(_RESTARTS):
-        mixture, fit = _expectation_maximisation(sample, count, floor, rng)
-        if fit > best_fit:
-            best, best_fit = mixture, fit
-    label = np.argmax(_log_joint(values, *best), axis=1)
-    return np.unique(label, return_inverse=True)[1]
-
-
-def _expectation_maximisation(values: np.ndarray, count: int, floor: float,
-                              rng: np.random.Generator) -> tuple[tuple, float]:
-    nearest = _kmeans(values, count, rng)
-    share = np.eye(count)[nearest]
-    before = -np.inf
-    for _ in range(_ITERATIONS):
-        weight = share.sum(axis=0) + 1e-9
-        mean = share.T @ values / weight[:, None]
-        covariance = np.stack([((values - m).T * s) @ (values - m) / w for m, s, w in zip(mean, share.T, weight)])
-        # A tenth of what all clusters share keeps a covariance of a handful of particles honest.
-        pooled = np.einsum("k,kij->ij", weight / weight.sum(), covariance)
-        factor = np.linalg.cholesky(0.9 * covariance + 0.1 * pooled + floor * np.eye(values.shape[1]))
-        mixture = (np.log(weight / weight.sum()), mean, factor)
-        joint = _log_joint(values, *mixture)
-        top = joint.max(axis=1, keepdims=True)
-        total = top[:, 0] + np.log(np.exp(joint - top).sum(axis=1))
-        share = np.exp(joint - total[:, None])
-        fit = float(total.mean())
-        if fit - before < 1e-5:
-            break
-        before = fit
-    return mixture, fit
-
-
-def _log_joint(values: np.ndarray, log_weight: np.ndarray, mean: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """log of weight times density (n, k), without the constant."""
-    out = np.empty((len(values), len(mean)))
-    for k in range(len(mean)):
-        white = (values - mean[k]) @ np.linalg.inv(factor[k]).T
-        out[:, k] = log_weight[k] - 0.5 * np.einsum("ij,ij->i", white, white) - np.log(np.diag(factor[k])).sum()
-    return out
-
-
-def _kmeans(values: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Labels (n,) of k-means from a k-means++ start (Arthur and Vassilvitskii 2007)."""
-    centres = values[rng.integers(len(values))][None]
-    for _ in range(count - 1):
-        away = ((values[:, None] - centres[None]) ** 2).sum(axis=2).min(axis=1)
-        total = away.sum()
-        pick = rng.choice(len(values), p=away / total) if total > 0.0 else rng.integers(len(values))
-        centres = np.concatenate([centres, values[pick][None]])
-    for _ in range(20):
-        label = ((values[:, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
-        moved = np.stack([values[label == k].mean(axis=0) if (label == k).any() else centres[k] for k in range(count)])
-        if np.allclose(moved, centres):
-            break
-        centres = moved
-    return label
+    floor = _FLOOR * float(values.var(axis=0).mean()) + 1e-12
+    mixture = GaussianMixture(count, reg_covar=floor, n_init=2, random_state=seed).fit(sample)
+    return np.unique(mixture.predict(values), return_inverse=True)[1]
