@@ -2,7 +2,7 @@
 that all share.
 
 The papers register the object's surface to the stiff points (`vsfsim.vsf.pose.localise`); on the training objects of
-localization-mini-v1 that tips over in most cases, while the outline of the stiff columns (`vsfsim.vsf.pose.resting`)
+localization-mini-v1 that tips over in most cases, while the outline of the stiff columns (`vsfsim.vsf.pose.outline`)
 finds the angle to some degrees: docs/methods.md has both figures.
 """
 
@@ -21,7 +21,7 @@ from vsfsim.bench.reached_points import reached
 from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
 from vsfsim.vsf.pose.localise import KnownObject
-from vsfsim.vsf.pose.resting import lying_pose
+from vsfsim.vsf.pose.outline import outline_pose
 
 STEP = 0.003
 """Edge of a column, and distance of the points at which a continuous field is asked [m]."""
@@ -59,9 +59,9 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
-        return lying_pose(_known(_kept(vertices, float), _kept(triangles, np.int64)), (columns + 0.5) * STEP, stiffest,
-                          area=area, top=top, turned=settings.turned, refine=settings.refine,
-                          seed=settings.seed).transform
+        return outline_pose(_known(_kept(vertices, float), _kept(triangles, np.int64)), (columns + 0.5) * STEP,
+                            stiffest, area=area, top=top, turned=settings.turned, refine=settings.refine,
+                            seed=settings.seed).transform
     except VsfError:
         out = np.eye(4)
         out[:3, 3] = cloud.mean(axis=0)

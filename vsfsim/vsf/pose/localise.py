@@ -1,17 +1,15 @@
-"""Where a known object lies, from an estimate of stiffness alone (Neural VSF section III-E).
+"""The pose of a known object from an estimate of stiffness alone (Neural VSF section III-E).
 
-Points stiffer than a threshold, chosen above the cover's stiffness, make a cloud. The object's surface is registered to
-it again and again:
-RANSAC over triples of points with equal distances (Fischler and Bolles 1981), then iterative closest points (Besl and
-McKay 1992). Of all poses the one is kept whose inside is stiffest, by the loss of eq. 7,
+The points stiffer than a threshold, chosen above the cover's stiffness, form a cloud. The object's surface is
+registered to it repeatedly: RANSAC over triples of points with equal distances (Fischler and Bolles 1981), then
+iterative closest points (Besl and McKay 1992). The pose with the stiffest inside is kept, by the loss of eq. 7,
 
     L = sum over touched points inside the object of max(threshold - K, 0)
 
-A pose that covers few stiff points has few terms, too, so the loss is taken together with what it leaves out: the stiff
-points outside the object, each counted as the threshold. The cloud fills the object's touched part while the
-registration sees a surface, which tips poses by some ten degrees; so the best one is at last refined on the loss
-itself, by a shrinking random search (``refine=0`` is the papers' way). `contact_pose` is the papers' baseline without
-stiffness: it registers contact points.
+This loss alone favours a pose that contains few points, so every stiff point outside the object adds the threshold.
+The cloud fills the touched part of the object while the registration fits a surface, which tilts poses by some ten
+degrees; the best poses are therefore refined on the loss itself, by a random search of shrinking steps (``refine=0`` is
+the papers' way). `contact_pose` is the papers' baseline without stiffness: it registers contact points.
 """
 
 from __future__ import annotations
@@ -21,38 +19,48 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from trimesh.registration import icp, procrustes
 
 from vsfsim.core.errors import VsfError
-from vsfsim.core.rotation import pose_errors
+from vsfsim.core.rotation import pose_errors, rotation_matrix
+from vsfsim.physics.contact.distance_grid import winding_number
 
-_TRIPLES = 20_000  # of model points, whose edge lengths are looked up
-_CLOUD = 400  # points of the cloud that vote
-_GRID = 32  # cells along the longest edge of the inside test
-# Poses that the random search starts from, and by how much they must be turned against each other to be two [rad].
+_TRIPLES = 20_000
+"""Triples of surface points whose edge lengths RANSAC looks up."""
+_CLOUD = 400
+"""The most points of the cloud that are registered."""
+_GRID = 32
+"""Cells along the longest edge of the inside test."""
 _STARTS, _APART = 3, 0.5
+"""The most poses that the random search starts from, and the least rotation between two of them [rad]."""
 
 
 @dataclass(frozen=True)
 class KnownObject:
-    """A closed triangle mesh, and what localisation asks of it.
-
-    surface: points spread evenly over it (s, 3) [m]. low: lower corner (3,) [m],
-    cell: spacing [m] of a grid, inside: whether its nodes are inside (i, j, k) bool.
-    """
+    """A closed triangle mesh, sampled for registration and for inside tests."""
 
     surface: np.ndarray
+    """Points spread evenly over the surface (s, 3) [m]."""
     low: np.ndarray
+    """Lower corner of the grid of the inside test (3,) [m]."""
     cell: float
+    """Edge of a cell of that grid [m]."""
     inside: np.ndarray
+    """Whether the centre of a cell is inside (i, j, k) bool."""
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray, *, samples: int = 1500, seed: int = 0) -> KnownObject:
         """From vertices (n, 3) [m] and triangles (m, 3), wound outwards and closed; closed parts may overlap.
 
+        Args:
+            samples: points on the surface.
+            seed: of their places.
+
         Raises:
             VsfError: no triangle, or a mesh that is not closed (its inside is not defined).
         """
-        corners = np.asarray(vertices, float)[np.asarray(triangles)]
+        vertices, triangles = np.asarray(vertices, float), np.asarray(triangles)
+        corners = vertices[triangles]
         if len(corners) == 0:
             raise VsfError("vsf.localise: the object's mesh has no triangle.")
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -68,39 +76,44 @@ class KnownObject:
         cell = float((high - low).max()) / _GRID
         axes = [np.arange(lo + 0.5 * cell, hi + 0.5 * cell, cell) for lo, hi in zip(low, high)]
         points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-        inside = _winding(points.reshape(-1, 3), corners) > 0.5
+        inside = winding_number(vertices, triangles, points.reshape(-1, 3)) > 0.5
         surface = np.einsum("kj,kji->ki", weight, corners[pick])
-        # Closed parts may overlap: what lies just outside a triangle must be outside of all of them.
-        out = _winding(surface + 1e-4 * (high - low).max() * normal[pick] / size[pick, None], corners) < 0.5
-        return cls(surface[out], low, cell, inside.reshape(points.shape[:3]))
+        # Closed parts may overlap: a point of the surface is outside all parts just in front of its triangle.
+        front = surface + 1e-4 * (high - low).max() * normal[pick] / size[pick, None]
+        exposed = winding_number(vertices, triangles, front) < 0.5
+        return cls(surface[exposed], low, cell, inside.reshape(points.shape[:3]))
 
     def contains(self, points: np.ndarray) -> np.ndarray:
-        """Which points (k, 3) [m], in the object's frame, lie inside it (k,) bool; to half a cell."""
+        """Whether points (k, 3) [m] in the object's frame are inside it (k,) bool; to half a cell."""
         index = np.floor((points - self.low) / self.cell).astype(int)
-        ok = np.all((index >= 0) & (index < self.inside.shape), axis=1)
-        index = np.where(ok[:, None], index, 0)
-        return ok & self.inside[tuple(index.T)]
+        on_grid = np.all((index >= 0) & (index < self.inside.shape), axis=1)
+        index = np.where(on_grid[:, None], index, 0)
+        return on_grid & self.inside[tuple(index.T)]
 
 
 @dataclass(frozen=True)
 class Pose:
-    """transform: object to world (4, 4) [m]. loss: [-] of eq. 7 with the points left out, or the registration's own for
-    `contact_pose`."""
+    """A pose and how well it fits."""
 
     transform: np.ndarray
+    """Object to world (4, 4) [m]."""
     loss: float
+    """The module's loss, in the unit of the stiffness; for `contact_pose` the distance of `register` [m]."""
 
 
 def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray, *, threshold: float, tries: int = 10,
-                   refine: int = 400,
-                   seed: int = 0) -> Pose:
+                   refine: int = 400, seed: int = 0) -> Pose:
     """The pose that best explains an estimate of stiffness.
 
     Args:
-        known: the object. points: that were touched, world (n, 3) [m]. stiffness: there (n,). threshold: above the
-        cover's.
-        tries: registrations, of which the best is kept. refine: steps of the random search after them, from
-            each of the best three that are turned against each other. seed: of the draws.
+        known: the object.
+        points: touched points, world (n, 3) [m].
+        stiffness: at the points (n,).
+        threshold: above the cover's stiffness, in the unit of ``stiffness``.
+        tries: registrations.
+        refine: steps of the random search, from each of the best three poses that differ by a rotation; 0 keeps the
+            best registration.
+        seed: of the draws.
 
     Raises:
         VsfError: fewer than 10 points are stiffer than the threshold.
@@ -111,42 +124,42 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
                        f"lower the threshold (the stiffest has {np.max(stiffness, initial=0.0):g}), or touch more.")
     lack = np.maximum(threshold - stiffness, 0.0)
 
-    def judged(transform: np.ndarray) -> Pose:
+    def evaluate(transform: np.ndarray) -> Pose:
         inside = known.contains((points - transform[:3, 3]) @ transform[:3, :3])
         return Pose(transform, float(lack[inside].sum() + threshold * np.count_nonzero(stiff & ~inside)))
 
-    found = sorted((judged(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0])
+    found = sorted((evaluate(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0])
                     for attempt in range(tries)), key=lambda p: p.loss)
     if not refine:
         return found[0]
-    # A pose that is turned over may fit the sheet of stiff points nearly as well: the search starts from the best of
-    # each kind.
+    # An object turned over may fit the thin cloud of stiff points nearly as well, so the search starts from the best
+    # pose of each kind.
     starts: list[Pose] = []
     for pose in found:
         if len(starts) < _STARTS and all(pose_errors(pose.transform, other.transform)[1] > _APART for other in starts):
             starts.append(pose)
-    return min((_searched(pose, judged, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed)
+    return min((_searched(pose, evaluate, points[stiff].mean(axis=0), 0.1 * _GRID * known.cell, refine, seed)
                 for pose in starts), key=lambda p: p.loss)
 
 
-def _searched(best: Pose, judged: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int,
+def _searched(best: Pose, evaluate: Callable[[np.ndarray], Pose], centre: np.ndarray, reach: float, steps: int,
               seed: int) -> Pose:
-    """A random search from ``best``, about ``centre`` (3,) [m]: from ``reach`` [m] and 0.2 rad down to a thirtieth of
-    that."""
+    """A random search from ``best`` about ``centre`` (3,) [m]; its steps shrink from ``reach`` [m] and 0.2 rad to a
+    thirtieth of that."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
     for step in range(steps):
         size = 30.0 ** (-step / steps)
-        turn = _turned(0.2 * size * rng.standard_normal(3))
+        turn = rotation_matrix(0.2 * size * rng.standard_normal(3))
         moved = best.transform.copy()
         moved[:3, :3] = turn @ moved[:3, :3]
         moved[:3, 3] = centre + turn @ (moved[:3, 3] - centre) + reach * size * rng.standard_normal(3)
-        trial = judged(moved)
+        trial = evaluate(moved)
         best = trial if trial.loss <= best.loss else best
     return best
 
 
 def contact_pose(known: KnownObject, contacts: np.ndarray, *, tries: int = 10, seed: int = 0) -> Pose:
-    """The baseline: the object's surface registered to points (n, 3) [m] where a contact force passed a limit.
+    """The baseline: the object's surface registered to contact points (n, 3) [m], those whose force exceeds a limit.
 
     Raises:
         VsfError: fewer than 10 contact points.
@@ -160,8 +173,8 @@ def contact_pose(known: KnownObject, contacts: np.ndarray, *, tries: int = 10, s
 
 
 def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: int = 0) -> tuple[np.ndarray, float]:
-    """Object-to-world transform (4, 4) that lays ``cloud`` (n, 3) on ``surface`` (s, 3), and the root mean square
-    distance [m]."""
+    """Object-to-world transform (4, 4) that places the points ``surface`` (s, 3) on ``cloud`` (n, 3), and the root mean
+    square distance of the cloud from the surface [m], each distance cut at a tenth of the surface's extent."""
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     cloud = cloud[rng.permutation(len(cloud))[:_CLOUD]]
     tree = cKDTree(surface)
@@ -169,72 +182,27 @@ def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: 
     triples = rng.integers(len(surface), size=(_TRIPLES, 3))
     lookup = cKDTree(_edges(surface[triples]))
     chosen = np.stack([rng.choice(len(cloud), 3, replace=False) for _ in range(draws)])
-    # Of a cloud's triples the wide ones fix a rotation best.
+    # Wide triples of the cloud determine a rotation best.
     wide = np.argsort(-_edges(cloud[chosen]).min(axis=1))[: draws // 2]
-    away, match = lookup.query(_edges(cloud[chosen[wide]]))
-    best, least = None, np.inf
-    for triple, gap, index in zip(chosen[wide], away, match):
+    difference, match = lookup.query(_edges(cloud[chosen[wide]]))
+
+    def distances(to_surface: np.ndarray) -> np.ndarray:
+        return tree.query(cloud @ to_surface[:3, :3].T + to_surface[:3, 3])[0]
+
+    best, least = np.eye(4), np.inf
+    best[:3, 3] = surface.mean(axis=0) - cloud.mean(axis=0)
+    for triple, gap, index in zip(chosen[wide], difference, match):
         if gap > 0.1 * span:
             continue
-        transform = _rigid(surface[triples[index]], cloud[triple])
-        cost = float(np.minimum(tree.query((cloud - transform[:3, 3]) @ transform[:3, :3])[0], 0.05 * span).mean())
+        trial = procrustes(cloud[triple], surface[triples[index]], reflection=False, scale=False, return_cost=False)
+        cost = float(np.minimum(distances(trial), 0.05 * span).mean())
         if cost < least:
-            best, least = transform, cost
-    if best is None:
-        best = np.eye(4)
-        best[:3, 3] = cloud.mean(axis=0) - surface.mean(axis=0)
-    return _closest_points(surface, tree, cloud, best, span)
-
-
-def _closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarray, transform: np.ndarray,
-                    span: float) -> tuple[np.ndarray, float]:
-    limit, before = 0.2 * span, np.inf
-    for _ in range(60):
-        away, index = tree.query((cloud - transform[:3, 3]) @ transform[:3, :3])
-        near = away <= max(limit, np.quantile(away, 0.5))
-        error = float(np.sqrt(np.mean(np.minimum(away, limit) ** 2)))
-        transform = _rigid(surface[index[near]], cloud[near])
-        limit = max(0.9 * limit, 0.05 * span)
-        if abs(before - error) < 1e-7 * span and limit <= 0.05 * span:
-            break
-        before = error
-    away = tree.query((cloud - transform[:3, 3]) @ transform[:3, :3])[0]
-    return transform, float(np.sqrt(np.mean(np.minimum(away, 0.1 * span) ** 2)))
+            best, least = trial, cost
+    best, _, _ = icp(cloud, surface, initial=best, threshold=1e-7 * span, max_iterations=60, reflection=False,
+                     scale=False)
+    return np.linalg.inv(best), float(np.sqrt(np.mean(np.minimum(distances(best), 0.1 * span) ** 2)))
 
 
 def _edges(corners: np.ndarray) -> np.ndarray:
     """Edge lengths (k, 3) of triangles (k, 3, 3), edge j opposite corner j."""
     return np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=2)
-
-
-def _rigid(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """The rigid transform that takes points (k, 3) to others in the least squares sense (Kabsch 1976)."""
-    a, b = source.mean(axis=0), target.mean(axis=0)
-    u, _, vt = np.linalg.svd((source - a).T @ (target - b))
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(vt.T @ u.T)) or 1.0])
-    out = np.eye(4)
-    out[:3, :3] = vt.T @ flip @ u.T
-    out[:3, 3] = b - out[:3, :3] @ a
-    return out
-
-
-def _turned(rotation: np.ndarray) -> np.ndarray:
-    """Rotation matrix of a rotation vector (3,) [rad]."""
-    angle = float(np.linalg.norm(rotation))
-    axis = rotation / max(angle, 1e-300)
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
-
-
-def _winding(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Winding number of closed triangles (m, 3, 3) around points (k, 3) (van Oosterom and Strackee 1983)."""
-    out = np.zeros(len(points))
-    for start in range(0, len(points), 2048):
-        a, b, c = (corners[None, :, k] - points[start:start + 2048, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(x, axis=2) for x in (a, b, c))
-        over = np.einsum("kmi,kmi->km", a, np.cross(b, c))
-        under = la * lb * lc + np.einsum("kmi,kmi->km", a, b) * lc + np.einsum("kmi,kmi->km", b,
-                                                                               c) * la + np.einsum("kmi,kmi->km", c,
-                                                                                                   a) * lb
-        out[start:start + 2048] = np.arctan2(over, under).sum(axis=1) / (2.0 * np.pi)
-    return out

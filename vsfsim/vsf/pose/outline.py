@@ -1,15 +1,15 @@
-"""Where a known object lies when it rests on one of its flat sides: the loss of Neural VSF eq. 7, seen from above.
+"""The pose of a known object on one of its flat sides, from its outline: the loss of Neural VSF eq. 7, seen from above.
 
-Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer over it before a probe
-gets there: the stiff points of an estimate are a thin sheet over the object, to which a registration of surfaces fits
-it in many ways. What such a sheet does tell is the object's outline. So the stiffness of each column of touched points
-is compared with the outline of the object at all angles and places,
+Touch reaches a few millimetres deep, and a stiff object under a soft layer stiffens the layer above it before a probe
+reaches it. The stiff points of an estimate are therefore a thin sheet above the object, to which a registration of
+surfaces fits it in many ways. Such a sheet determines the outline of the object. So the stiffness of each column of
+touched points is compared with the outline at all angles and positions,
 
-    L = sum over columns under the outline of max(threshold - K, 0) + threshold * (stiff columns beside it)
+    L = sum over columns under the outline of max(threshold - K, 0) + threshold * (number of stiff columns outside it)
 
-on a grid first, then by a shrinking random search. The threshold leaves as large a share of the columns stiff as the
-outline has of the area that can be touched, so that it needs no knowledge of the cover. A turned over object has nearly
-the same outline mirrored: unless it may lie so, it is not asked.
+on a grid first, then by a random search of shrinking steps. The threshold makes the same fraction of the columns stiff
+as the outline has of the area that can be touched, so that the cover's stiffness need not be known. An object turned
+over has nearly the same outline, mirrored; that is tried only on request.
 """
 
 from __future__ import annotations
@@ -20,49 +20,56 @@ from vsfsim.core.errors import VsfError
 from vsfsim.vsf.pose.localise import KnownObject, Pose
 
 _ANGLES = 48
-_STEPS, _STEP = 6, 0.004  # places to either side of the stiff columns' middle, and their distance [m]
+"""Angles of the grid, over a whole turn."""
+_STEPS, _STEP = 6, 0.004
+"""Positions of the grid on either side of the centre of the stiff columns, and their distance [m]."""
 _MOST_STIFF = 0.5
-_COLUMNS = 500  # that vote on the grid
+"""The largest fraction of the columns that counts as stiff."""
+_COLUMNS = 500
+"""The most columns that are evaluated on the grid."""
 
 
-def outline(known: KnownObject) -> float:
+def outline_area(known: KnownObject) -> float:
     """Area of the object's outline from above [m^2]."""
     return float(known.inside.any(axis=2).sum()) * known.cell**2
 
 
-def lying_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float,
-               turned: bool = False, refine: int = 400,
-               seed: int = 0) -> Pose:
+def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray, *, area: float, top: float,
+                 turned: bool = False, refine: int = 400, seed: int = 0) -> Pose:
     """The pose that best explains the stiffness of columns.
 
     Args:
-        known: the object, lying as in its own frame, or turned over about its x axis. columns: places (n, 2) [m],
-        world. stiffness: of each, >= 0 (n,).
-        area: that can be touched [m^2]. top: z of the object's upper side [m]. turned: it may lie on its other face.
-        refine: steps of the random search. seed: of it.
+        known: the object, upright as in its own frame.
+        columns: positions of the columns, world (n, 2) [m].
+        stiffness: of each column, >= 0 (n,).
+        area: the area that can be touched [m^2].
+        top: z of the object's upper side [m].
+        turned: whether the object may be turned over, about its x axis.
+        refine: steps of the random search.
+        seed: of the random search.
 
     Raises:
         VsfError: fewer than 10 columns, or all of one stiffness.
     """
     if len(columns) < 10 or not np.ptp(stiffness) > 0.0:
-        raise VsfError(f"vsf.lying: {len(columns)} columns of stiffnesses {np.min(stiffness, initial=0.0):g} to "
-                       f"{np.max(stiffness, initial=0.0):g} tell nothing of where an object lies; touch more.")
-    share = min(outline(known) / area, _MOST_STIFF)
+        raise VsfError(f"vsf.outline: {len(columns)} columns of stiffnesses {np.min(stiffness, initial=0.0):g} to "
+                       f"{np.max(stiffness, initial=0.0):g} do not determine a pose; touch more.")
+    share = min(outline_area(known) / area, _MOST_STIFF)
     cut = float(np.quantile(stiffness, 1.0 - share))
     if not cut > 0.0:
         cut = float(stiffness[stiffness > 0.0].min())
     stiff = stiffness >= cut
-    # Counted from the loss of an outline that lies on nothing: each column adds this much when it is covered.
+    # What covering a column takes off the loss of an outline that covers nothing.
     gain = np.where(stiff, 1.0, -np.maximum(cut - stiffness, 0.0) / cut)
     flat = np.pad(known.inside.any(axis=2), 1).astype(float)
     middle = np.average(columns[stiff], axis=0)
     shifts = _STEP * np.stack(np.meshgrid(*[np.arange(-_STEPS, _STEPS + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def covered(angle: float, face: int, places: np.ndarray, every: int = 1) -> np.ndarray:
-        """Gain of the outline's middle at ``places`` (p, 2), from every so many-th column: (p,)."""
+        """Gain (p,) of the outline at positions ``places`` (p, 2), from every ``every``-th column."""
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * [1.0, face] / known.cell
         index = (columns[::every] @ turn - known.low[:2] / known.cell)[None] - (places @ turn)[:, None]
-        # One row and column of nothing around the outline takes whatever lies off it.
+        # Columns off the outline's grid fall into the zeros padded around it.
         index = np.clip(np.floor(index).astype(np.int32) + 1, 0, np.array(flat.shape, np.int32) - 1)
         return (flat[index[..., 0], index[..., 1]] * gain[::every]).sum(axis=1)
 
