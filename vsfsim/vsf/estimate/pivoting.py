@@ -1,13 +1,23 @@
-"""Small non-negative least squares with a prior, by block principal pivoting on the normal equations.
+"""Exact non-negative least squares with a prior, by principal pivoting: for problems with one side small enough for a
+dense matrix.
 
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
-H = A^T A + 1 is formed once, on as many rows as there are unknowns; where readings are many (contact forces on every
-vertex of a sensor) that is all that is left of them. Each step solves for a set F of free unknowns and exchanges every
-unknown that has the wrong sign: x_i < 0 in F, or a pull (H x - c)_i < 0 outside (Portugal, Judice and Vicente 1994).
-When the number of wrong ones has not fallen for a while only the last of them is exchanged, which ends for any positive
-definite H (Murty 1974). H squares the condition of A, so each solution is refined with residuals taken through A itself
-(corrected seminormal equations, Bjorck 1987).
+The dual has one unknown for each row: x = max(0, x0 + A^T y), and y minimises the convex, piecewise quadratic function
+1/2 |y|^2 - b y + 1/2 |max(0, x0 + A^T y)|^2. On a face, that is for a given set F of free unknowns, both sides give the
+same point,
+
+    x_F = x0_F + (1 + A_F^T A_F)^-1 A_F^T (b - A x0)      y = (1 + A_F A_F^T)^-1 (b - A_F x0_F) = b - A x
+
+so the smaller one is factorised. Block principal pivoting exchanges all unknowns of the wrong sign at once, a free
+x_i < 0 and a held x0_i + a_i y > 0 (Portugal, Judice and Vicente 1994). It starts with all unknowns free and takes few
+steps where the readings do not outweigh the prior by much. It may cycle; a step of it is a Newton step of the dual at
+its full length, so an exact line search makes it converge in finitely many steps (semi-smooth Newton). Where the
+readings outweigh the prior by many orders the minimiser is approached by raising their weight in stages.
+
+The normal equations square the condition of A. Solutions on a face are therefore refined with residuals through A
+itself (corrected seminormal equations, Bjorck 1987), and beyond `_CHOLESKY_LIMIT` a face is solved by an orthogonal
+factorisation that never squares A.
 """
 
 from __future__ import annotations
@@ -15,46 +25,217 @@ from __future__ import annotations
 import numpy as np
 from scipy import linalg, sparse
 
+_SQUARE = 2
+"""Unknowns a row up to which the unknowns' side is factorised."""
 _STEPS = 60
-# Exchanges of all wrong unknowns without their number falling, before one at a time.
+"""Limit of block exchanges; the line search has more."""
+_NEWTON_STEPS = 200
+"""Limit of steps at one weight of the readings."""
+_EXACT_STEPS = 20
+"""The same with orthogonal factorisations, each of which may take seconds."""
 _PATIENCE = 4
+"""Block exchanges without a smaller number of wrong signs after which the line search takes over."""
+_STALLED = 12
+"""Newton steps without a smaller residual after which only rounding is left."""
 _REFINEMENTS = 3
-# Signs of quantities under this fraction of the largest are rounding.
 _ROUNDING = 1e-13
+"""Signs of quantities below this fraction of the largest are rounding errors."""
+_GOOD = 1e-9
+"""KKT residual that needs no orthogonal factorisation."""
+_CHOLESKY_LIMIT = 1e14
+"""Largest eigenvalue of A A^T for which the normal equations are factorised: float64 holds 1 beside it."""
+_FIRST_STAGE, _RAISE, _STAGE_TOLERANCE = 1e6, 10.0, 1e-4
+"""Largest eigenvalue at the first stage, its factor from stage to stage, and the KKT residual of a stage."""
 
 
-def pivoted(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray) -> tuple[np.ndarray, int] | None:
-    """The minimiser (n,) and the number of steps; None if rounding or the limit of steps kept it from the solution.
+def kkt_residual(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, x: np.ndarray, scale: np.ndarray) -> float:
+    """Residual of the optimality conditions [-]: the largest change that a projected Newton step in one unknown alone
+    makes, over the largest of x, x0 and that change; all times ``scale`` (n,)."""
+    gradient = a.T @ (a @ x - b) + x - x0
+    diagonal = 1.0 + np.asarray(a.multiply(a).sum(axis=0)).ravel()
+    change = scale * np.abs(x - np.maximum(x - gradient / diagonal, 0.0))
+    largest = max(float(np.max(scale * np.abs(x))), float(np.max(scale * np.abs(x0))), float(np.max(change)), 1e-300)
+    return float(np.max(change)) / largest
+
+
+def principal_pivoting(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, scale: np.ndarray,
+                       tolerance: float) -> tuple[np.ndarray, int]:
+    """The minimiser (n,) and the number of steps.
 
     Args:
-        a: (m, n) with n so small that an n x n matrix may be made. b: (m,). x0: (n,).
+        a: (m, n); a matrix of the size of the smaller side is made.
+        b: (m,).
+        x0: (n,).
+        scale: units of the unknowns in the KKT residual (n,).
+        tolerance: KKT residual at which to stop.
     """
-    at = sparse.csr_matrix(a.T)
-    hessian = (at @ a).toarray()
-    hessian[np.diag_indices_from(hessian)] += 1.0
-    right = at @ b + x0
+    problem = _Problem(a, b, x0, scale)
     free = np.ones(len(x0), bool)
-    fewest, patience = len(x0) + 1, _PATIENCE
-    for step in range(1, _STEPS + 1):
-        x = np.zeros(len(x0))
-        if free.any():
-            inside = np.flatnonzero(free)
+    found, _, steps = _block_exchanges(problem, free, _STEPS)
+    if problem.residual(found) <= max(tolerance, _GOOD):
+        return found, steps
+    strength = max(_largest_eigenvalue(a), 1e-300)
+    stages, weight = [], _FIRST_STAGE
+    while weight < 0.1 * strength:
+        stages.append(weight)
+        weight *= _RAISE
+    y, before = np.zeros(len(b)), 1.0
+    for stage in [*stages, strength]:
+        last = stage == strength
+        share = 1.0 if last else float(np.sqrt(stage / strength))
+        weighted = _Problem(a * share, b * share, x0, scale, exact=stage > _CHOLESKY_LIMIT)
+        # The same x = x0 + (share A)^T y at the new weight.
+        x, y, more = _newton(weighted, free, y * (before / share), tolerance if last else _STAGE_TOLERANCE)
+        free, steps, before = x > 0.0, steps + more, share
+    if problem.residual(x) > _GOOD:
+        x, _, more = _newton(_Problem(a, b, x0, scale, exact=True), free, y, tolerance)
+        steps += more
+    return min((found, x), key=problem.residual), steps
+
+
+class _Problem:
+    """A, b and x0, and the solution on a face; by orthogonal factorisations if ``exact``."""
+
+    def __init__(self, a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, scale: np.ndarray, *, exact: bool = False):
+        self.a, self.at, self.columns = a, sparse.csr_matrix(a.T), a.tocsc()
+        self.b, self.x0, self.scale, self.exact = b, x0, scale, exact
+        self.by_unknowns = a.shape[1] <= _SQUARE * a.shape[0]
+        self.right = self.at @ b + x0
+        if self.by_unknowns and not exact:
+            self.hessian = (self.at @ a).toarray()
+            self.hessian[np.diag_indices_from(self.hessian)] += 1.0
+
+    def residual(self, x: np.ndarray) -> float:
+        return kkt_residual(self.a, self.b, self.x0, x, self.scale)
+
+    def face(self, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """x (n,), which may be negative, and y (m,) for the unknowns ``free``, the others held at 0."""
+        x, inside = np.zeros(len(self.x0)), np.flatnonzero(free)
+        if len(inside) == 0:
+            return x, self.b.copy()
+        if not self.exact:
             try:
-                factor = linalg.cho_factor(hessian[np.ix_(inside, inside)] if len(inside) < len(x0) else hessian,
-                                           lower=True, check_finite=False)
+                return self._by_unknowns(x, inside) if self.by_unknowns else self._by_rows(x, inside)
             except linalg.LinAlgError:
-                return None
-            x[inside] = linalg.cho_solve(factor, right[inside], check_finite=False)
-            for _ in range(_REFINEMENTS):
-                miss = (at @ (b - a @ x) + x0 - x)[inside]
-                x[inside] += linalg.cho_solve(factor, miss, check_finite=False)
-        pull = at @ (b - a @ x) + x0 - x
-        wrong = np.flatnonzero(np.where(free, x < -_ROUNDING * np.abs(x).max(), pull > _ROUNDING * np.abs(right).max()))
-        if len(wrong) == 0:
-            return np.maximum(x, 0.0), step
-        if len(wrong) < fewest:
-            fewest, patience = len(wrong), _PATIENCE
-        else:
-            patience -= 1
-        free[wrong if patience > 0 else wrong[-1:]] ^= True
-    return None
+                pass  # rounding made the normal equations indefinite
+        x[inside] = _least_squares(self.columns[:, inside].toarray(), self.b, self.x0[inside])
+        return x, self.b - self.a @ x
+
+    def _by_unknowns(self, x: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        matrix = self.hessian[np.ix_(inside, inside)] if len(inside) < len(x) else self.hessian
+        factor = linalg.cho_factor(matrix, lower=True, check_finite=False)
+        x[inside] = linalg.cho_solve(factor, self.right[inside], check_finite=False)
+        for _ in range(_REFINEMENTS):
+            miss = (self.at @ (self.b - self.a @ x) + self.x0 - x)[inside]
+            x[inside] += linalg.cho_solve(factor, miss, check_finite=False)
+        return x, self.b - self.a @ x
+
+    def _by_rows(self, x: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        part = self.columns[:, inside]
+        transposed = sparse.csr_matrix(part.T)
+        matrix = (part @ transposed).toarray()
+        matrix[np.diag_indices_from(matrix)] += 1.0
+        factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        y = np.zeros(len(self.b))
+        for _ in range(1 + _REFINEMENTS):
+            miss = self.b - part @ (self.x0[inside] + transposed @ y) - y
+            y = y + linalg.cho_solve(factor, miss, check_finite=False)
+        x[inside] = self.x0[inside] + transposed @ y
+        return x, y
+
+
+def _block_exchanges(problem: _Problem, free: np.ndarray, limit: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """A feasible point, its y and the number of steps, from the free unknowns ``free``; the point is the minimiser
+    unless the exchanges cycled or reached the limit."""
+    fewest, patience, free = len(free) + 1, _PATIENCE, free.copy()
+    rounding = _ROUNDING * float(np.abs(problem.right).max())
+    steps = 0
+    while True:
+        steps += 1
+        x, y = problem.face(free)
+        pull = problem.at @ y + problem.x0 - x
+        wrong = np.where(free, x < -_ROUNDING * np.abs(x).max(), pull > rounding)
+        number = int(np.count_nonzero(wrong))
+        patience = _PATIENCE if number < fewest else patience - 1
+        fewest = min(fewest, number)
+        if number == 0 or patience == 0 or steps == limit:
+            return np.maximum(x, 0.0), y, steps
+        free ^= wrong
+
+
+def _newton(problem: _Problem, free: np.ndarray, y: np.ndarray,
+            tolerance: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Block exchanges from the free unknowns ``free``; if they cycle, Newton steps with a line search from ``y``.
+    Returns x, y and the number of steps."""
+    limit = _EXACT_STEPS if problem.exact else _NEWTON_STEPS
+    x, target, steps = _block_exchanges(problem, free, min(limit, _STEPS))
+    best, best_residual = (x, target), problem.residual(x)
+    if best_residual <= tolerance:
+        return *best, steps
+    patience = _STALLED
+    while steps < limit and patience > 0 and best_residual > tolerance:
+        steps += 1
+        pull = problem.x0 + problem.at @ y
+        direction = problem.face(pull > 0.0)[1] - y
+        length = _line_search(pull, problem.at @ direction, y, direction, problem.b)
+        moved = y + length * direction
+        if np.array_equal(moved, y):
+            break
+        y = moved
+        x = np.maximum(problem.x0 + problem.at @ y, 0.0)
+        residual = problem.residual(x)
+        # Far from the minimiser the residual may rise while the dual falls; near it, an end of its fall is rounding.
+        patience = _STALLED if residual < best_residual or best_residual > 1e-5 else patience - 1
+        if residual < best_residual:
+            best, best_residual = (x, y), residual
+    return *best, steps
+
+
+def _line_search(p: np.ndarray, q: np.ndarray, y: np.ndarray, d: np.ndarray, b: np.ndarray) -> float:
+    """The exact minimiser t >= 0 of the dual along d: 1/2 |y + t d|^2 - b.(y + t d) + 1/2 |max(0, p + t q)|^2.
+
+    Its slope rises piecewise linearly, with a kink where a component of p + t q changes sign.
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        kink = np.where(q != 0.0, -p / q, -1.0)
+    order = np.flatnonzero(kink > 0.0)
+    order = order[np.argsort(kink[order], kind="stable")]
+    kinks = kink[order]
+    inside = (p > 0.0) | ((p == 0.0) & (q > 0.0))
+    constant = float(d @ (y - b)) + float(p[inside] @ q[inside])
+    linear = float(d @ d) + float(q[inside] @ q[inside])
+    # Past its kink a component leaves (q < 0) or joins (q > 0) the sum.
+    sign = np.sign(q[order])
+    constants = constant + np.concatenate([[0.0], np.cumsum(sign * p[order] * q[order])])
+    linears = linear + np.concatenate([[0.0], np.cumsum(sign * q[order] ** 2)])
+    ends = np.concatenate([kinks, [np.inf]])
+    last = np.isinf(ends)
+    root = np.argmax(np.where(last, np.inf, constants + linears * np.where(last, 0.0, ends)) >= 0.0)
+    start = 0.0 if root == 0 else kinks[root - 1]
+    return float(np.clip(-constants[root] / max(linears[root], 1e-300), start, ends[root]))
+
+
+def _least_squares(a: np.ndarray, b: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    """Minimiser of |b - A x|^2 + |x - x0|^2, by Householder QR on the smaller side, without A^T A."""
+    m, n = a.shape
+    rest = b - a @ x0
+    if n <= m:
+        q, r = linalg.qr(np.concatenate([a, np.eye(n)]), mode="economic")
+        return x0 + linalg.solve_triangular(r, q[:m].T @ rest)
+    # x - x0 lies in the range of A^T = Q R: m unknowns.
+    q, r = linalg.qr(a.T, mode="economic")
+    q2, r2 = linalg.qr(np.concatenate([r.T, np.eye(m)]), mode="economic")
+    return x0 + q @ linalg.solve_triangular(r2, q2[:m].T @ rest)
+
+
+def _largest_eigenvalue(a: sparse.csr_matrix) -> float:
+    """Largest eigenvalue of A A^T to a factor of about two, by power iteration from the row sums (deterministic)."""
+    v = np.ones(a.shape[1]) + 1e-3 * np.arange(a.shape[1]) / a.shape[1]
+    value = 0.0
+    for _ in range(8):
+        v /= np.linalg.norm(v)
+        v = a.T @ (a @ v)
+        value = float(np.linalg.norm(v))
+        if value == 0.0:
+            return 0.0
+    return value
