@@ -14,6 +14,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial import cKDTree
 
+from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
 
 NEIGHBOURS = 10
