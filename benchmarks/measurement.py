@@ -6,14 +6,13 @@ import datetime
 import math
 import os
 import platform
-import subprocess
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import vsfsim
 from vsfsim.core.text_table import text_table
+from vsfsim.data.provenance import commit
 
 Progress = Callable[[str], None]
 """Called with a sentence about what is going on."""
@@ -102,7 +101,7 @@ class Measurement:
     version: str = ""
     """Of vsfsim."""
     commit: str = ""
-    """Of the checkout, "+" behind it where files differ; empty outside a repository."""
+    """Of the checkout, see `vsfsim.data.provenance.commit`; empty outside a repository."""
     date: str = ""
     """When it ended, ISO 8601 in UTC."""
 
@@ -112,7 +111,7 @@ class Measurement:
         """A measurement that ended now, on this machine."""
         now = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
         return cls(command, settings, tables, notes, numbers or {}, machine(str(settings.get("device", "cpu"))),
-                   vsfsim.__version__, commit(), now)
+                   vsfsim.__version__, commit() or "", now)
 
     def text(self) -> str:
         """All tables and notes for a terminal."""
@@ -139,18 +138,6 @@ def machine(device: str = "cpu") -> str:
     import torch
 
     return f"{out}, {torch.cuda.get_device_name(device)}"
-
-
-def commit() -> str:
-    """The commit of this checkout, "+" behind it where tracked files differ; empty outside a repository."""
-    def git(*words: str) -> str:
-        return subprocess.run(["git", *words], cwd=Path(__file__).parent, capture_output=True, text=True,
-                              check=True).stdout.strip()
-
-    try:
-        return git("rev-parse", "--short", "HEAD") + "+" * bool(git("status", "--porcelain", "--untracked-files=no"))
-    except (OSError, subprocess.CalledProcessError):
-        return ""
 
 
 def _without_nan(value: Any) -> Any:

@@ -17,7 +17,7 @@ LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsi
           "vsfsim/generate", "scenes")
 
 SHAPE = re.compile(r"\(\w[\w\s+]*,")  # (n,), (T, 3), (3 n,), (T + 1,)
-DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "see `")
+DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "see `", "unit of the")
 """Words that stand for [-], or that send the reader to the class that says it."""
 
 
@@ -35,7 +35,7 @@ def undocumented(text: str) -> list[str]:
         head = re.split(rf"\b{begin}", doc, maxsplit=1)[0]
         for field in fields:
             array, number = "ndarray" in field.kind, bool(re.search(r"\bfloat\b", field.kind))
-            if not (array or number):
+            if not (array or number) or re.match(r"(dict|Mapping)\b", field.kind):  # a mapping documents its keys
                 continue
             entry = re.search(rf"(?:^|[ .,;]){field.name}(?:, {word})*: (.*?)(?= {begin}|$)", doc)
             text = field.doc or (entry[1] if entry else "")

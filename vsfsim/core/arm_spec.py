@@ -18,21 +18,25 @@ AT_LIMIT = ("end", "return")
 
 @dataclass(frozen=True)
 class ArmSpec:
-    """model: "gen3" or "menagerie". punyo: whether it carries one. base: of its foot (3,) [m]; yaw: its turn about +z
-    [rad]. mode: "kinematic" (J^T f) or "dynamic" (simulated controller and sensors).
-    drive: of the dynamic mode. clearance: least gap to the plant at the start of a touch, and to its pot all the way
-    [m].
-    at_limit: what a touch does before its force limit: "end", with the readings it has by then, or "return", a guarded
-    move: it slows down, turns back and keeps its number of readings."""
+    """``[arm]``: which arm touches, where it stands, and how its torques arise."""
 
     model: str
+    """"gen3" or "menagerie"."""
     punyo: bool
+    """Whether it carries a Punyo."""
     base: tuple[float, float, float]
+    """Of its foot (3,) [m]."""
     yaw: float
+    """Rotation about +z [rad]."""
     mode: str
+    """"kinematic" (J^T f) or "dynamic" (simulated controller and sensors)."""
     drive: str
+    """Of the dynamic mode: position control or impedance."""
     clearance: float
+    """Least gap to the plant at the start of a touch, and to its pot all the way [m]."""
     at_limit: str = "end"
+    """What a touch does before its force limit: "end" with the readings made so far, or "return", a guarded move
+    that slows down, goes back and keeps its number of readings."""
 
 
 def parse_arm(node: Any, path: Path) -> ArmSpec:

@@ -19,39 +19,41 @@ CAMERA = (640, 480)  # the real one's picture [px]
 
 @dataclass(frozen=True)
 class Bubble:
-    """``[sensor] kind = "bubble"``; the defaults are a real Punyo's, see docs/physics.md for where each comes from.
+    """``[sensor] kind = "bubble"``. The defaults are a real Punyo's (docs/physics.md, references/punyo.json).
 
-    The mount frame has its origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out
-    of the dome.
-
-    semi_axes: of the clamped, planar rim, long and short (2,) [m]. young_modulus: of the rubber [Pa]. thickness: before
-    it is stretched [m].
-    Only their product E h matters but for bending. pre_stretch: of the flat membrane when it was clamped, over its own
-    length [-].
-    gauge_pressure: of the free dome [Pa]. gas_volume: all of the air that is enclosed, dome and chamber behind it, with
-    the dome free [m^3].
-    gamma: of p V^gamma, 1 isothermal to 1.4 adiabatic [-]. ambient_pressure: absolute, outside [Pa].
-    sealed: or open to a supply that keeps the gauge pressure. nodes: of the mesh, even all over. contact_edge: longest
-    edge of the triangles where a rigid body touches [m], for which the mesh is made finer there; None: a third of the
-    radius of balls and capsules. friction: Coulomb coefficient with what it touches [-].
-    fine: whether a dataset also keeps the mesh that was solved, of ``nodes`` nodes, beside the read-out mesh.
-    camera: width and height of the pictures that a dataset keeps of the skin from inside (2,) [px], or None for none.
+    The mount frame has its origin in the middle of the rim, x along the long semi-axis, y along the short one, +z
+    out of the dome.
     """
 
     semi_axes: tuple[float, float] = (0.05725, 0.040)
+    """Of the clamped, planar rim, long and short (2,) [m]."""
     young_modulus: float = 1.36e6
+    """Of the rubber [Pa]."""
     thickness: float = 0.0005
+    """Before stretching [m]. Only the product E h matters, except for bending."""
     pre_stretch: float = 1.10
+    """Of the flat membrane when it was clamped, over its own length [-]."""
     gauge_pressure: float = 7820.0
+    """Of the free dome [Pa]."""
     gas_volume: float = 150e-6
+    """Volume of the enclosed air, dome and chamber together, with the dome free [m^3]."""
     gamma: float = 1.4
+    """Exponent of p V^gamma, from 1 (isothermal) to 1.4 (adiabatic) [-]."""
     ambient_pressure: float = ATMOSPHERE
+    """Absolute, outside [Pa]."""
     sealed: bool = True
+    """Whether the air is enclosed; if not, a supply keeps the gauge pressure."""
     nodes: int = NODES
+    """Number of nodes of the mesh."""
     contact_edge: float | None = None
+    """Longest edge of the triangles where a rigid body touches, for which the mesh is refined there [m]; None: a
+    third of the radius of balls and capsules."""
     friction: float = 2.0
+    """Coulomb coefficient against what it touches [-]."""
     fine: bool = False
+    """Whether a dataset also keeps the mesh of ``nodes`` nodes that was solved, beside the read-out mesh."""
     camera: tuple[int, int] | None = None
+    """Width and height of the pictures of the skin from inside that a dataset keeps (2,) [px]; None for none."""
 
     @property
     def modulus(self) -> float:

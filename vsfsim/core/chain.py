@@ -14,29 +14,35 @@ from vsfsim.core.errors import SceneError, unknown_key
 
 @dataclass(frozen=True)
 class ChainCapsule:
-    """A capsule fixed to a link. link: its number. start, stop: centres of the half-spheres in the link's frame (3,)
-    [m]. radius: [m]."""
+    """A capsule fixed to a link."""
 
     link: int
+    """Number of the link."""
     start: tuple[float, float, float]
+    """Centre of a half-sphere in the link's frame (3,) [m]."""
     stop: tuple[float, float, float]
+    """Centre of the other half-sphere (3,) [m]."""
     radius: float
+    """Of the capsule [m]."""
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Links in a row, each in its parent's frame; a joint turns its link about the link's own +z.
+    """L links in a row, each in its parent's frame; a joint turns its link about the link's own +z.
 
-    base: pose of the first link in the world, 3 rows of 4 [m]. positions: of each link (L, 3) [m]. quaternions: w x y z
-    (L, 4) [-]. joints: number of the joint that turns each link, -1 for none (L,).
-    capsules: K of them. As a "probe" of a dataset it says what touched the object, and ``q`` of a touch where it was.
+    As a "probe" of a dataset it is what touched the object; ``q`` of a touch gives the joint angles.
     """
 
     base: tuple[tuple[float, ...], ...]
+    """Pose of the first link in the world, 3 rows of 4 [m]."""
     positions: tuple[tuple[float, ...], ...]
+    """Of each link in its parent's frame (L, 3) [m]."""
     quaternions: tuple[tuple[float, ...], ...]
+    """Of each link in its parent's frame, w x y z (L, 4) [-]."""
     joints: tuple[int, ...]
+    """Number of the joint that turns each link, -1 for none (L,)."""
     capsules: tuple[ChainCapsule, ...]
+    """K of them."""
 
     @property
     def dof(self) -> int:

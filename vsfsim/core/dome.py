@@ -18,17 +18,16 @@ _CELLS = 8  # along each side, in which triangles are looked up
 
 @dataclass(frozen=True)
 class Dome:
-    """The free, untouched skin of a bubble, a height over its rim plane; as a "probe" of a dataset it says what touched
-    the object.
+    """The free, untouched skin of a bubble, a height over its rim plane.
 
-    Origin in the middle of the rim, +z out of the dome and leading into the object. How the skin is dented in a touch
-    only the touch itself can tell (``node_position``).
-
-    vertices: of the read-out mesh, N of (x, y, z) [m]. triangles: wound outwards, F of three vertices.
+    The origin is in the middle of the rim, +z points out of the dome and into the object. As a "probe" of a dataset
+    it is what touched the object; ``node_position`` of a touch gives the dented skin.
     """
 
     vertices: tuple[tuple[float, float, float], ...]
+    """Of the read-out mesh, N of (x, y, z) [m]."""
     triangles: tuple[tuple[int, int, int], ...]
+    """Wound outwards, F of three vertices."""
 
     @classmethod
     def of(cls, vertices: np.ndarray, triangles: np.ndarray) -> Dome:
@@ -119,10 +118,8 @@ def read_dome(table: Any, where: str) -> Dome:
     except (KeyError, TypeError, ValueError) as error:
         raise SceneError(f"{where}: the dome cannot be read ({error!r}); it is a table of {', '.join(keys)}, as "
                          f"`vsfsim generate` writes it.") from error
-    if vertices.ndim != 2 or vertices.shape[1:] != (3,
-                                                    ) or triangles.ndim != 2 or triangles.shape[1:] != (3,
-                                                                                                        ) or not np.isfinite(vertices).all() \
-            or not len(triangles) or not 0 <= triangles.min() <= triangles.max() < len(vertices):
+    shaped = all(array.ndim == 2 and array.shape[1] == 3 for array in (vertices, triangles)) and len(triangles) > 0
+    if not shaped or not np.isfinite(vertices).all() or not 0 <= triangles.min() <= triangles.max() < len(vertices):
         raise SceneError(f"{where}: the dome has vertices {vertices.shape} and triangles {triangles.shape}; give "
                          f"finite (N, 3) in metres and (F, 3) that name them.")
     return Dome.of(vertices, triangles)

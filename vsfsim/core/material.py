@@ -19,15 +19,14 @@ _INCLUSIONS = {"sphere": ("x", "y", "z", "radius"), "box": ("x0", "y0", "z0", "x
 
 @dataclass(frozen=True)
 class Inclusion:
-    """A part of the body with its own modulus.
-
-    kind: "sphere" | "box" | "capsule". numbers: sphere centre and radius; box corners; capsule ends and
-    radius, in the object's frame [m]. young_modulus: [Pa].
-    """
+    """A part of the body with a modulus of its own."""
 
     kind: str
+    """"sphere", "box" or "capsule"."""
     numbers: tuple[float, ...]
+    """In the object's frame [m]: sphere centre and radius; box corners; capsule ends and radius."""
     young_modulus: float
+    """Inside [Pa]."""
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance (...,) [m] of ``points`` (..., 3) [m], negative inside (box: Chebyshev inside)."""
@@ -42,16 +41,14 @@ class Inclusion:
 
 @dataclass(frozen=True)
 class MaterialField:
-    """Truth of a scene: E(x) [Pa], from a base value, named regions and inclusions (the last one wins).
-
-    base: modulus where nothing else is said [Pa], or None if the regions say it.
-    regions: modulus by region name [Pa].
-    inclusions: parts with their own modulus, in order.
-    """
+    """Truth of a scene: E(x) [Pa], from a base value, named regions and inclusions (the last one wins)."""
 
     base: float | None
+    """Modulus outside regions and inclusions [Pa], or None if the regions give it."""
     regions: Mapping[str, float]
+    """Modulus by region name [Pa]."""
     inclusions: tuple[Inclusion, ...] = ()
+    """In order."""
 
     def evaluate(self, points: np.ndarray, region: np.ndarray | None = None,
                  region_modulus: np.ndarray | None = None) -> np.ndarray:

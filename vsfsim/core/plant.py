@@ -12,42 +12,49 @@ from vsfsim.core.solid import Appearance
 
 @dataclass(frozen=True)
 class Pot:
-    """A pot that stands on z = 0 under the origin, a truncated cone. radius_top, radius_bottom, height: [m]."""
+    """A pot that stands on z = 0 under the origin, a truncated cone."""
 
     radius_top: float
+    """Radius at the top [m]."""
     radius_bottom: float
+    """Radius at the bottom [m]."""
     height: float
+    """Of the pot [m]."""
 
 
 @dataclass(frozen=True)
 class Plant:
-    """A tree of n nodes; node 0 is clamped in the pot, and segment i (1 to n - 1) goes from node ``parent[i]`` to node
-    i. Entry 0 of what belongs to segments is not read.
-
-    nodes: (n, 3) [m]. parent: (n,) int, smaller than the node's own number; -1 for node 0.
-    radius: of the round segment, or half the thickness of a leaf blade (n,) [m]. half_width: of a blade, 0 for a round
-    segment (n,) [m].
-    blade_normal: unit normal of a blade at rest (n, 3). young_modulus: (n,) [Pa]. poisson_ratio: [-]. density: (n,)
-    [kg/m^3].
-    region: of each segment, an index into ``region_names`` (n,). look: of each segment, an index into ``appearance``
-    (n,), None for the region. appearance: None for a plain grey.
-    pot: None for none. notes: a sentence each.
-    """
+    """A tree of n nodes. Node 0 is clamped in the pot, and segment i (1 to n - 1) goes from node ``parent[i]`` to
+    node i. Entry 0 of the arrays of segments is not read."""
 
     nodes: np.ndarray
+    """Positions (n, 3) [m]."""
     parent: np.ndarray
+    """Parent of each node (n,) int, smaller than the node's own number; -1 for node 0."""
     radius: np.ndarray
+    """Of a round segment, or half the thickness of a leaf blade (n,) [m]."""
     half_width: np.ndarray
+    """Of a blade; 0 for a round segment (n,) [m]."""
     blade_normal: np.ndarray
+    """Unit normal of a blade at rest (n, 3)."""
     young_modulus: np.ndarray
+    """Of each segment (n,) [Pa]."""
     density: np.ndarray
+    """Of each segment (n,) [kg/m^3]."""
     region: np.ndarray
+    """Of each segment, an index into `region_names` (n,)."""
     region_names: tuple[str, ...]
+    """At least one."""
     poisson_ratio: float = 0.35
+    """Of all segments [-]."""
     look: np.ndarray | None = None
+    """Of each segment, an index into `appearance` (n,); None: its region."""
     appearance: Appearance | None = None
+    """None for a plain grey."""
     pot: Pot | None = None
+    """None for none."""
     notes: tuple[str, ...] = field(default=())
+    """One sentence each."""
 
     def __post_init__(self) -> None:
         n = len(self.nodes)

@@ -21,34 +21,34 @@ MAX_FRICTION = 10.0
 
 @dataclass(frozen=True)
 class RigidBody:
-    """A rigid body at a fixed place: an ``[[obstacles]]`` in the world, or a ``[[probe.parts]]`` in the probe's frame.
-
-    shape: what it is. position: of its origin (3,) [m]. rotation: rotation vector (3,) [rad].
-    friction: Coulomb coefficient against the object [-], or None for that of the object.
-    """
+    """A rigid body at a fixed place: an ``[[obstacles]]`` in the world, or a ``[[probe.parts]]`` in the probe's
+    frame."""
 
     shape: ProbeShape
+    """Of the body."""
     position: Vector
+    """Of its origin (3,) [m]."""
     rotation: Vector
+    """Rotation vector (3,) [rad]."""
     friction: float | None
+    """Coulomb coefficient against the object [-], or None for that of the object."""
 
 
 @dataclass(frozen=True)
 class PressSpec:
-    """``[press]``: the path of the probe's origin, and how it is turned.
-
-    path: corner points (k >= 2, 3) [m], world; the way between two is straight. frames: equilibria on each of the k - 1
-    parts, the last of them at its end; the first point itself is no frame. hold: frames that stay at the last point.
-    retract: frames on the same way back.
-    rotation: rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the
-    shortest turn at constant speed; None: the probe points along the first part of the path, and keeps that.
-    """
+    """``[press]``: the path of the probe's origin, and its rotation."""
 
     path: tuple[Vector, ...]
+    """Corner points (k >= 2, 3) [m], world; straight in between."""
     frames: tuple[int, ...]
+    """Equilibria on each of the k - 1 parts, the last of them at its end; the first point itself is no frame."""
     hold: int = 0
+    """Frames that stay at the last point."""
     retract: int = 0
+    """Frames on the way back along the path."""
     rotation: tuple[Vector, ...] | None = None
+    """Rotation vectors (k, 3) [rad] of the probe in the world at the corner points, between two of them the shortest
+    rotation at constant speed. None: the probe points along the first part of the path and keeps that direction."""
 
     @property
     def start(self) -> Vector:

@@ -13,55 +13,48 @@ from vsfsim.core.errors import SceneError, did_you_mean, unknown_key
 
 @dataclass(frozen=True)
 class Box:
-    """A block; its local origin is the centre of its base.
-
-    size: edge lengths (3,) [m].
-    """
+    """A block; its local origin is the centre of its base."""
 
     size: tuple[float, float, float]
+    """Edge lengths (3,) [m]."""
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A ball. As an object its origin is its lowest point; as a probe, its centre.
-
-    radius: [m].
-    """
+    """A ball. As an object its origin is its lowest point; as a probe, its centre."""
 
     radius: float
+    """Of the ball [m]."""
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """A cylinder along +z. As an object its origin is the centre of its base; as a probe, its centre.
-
-    radius: [m]. height: [m].
-    """
+    """A cylinder along +z. As an object its origin is the centre of its base; as a probe, its centre."""
 
     radius: float
+    """Of the section [m]."""
     height: float
+    """Along +z [m]."""
 
 
 @dataclass(frozen=True)
 class Rod:
-    """A slender round bar lying along +x; its origin is the lowest point of its end at x = 0.
-
-    length: [m]. radius: [m].
-    """
+    """A slender round bar along +x; its origin is the lowest point of its end at x = 0."""
 
     length: float
+    """Along +x [m]."""
     radius: float
+    """Of the section [m]."""
 
 
 @dataclass(frozen=True)
 class Capsule:
-    """A probe: a cylinder along +z with half-spheres on both ends; its origin is its centre.
-
-    radius: [m]. length: distance between the centres of the half-spheres [m].
-    """
+    """A probe: a cylinder along +z with half-spheres on both ends; its origin is its centre."""
 
     radius: float
+    """Of the section [m]."""
     length: float
+    """Distance between the centres of the half-spheres [m]."""
 
 
 @dataclass(frozen=True)

@@ -9,18 +9,16 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Appearance:
-    """How each region looks to a camera.
-
-    albedo: base colour of each region, linear RGB in 0..1 (R, 3).
-    texture: kind of procedural texture of each region, one of `TEXTURES` (R,).
-    texture_scale: wavelength of the texture [m] (R,).
-    texture_contrast: relative amplitude of the texture, 0..1 (R,).
-    """
+    """How each region looks to a camera."""
 
     albedo: np.ndarray
+    """Base colour of each region, linear RGB in 0..1 (R, 3)."""
     texture: tuple[str, ...]
+    """Kind of procedural texture of each region, one of `TEXTURES` (R,)."""
     texture_scale: np.ndarray
+    """Wavelength of the texture (R,) [m]."""
     texture_contrast: np.ndarray
+    """Relative amplitude of the texture, 0..1 (R,)."""
 
 
 TEXTURES = ("plain", "noise", "weave", "grain", "stripes")
@@ -28,24 +26,22 @@ TEXTURES = ("plain", "noise", "weave", "grain", "stripes")
 
 @dataclass(frozen=True)
 class Solid:
-    """A watertight volume filled with tetrahedra, in the object's own frame.
-
-    vertices: corner positions (n, 3) [m].
-    tets: corner indices of each tetrahedron, positively oriented (m, 4).
-    region: region of each tetrahedron, an index into `region_names` (m,).
-    region_names: names, at least one.
-    young_modulus: per region [Pa] (R,), or None where the scene gives a field instead.
-    appearance: the look of each region, or None for a plain grey.
-    notes: what was repaired or decided on the way, one sentence each.
-    """
+    """A watertight volume filled with tetrahedra, in the object's own frame."""
 
     vertices: np.ndarray
+    """Corner positions (n, 3) [m]."""
     tets: np.ndarray
+    """Corner indices of each tetrahedron, positively oriented (m, 4)."""
     region: np.ndarray
+    """Region of each tetrahedron, an index into `region_names` (m,)."""
     region_names: tuple[str, ...]
+    """At least one."""
     young_modulus: np.ndarray | None = None
+    """Of each region (R,) [Pa], or None where the scene gives a field instead."""
     appearance: Appearance | None = None
+    """Of each region, or None for a plain grey."""
     notes: tuple[str, ...] = field(default=())
+    """Repairs and decisions, one sentence each."""
 
     def volume(self) -> float:
         """Volume of the body [m^3]."""

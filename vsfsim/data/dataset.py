@@ -25,37 +25,44 @@ LOCK = "dataset.lock"
 
 @dataclass(frozen=True)
 class Entry:
-    """One object file as dataset.json lists it.
-
-    name: of the object view. file: its file name. split: "train", "test", ... object_index, view_index: from 0.
-    touches: how many. frames: of all touches. unconverged: frames that are marked so. bytes: size. sha256: of the file.
-    """
+    """One object file as dataset.json lists it."""
 
     name: str
+    """Of the object view."""
     file: str
+    """File name."""
     split: str
+    """"train", "test", ..."""
     object_index: int
+    """From 0."""
     view_index: int
+    """Of the view of that object, from 0."""
     touches: int
+    """Number of touches."""
     frames: int
+    """Of all touches."""
     unconverged: int
+    """Frames that are marked as not converged."""
     bytes: int
+    """Size of the file."""
     sha256: str
+    """Of the file."""
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """A finished dataset; object views are read when asked for.
-
-    path: the folder. recipe: what it was made from. made_by: version and commit. entries: its object files, in order.
-    is_blind: views come without their truth.
-    """
+    """A finished dataset; object views are read on request."""
 
     path: Path
+    """The folder."""
     recipe: Recipe
+    """What it was made from."""
     made_by: Mapping[str, str | None]
+    """Version and commit."""
     entries: tuple[Entry, ...]
+    """Its object files, in order."""
     is_blind: bool = False
+    """Whether views come without their truth."""
 
     @classmethod
     def open(cls, path: str | Path, *, blind: bool = False) -> Dataset:

@@ -39,44 +39,54 @@ _ORIGIN = "knowledge/robot_model/kinova_gen3.urdf of github uiuc-iml/openvsf, wh
 
 @dataclass(frozen=True)
 class Recorded:
-    """One touch. q: joint angles (T, 7) [rad]. state: of the bubble's vertices in its body frame (T, N, 3) [m]. force:
-    on them, same frame, as read (T, N, 3) [N].
-    pressure: as read (T,) [Pa]. true_force: without noise (T, N, 3) [N]. true_pressure: without noise (T,) [Pa]."""
+    """One touch of T frames."""
 
     q: np.ndarray
+    """Joint angles (T, 7) [rad]."""
     state: np.ndarray
+    """Positions of the bubble's vertices in its body frame (T, N, 3) [m]."""
     force: np.ndarray
+    """Forces on them, same frame, with noise (T, N, 3) [N]."""
     pressure: np.ndarray
+    """With noise (T,) [Pa]."""
     true_force: np.ndarray
+    """Without noise (T, N, 3) [N]."""
     true_pressure: np.ndarray
+    """Without noise (T,) [Pa]."""
 
 
 @dataclass(frozen=True)
 class Bubble:
-    """The sensor. vertices: of the undented bubble in its body frame (N, 3) [m]. triangles: closed, wound outwards (F,
-    3). mount: pose of that frame in the flange's (4, 4) [m].
-    area: seen along its z [m^2]."""
+    """The sensor."""
 
     vertices: np.ndarray
+    """Of the undented bubble in its body frame (N, 3) [m]."""
     triangles: np.ndarray
+    """Closed, wound outwards (F, 3)."""
     mount: np.ndarray
+    """Pose of that frame in the flange's (4, 4) [m]."""
     area: float
+    """Base area, projected along its z [m^2]."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """What is to be estimated, and from what. points: rest positions, world (n, 3) [m]. stiffness: the truth (n,)
-    [N/m]. mean, std: of the prior [N/m].
-    force_noise: std of every component of a force [N]. pressure_noise: of a pressure [Pa]. tare: frames at the start of
-    every sequence without contact."""
+    """What is to be estimated, and from what."""
 
     points: np.ndarray
+    """Rest positions, world (n, 3) [m]."""
     stiffness: np.ndarray
+    """The truth (n,) [N/m]."""
     mean: float
+    """Of the prior [N/m]."""
     std: float
+    """Standard deviation of the prior [N/m]."""
     force_noise: float
+    """Standard deviation of every component of a force [N]."""
     pressure_noise: float
+    """Standard deviation of a pressure [Pa]."""
     tare: int
+    """Frames without contact at the start of every sequence."""
 
 
 def write_openvsf(folder: Path, touches: Sequence[Recorded], bubble: Bubble, model: Model, *,
@@ -207,7 +217,8 @@ simulator:
   deformables:
     vsf:
       model: {{type: point, path: !relative_path object/vsf_empty.npz}}
-      config: {{friction_mu: 0.5, sim_slide: False, slide_step: 0.0001, geometry_padding1: 0.001, geometry_padding2: 0.001}}
+      config: {{friction_mu: 0.5, sim_slide: False, slide_step: 0.0001,
+               geometry_padding1: 0.001, geometry_padding2: 0.001}}
 sensors:
   {key}: {{name: {key}, type: {kind}, attachment_name: punyo}}
 {tare}

@@ -13,27 +13,32 @@ from vsfsim.core.errors import DatasetError, unknown_key
 
 @dataclass(frozen=True)
 class Recipe:
-    """The input of `vsfsim generate`; two datasets of one recipe and one version of the code hold the same bits.
-
-    scene: its name. scene_text: the scene file, whole. seed: root of all random streams, >= 0.
-    objects, views, touches: how many; views of each object, touches of each view.
-    splits: number of objects by split, in order. device: "cpu" or "cuda", the kind that decides the bits.
-    tier: fidelity asked for. precision: "float32" or "float64". renderer: "warp" or "pyrender".
-    options: anything else that changes the numbers, e.g. {"resolution": 0.004}; plain JSON values.
-    """
+    """The input of `vsfsim generate`; two datasets of one recipe and one version of the code hold the same bits."""
 
     scene: str
+    """Name of the scene."""
     scene_text: str
+    """The whole scene file."""
     seed: int
+    """Root of all random streams, >= 0."""
     objects: int
+    """Number of objects."""
     views: int
+    """Of each object."""
     touches: int
+    """Of each view."""
     splits: Mapping[str, int]
+    """Number of objects by split, in order."""
     device: str
+    """"cpu" or "cuda", the kind that decides the bits."""
     tier: str
+    """Fidelity asked for."""
     precision: str
+    """"float32" or "float64"."""
     renderer: str
+    """"warp" or "pyrender"."""
     options: Mapping[str, Any] = field(default_factory=dict)
+    """Anything else that changes the numbers, e.g. {"resolution": 0.004}; plain JSON values."""
 
     @property
     def scene_sha256(self) -> str:

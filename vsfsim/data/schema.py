@@ -21,20 +21,22 @@ TEXT = "text"
 
 @dataclass(frozen=True)
 class Field:
-    """One HDF5 dataset.
-
-    path: where it lies in the file. dtype: numpy name, or `TEXT`. dims: lengths or letters, outermost first.
-    unit: of the stored numbers; "1" is dimensionless. required: False where the record may hold None.
-    masked: along T, only the rows of converged frames must be finite. doc: one sentence.
-    """
+    """One HDF5 dataset."""
 
     path: str
+    """In the file."""
     dtype: str
+    """NumPy name, or `TEXT`."""
     dims: tuple[str, ...]
+    """Lengths or letters, outermost first."""
     unit: str
+    """Of the stored numbers; "1" is dimensionless."""
     doc: str
+    """One sentence."""
     required: bool = True
+    """False where the record may hold None."""
     masked: bool = False
+    """Along T, only the rows of converged frames must be finite."""
 
     @property
     def group(self) -> str:

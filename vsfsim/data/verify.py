@@ -33,11 +33,14 @@ _MEND = "Delete this file and run the same `vsfsim generate` again; it makes onl
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong. file: where. what: is wrong. todo: what to do about it."""
+    """One thing that is wrong."""
 
     file: str
+    """Where."""
     what: str
+    """What is wrong."""
     todo: str
+    """What to do about it."""
 
     def __str__(self) -> str:
         return f"{self.file}: {self.what} {self.todo}"
@@ -45,20 +48,24 @@ class Problem:
 
 @dataclass(frozen=True)
 class Report:
-    """What `verify` found.
-
-    path: the folder. problems: empty if all is well. files, touches, frames: counted. unconverged: frames marked so.
-    untouched: touches that met nothing. worst_balance: largest force imbalance of a converged frame with contact [-].
-    """
+    """What `verify` found."""
 
     path: Path
+    """The folder."""
     problems: tuple[Problem, ...] = ()
+    """Empty if all is well."""
     files: int = 0
+    """Number of object files."""
     touches: int = 0
+    """Number of touches."""
     frames: int = 0
+    """Number of frames."""
     unconverged: int = 0
+    """Frames that are marked as not converged."""
     untouched: int = 0
+    """Touches that met nothing."""
     worst_balance: float = 0.0
+    """Largest force imbalance of a converged frame with contact [-]."""
 
     @property
     def ok(self) -> bool:
