@@ -17,7 +17,7 @@ import numpy as np
 
 from vsfsim.data.records import ObjectView, View
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.aim import ArmAim, load
+from vsfsim.generate.plants.aim import ArmAim, arm_spec, load
 from vsfsim.generate.plants.prepare import Outline, Seconds, Subject, choose, look, outline
 from vsfsim.generate.plants.touches import begin, finish, rod_options
 from vsfsim.generate.workers import process_pool, write
@@ -110,9 +110,9 @@ def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spen
     coming = _Preparation(jobs, pool, device, spent, part)
     since = spent.begin()
     scene = coming.outlines[0].scene
-    assert scene.arm is not None and scene.touches is not None
+    assert scene.touches is not None
     free, inward, hold, out = scene.touches.frames
-    solver = RodSolver([o.model for o in coming.outlines], load(scene.arm).shapes, device=device,
+    solver = RodSolver([o.model for o in coming.outlines], load(arm_spec(scene)).shapes, device=device,
                        options=rod_options(scene))
     batch = RodBatch(solver, min(max(PLACES, part), scene.touches.count * len(jobs)),
                      frames=free + inward + hold + out, poses=inward + 1)
