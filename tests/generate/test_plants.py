@@ -69,8 +69,8 @@ def test_the_file_holds_what_was_made(made):
             x, y = getattr(a, field.name), getattr(b, field.name)
             if isinstance(y, np.ndarray):
                 assert np.array_equal(x, y, equal_nan=y.dtype.kind == "f"), field.name
-        assert a.q.shape == a.torque.shape == (len(a.time),
-                                               7) and a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
+        assert a.q.shape == a.torque.shape == (len(a.time), 7)
+        assert a.link_force.shape == (len(a.time), 8, 3) and a.draws >= 1
     assert any(t.touched for t in there.touches)
 
 
@@ -107,8 +107,8 @@ def test_a_dataset_of_plants_is_summed_up(made, tmp_path):
         writer.finish()
     text = summary(tmp_path / "d")
     assert "penetration" in text and "min det" not in text  # beams have no det F
-    assert "1 touches at the arm's protective stop, 0 with" in text and read_view(tmp_path / "d"
-                                                                                  / f"{view.name}.h5").touches[1].ended == 1
+    assert "1 touches at the arm's protective stop, 0 with" in text
+    assert read_view(tmp_path / "d" / f"{view.name}.h5").touches[1].ended == 1
 
 
 def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the_links(made):
@@ -140,14 +140,12 @@ def test_torques_are_those_of_mujocos_inverse_dynamics_under_the_wrenches_on_the
 def test_the_same_job_gives_the_same_bits_and_another_view_another_turn(made, scene_file):
     _, view, job = made
     again = make_views([job], device="cpu")[0]
-    assert all(np.array_equal(a.torque, b.torque, equal_nan=True) for a,
-               b in zip(view.touches, again.touches, strict=True))
+    assert all(np.array_equal(a.torque, b.torque, equal_nan=True)
+               for a, b in zip(view.touches, again.touches, strict=True))
     other = prepare_job(dataclasses.replace(job, view_index=0, name="other"), device="cpu")
     turned = prepare_job(job, device="cpu")
     # two views: half a turn
-    assert np.allclose(other.plant.nodes[:, :2], -turned.plant.nodes[:,
-                                                                     :2]) and np.allclose(other.plant.nodes[:, 2],
-                                                                                          turned.plant.nodes[:, 2])
+    assert np.allclose(other.plant.nodes, turned.plant.nodes * [-1.0, -1.0, 1.0])
     assert (other.view.camera_pose == turned.view.camera_pose).all()
 
 
@@ -162,8 +160,8 @@ def test_truth_of_a_plant(made):
     # a leaf is soft, a stem is not: the stiffness at visible points must tell them apart
     segment, *_ = nearest_material_points(prepare_job(job, device="cpu").model, truth.probe_points)
     on_leaf = leaf[segment - 1]
-    if on_leaf.any() and (~on_leaf).any():
-        assert np.median(truth.probe_stiffness[on_leaf]) < np.median(truth.probe_stiffness[~on_leaf])
+    assert on_leaf.any() and (~on_leaf).any()
+    assert np.median(truth.probe_stiffness[on_leaf]) < np.median(truth.probe_stiffness[~on_leaf])
     assert truth.vsf_stiffness.shape == (len(truth.vsf_points),) and (truth.vsf_stiffness >= 0).all()
 
 
@@ -172,11 +170,13 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
     task = load_task("fewshot-plants-mini-v1")
     recording = record(view, task)
     for touch, reading, clean in zip(view.touches, recording.readings, recording.clean, strict=True):
-        assert reading.value.shape == (len(touch.time),
-                                       7) and (reading.action.q == touch.q).all() and reading.action.size == 7
+        assert reading.value.shape == (len(touch.time), 7) and reading.action.size == 7
+        assert (reading.action.q == touch.q).all()
         assert np.array_equal(clean[touch.converged], touch.torque[touch.converged])
         error = (reading.value - clean)[touch.converged]
-        assert 0.3 * 0.1 < error[:, :4].std() < 3 * 0.1 and error[:, 4:].std() < error[:, :4].std()
+        # white noise of 0.1 N m, and the tare's own error; of 240 touches the spread is 0.080 to 0.129 N m, on joints 5
+        # to 7, whose noise is half as large, 0.039 to 0.070 N m
+        assert 0.07 < error[:, :4].std() < 0.14 and 0.035 < error[:, 4:].std() < 0.075
         assert np.abs(reading.value[:5].mean(axis=0)).max() < 1e-9  # tared on the five frames before contact
     bare = dataclasses.replace(view, touches=tuple(dataclasses.replace(t, torque=None) for t in view.touches))
     with pytest.raises(Exception, match="no joint torques"):
@@ -356,8 +356,8 @@ def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, t
     assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2, part=1)) > 0
     for job in jobs:
         together, alone = read_view(job.file), make_views([job], device=device)[0]
-        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target) for a,
-                   b in zip(together.touches, alone.touches, strict=True))
+        assert all(np.array_equal(a.torque, b.torque, equal_nan=True) and np.array_equal(a.target, b.target)
+                   for a, b in zip(together.touches, alone.touches, strict=True))
 
 
 @pytest.mark.slow
