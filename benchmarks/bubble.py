@@ -141,9 +141,9 @@ def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution:
 
     began = time.perf_counter()
     scene = load_scene(find_scene(SCENE)).sample(stream(0, Stream.SCENE, 0))
-    assert scene.sensor is not None and scene.touches is not None and scene.object is not None
+    spec = scene.required_sensor
     scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=resolution),
-                                sensor=dataclasses.replace(scene.sensor, nodes=nodes or scene.sensor.nodes))
+                                sensor=dataclasses.replace(spec, nodes=nodes or spec.nodes))
     body = tiers.build(scene, tier, seed=stream(0, Stream.BODY, 0))
     sensor = build_bubble(scene.sensor)
     seconds = time.perf_counter() - began
@@ -158,9 +158,8 @@ def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution:
 
 def _run(s: _Subject, aims: list[Aim], tier: str, device: str,
          told: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
-    assert s.scene.sensor is not None
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
-    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.sensor.friction, device=device,
+    solver = CoupledSolver(s.body, s.sensor, friction=s.scene.required_sensor.friction, device=device,
                            options=touch_bubble.solver_options(tier, device))
     began = time.perf_counter()
     return solver.run(poses, progress=lambda t: told(t, time.perf_counter() - began)), solver

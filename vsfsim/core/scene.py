@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ import numpy as np
 
 from vsfsim.core.arm_spec import ArmSpec, parse_arm
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
+from vsfsim.core.distribution import ends, sample
 from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import (
@@ -34,7 +35,6 @@ from vsfsim.core.table import Table
 
 TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine", "rod")
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
-_DISTRIBUTIONS = ("uniform", "loguniform", "choice")
 
 
 @dataclass(frozen=True)
@@ -142,6 +142,38 @@ class Scene:
     `vsfsim.core` reads its settings from it."""
 
     @property
+    def required_sensor(self) -> Bubble:
+        """The bubble of ``[sensor]``.
+
+        Raises:
+            SceneError: there is none.
+        """
+        return self._required(self.sensor, "sensor")
+
+    @property
+    def required_arm(self) -> ArmSpec:
+        """The arm of ``[arm]``.
+
+        Raises:
+            SceneError: there is none.
+        """
+        return self._required(self.arm, "arm")
+
+    @property
+    def required_touches(self) -> TouchSpec:
+        """The touches of ``[touches]``.
+
+        Raises:
+            SceneError: there are none.
+        """
+        return self._required(self.touches, "touches")
+
+    def _required(self, found: Any, table: str) -> Any:
+        if found is None:
+            raise SceneError(f"{self.source}: there is no [{table}]; what was asked for needs one.")
+        return found
+
+    @property
     def bodies(self) -> tuple[ProbeShape, ...]:
         """Shapes of all K rigid bodies: the probe, its parts, the obstacles; with a sensor, the obstacles."""
         if self.sensor is not None:
@@ -184,7 +216,7 @@ class SceneFile:
             SceneError: a value out of its range.
         """
         rng = np.random.default_rng(seed)
-        return _build(_resolve(self.tree, lambda kind, args: _draw(kind, args, rng)), self.path)
+        return _build(sample(self.tree, rng), self.path)
 
 
 def load_scene(path: str | Path) -> SceneFile:
@@ -213,63 +245,9 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
         raise SceneError(f"scene file '{path}' is not valid TOML: {error}.") from error
     scene = SceneFile(path, text, tree)
     # The ends of every distribution (and each choice) must build; a mid-run surprise is worse than a refusal now.
-    for end in _ends(tree, str(path)):
+    for end in ends(tree, str(path)):
         _build(end, path)
     return scene
-
-
-def _is_distribution(node: Any) -> bool:
-    return isinstance(node, Mapping) and len(node) == 1 and next(iter(node)) in _DISTRIBUTIONS
-
-
-def _ends(node: Any, where: str) -> list:
-    """Trees without distributions in which every end of every distribution, nested ones too, occurs at least once."""
-    if _is_distribution(node):
-        kind, args = next(iter(node.items()))
-        _check_distribution(kind, args, where)
-        return [end for value in args for end in _ends(value, where)]
-    if isinstance(node, Mapping):
-        inner = {key: _ends(value, f"{where}: {key}") for key, value in node.items()}
-        return [{key: ends[i % len(ends)] for key, ends in inner.items()}
-                for i in range(max((len(e) for e in inner.values()), default=1))]
-    if isinstance(node, list):
-        items = [_ends(value, f"{where}[{i}]") for i, value in enumerate(node)]
-        return [[ends[i % len(ends)] for ends in items] for i in range(max((len(e) for e in items), default=1))]
-    return [node]
-
-
-def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
-    if _is_distribution(node):
-        kind, args = next(iter(node.items()))
-        return _resolve(pick(kind, args), pick)
-    if isinstance(node, Mapping):
-        return {key: _resolve(value, pick) for key, value in node.items()}
-    if isinstance(node, list):
-        return [_resolve(value, pick) for value in node]
-    return node
-
-
-def _check_distribution(kind: str, args: Any, where: str) -> None:
-    if not isinstance(args, list) or not args:
-        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. "
-                         f"{{ uniform = [0.1, 0.2] }}.")
-    if kind == "choice":
-        return
-    if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v)
-                             for v in args):
-        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
-    low, high = args
-    if low > high or (kind == "loguniform" and low <= 0):
-        need = "0 < low <= high" if kind == "loguniform" else "low <= high"
-        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
-
-
-def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
-    if kind == "choice":
-        return args[int(rng.integers(len(args)))]
-    if kind == "uniform":
-        return float(rng.uniform(args[0], args[1]))
-    return float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
 
 
 # ---------------------------------------------------------------------------------------------- tables

@@ -79,14 +79,13 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
     Raises:
         SceneError: nothing is visible, or no reachable target was found in `DRAWS` draws.
     """
-    assert scene.touches is not None
     cloud = view.points()
     if not len(cloud):
         raise SceneError(f"{scene.source}: the camera sees no object; check [camera] distance, azimuth, "
                          f"elevation and fov.")
     eye = view.camera_pose[:3, 3]
     out: list[Aim] = []
-    for k in range(scene.touches.count):
+    for k in range(scene.required_touches.count):
         rng = stream(k)
         for _ in range(DRAWS):
             target = cloud[rng.integers(len(cloud))]
@@ -115,8 +114,7 @@ def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np
     Raises:
         SceneError: as `draw_aims`.
     """
-    assert scene.touches is not None
-    spec, samples = scene.touches, surface_samples(model)
+    spec, samples = scene.required_touches, surface_samples(model)
     aims = draw_aims(scene, view, stream,
                      lambda target, normal, _: _aim_at(scene.probe, spec, model, samples, target, normal),
                      unreachable="without meeting the table or another part first; use a smaller probe, approach or "

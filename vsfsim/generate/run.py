@@ -43,7 +43,6 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
     recipe = make_recipe(scene_file, seed=seed, objects=objects, views=views, touches=touches, tier=tier, device=device,
                          precision=precision, renderer=renderer, arm=arm)
     scene = scene_file.sample(0)
-    assert scene.touches is not None
     jobs = jobs_of(recipe, scene_file.path, out, cache)
     with DatasetWriter(out, recipe, [job.name for job in jobs]) as writer:
         missing = set(writer.missing())
@@ -51,7 +50,7 @@ def generate(scene_file: SceneFile, out: Path, *, seed: int = 0, objects: int | 
         if note is not None:
             for sentence in writer.notes:
                 note(sentence)
-        total = len(jobs) * recipe.touches * sum(scene.touches.frames)
+        total = len(jobs) * recipe.touches * sum(scene.required_touches.frames)
         done = 0
         if jobs:
             compile_kernels(kernels_of(scene, recipe.precision), device, progress=progress)

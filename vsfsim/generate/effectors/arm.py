@@ -46,8 +46,7 @@ class ArmEffector:
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
         """Joint angles and torques, the wrenches on the links, and of a guarded move how it ended."""
-        assert scene.arm is not None
-        ended = ("ended",) if scene.arm.at_limit == "return" else ()
+        ended = ("ended",) if scene.required_arm.at_limit == "return" else ()
         return ("q", "torque", "link_force", "link_moment", "draws", *ended)
 
     def kernels(self, scene: Scene, precision: str) -> list[Any]:

@@ -67,43 +67,41 @@ class BubbleEffector:
             SceneError: a tier that a bubble cannot press, single precision, too many nodes, a bubble that cannot be
                 inflated, or a depth of more than the dome's height.
         """
-        assert scene.sensor is not None and scene.touches is not None
+        sensor, depth = scene.required_sensor, scene.required_touches.depth
         chosen = tier_for(scene, tier)
         if precision != "float64":
             raise SceneError(f"{scene.source}: --precision is '{precision}', but a [sensor] is solved in float64 only: "
                              f"at rest its skin balances some 50 N of gas pressure node by node, and single precision "
                              f"leaves more of it unbalanced than a light touch pushes.")
-        if scene.sensor.nodes > SENSOR_NODES:
-            raise SceneError(f"{scene.source} [sensor]: nodes is {scene.sensor.nodes}; against an object up to "
+        if sensor.nodes > SENSOR_NODES:
+            raise SceneError(f"{scene.source} [sensor]: nodes is {sensor.nodes}; against an object up to "
                              f"{SENSOR_NODES} are allowed, since the skin's compliance is kept whole. Give fewer.")
-        height = float(build_bubble(scene.sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
-        if scene.touches.depth > height:
-            raise SceneError(f"{scene.source} [touches]: depth is {scene.touches.depth:g} m, but the free dome of the "
+        height = float(build_bubble(sensor, where=f"{scene.source} [sensor]").mesh.points[:, 2].max())
+        if depth > height:
+            raise SceneError(f"{scene.source} [touches]: depth is {depth:g} m, but the free dome of the "
                              f"[sensor] is {height:.4f} m high; its rim would go into the object. Give less.")
         return chosen
 
     def channels(self, scene: Scene) -> tuple[str, ...]:
         """Pressure, moment and the read-out mesh; the solved mesh and the camera's pictures if the scene asks."""
-        assert scene.sensor is not None
+        sensor = scene.required_sensor
         out = ("min_det_f", "pressure", "rest_pressure", "moment", "node_position", "node_force", "node_rest",
                "node_reference", "node_triangles")
-        fine = ("fine_position", "fine_force", "fine_rest", "fine_triangles") if scene.sensor.fine else ()
-        return (*out, *fine, *(("inside_depth", "inside_rgb") if scene.sensor.camera is not None else ()))
+        fine = ("fine_position", "fine_force", "fine_rest", "fine_triangles") if sensor.fine else ()
+        return (*out, *fine, *(("inside_depth", "inside_rgb") if sensor.camera else ()))
 
     def kernels(self, scene: Scene, precision: str) -> list[Any]:
         """Those of the coupled solver and of the camera inside; its oracle VSF sticks to the dome without a kernel."""
         from vsfsim.sensing import render_bubble
 
-        assert scene.sensor is not None
-        camera = [] if scene.sensor.camera is None else [render_bubble._inside]
+        camera = [render_bubble._inside] if scene.required_sensor.camera else []
         return [*coupled_kernels(precision, KINDS), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:
         """Build, look, aim along the normals or tilted from them, press."""
         subject = prepare(job, device=device)
         scene = subject.scene
-        assert scene.sensor is not None
-        sensor = build_bubble(scene.sensor, where=f"{scene.source} [sensor]", cache=job.cache)
+        sensor = build_bubble(scene.required_sensor, where=f"{scene.source} [sensor]", cache=job.cache)
         aims = aim(scene, subject.model, sensor, subject.view, subject.stream)
         touches = touch_all(scene, subject.model, sensor, aims, options=solver_options(job.recipe.tier, device),
                             device=device, progress=progress)
@@ -132,8 +130,7 @@ EFFECTOR = BubbleEffector()
 
 
 def _draw_dome(scene: Scene) -> Drawing:
-    spec = scene.sensor
-    assert spec is not None
+    spec = scene.required_sensor
     model = build_bubble(spec, where=f"{scene.source} [sensor]")
     mesh = model.mesh
     apex = int(mesh.points[:, 2].argmax())
@@ -193,8 +190,7 @@ def aim(scene: Scene, model: Model, sensor: BubbleModel, view: View,
     Raises:
         SceneError: as `draw_aims`.
     """
-    assert scene.touches is not None
-    spec, samples, dome = scene.touches, surface_samples(model), dome_of(sensor)
+    spec, samples, dome = scene.required_touches, surface_samples(model), dome_of(sensor)
     depth = min(spec.depth, depth_at(sensor, spec.force_limit))
 
     def reach(target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
@@ -306,15 +302,14 @@ def touch_all(scene: Scene, model: Model, sensor: BubbleModel, aims: list[Aim], 
         device: Warp device.
         progress: called with the number of frames newly done.
     """
-    assert scene.sensor is not None and scene.touches is not None
-    camera = None
-    if scene.sensor.camera is not None:
-        width, height = scene.sensor.camera
+    spec, camera = scene.required_sensor, None
+    if spec.camera is not None:
+        width, height = spec.camera
         camera = BubbleCamera(width, height, BubbleCamera.focal * width / CAMERA[0])
     out: list[Touch] = []
     for part in (aims[some] for some in batches(len(aims), BATCH[device.split(":")[0]])):
-        poses = np.stack([mount_path(scene.touches, a) for a in part], axis=1)
-        solver = CoupledSolver(model, sensor, friction=scene.sensor.friction, device=device, options=options)
+        poses = np.stack([mount_path(scene.required_touches, a) for a in part], axis=1)
+        solver = CoupledSolver(model, sensor, friction=spec.friction, device=device, options=options)
         width = len(part)
         frames = solver.run(poses, keep=True, progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):

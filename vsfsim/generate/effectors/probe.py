@@ -91,11 +91,10 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         device: Warp device.
         progress: called with the number of frames newly done.
     """
-    assert scene.touches is not None
+    spec = scene.required_touches
     out: list[Touch] = []
     for part in (aims[some] for some in batches(len(aims), BATCH)):
-        poses = np.stack([touch_path(scene.touches, scene.probe, a.contact, a.axis, depth=a.depth) for a in part],
-                         axis=1)
+        poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth) for a in part], axis=1)
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
                         options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)

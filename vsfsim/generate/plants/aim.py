@@ -12,7 +12,7 @@ import numpy as np
 from vsfsim.core.arm_spec import ArmSpec
 from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
-from vsfsim.core.scene import Scene, TouchSpec
+from vsfsim.core.scene import TouchSpec
 from vsfsim.robot import clearance
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
@@ -66,17 +66,6 @@ class ArmAim:
         weights = [np.prod([(u - m) / (j - m) for m in range(4) if m != j], axis=0) for j in range(4)]
         out[between] = sum(w[:, None] * self.line[first + j] for j, w in enumerate(weights))
         return out
-
-
-def arm_spec(scene: Scene) -> ArmSpec:
-    """The table ``[arm]`` of a scene.
-
-    Raises:
-        SceneError: the scene has none.
-    """
-    if scene.arm is None:
-        raise SceneError(f"{scene.source}: there is no [arm]; a plant is touched by one.")
-    return scene.arm
 
 
 def load(spec: ArmSpec) -> Arm:

@@ -17,7 +17,7 @@ import numpy as np
 
 from vsfsim.data.records import ObjectView, View
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.aim import ArmAim, arm_spec, load
+from vsfsim.generate.plants.aim import ArmAim, load
 from vsfsim.generate.plants.prepare import Outline, Seconds, Subject, choose, look, outline
 from vsfsim.generate.plants.touches import begin, finish, rod_options
 from vsfsim.generate.workers import process_pool, write
@@ -58,9 +58,7 @@ class _Preparation:
         return -(-self._count(k) // self._part)
 
     def _count(self, k: int) -> int:
-        spec = self.outlines[k].scene.touches
-        assert spec is not None
-        return spec.count
+        return self.outlines[k].scene.required_touches.count
 
     def gather(self, timeout: float) -> int:
         """Wait at most ``timeout`` [s] for a process to finish something.
@@ -110,11 +108,11 @@ def touched(jobs: Sequence[Job], pool: ProcessPoolExecutor, *, device: str, spen
     coming = _Preparation(jobs, pool, device, spent, part)
     since = spent.begin()
     scene = coming.outlines[0].scene
-    assert scene.touches is not None
-    free, inward, hold, out = scene.touches.frames
-    solver = RodSolver([o.model for o in coming.outlines], load(arm_spec(scene)).shapes, device=device,
+    spec = scene.required_touches
+    free, inward, hold, out = spec.frames
+    solver = RodSolver([o.model for o in coming.outlines], load(scene.required_arm).shapes, device=device,
                        options=rod_options(scene))
-    batch = RodBatch(solver, min(max(PLACES, part), scene.touches.count * len(jobs)),
+    batch = RodBatch(solver, min(max(PLACES, part), spec.count * len(jobs)),
                      frames=free + inward + hold + out, poses=inward + 1)
     spent.charge("solve", since)
     inside: dict[tuple[int, int], tuple[Subject, slice]] = {}

@@ -15,7 +15,7 @@ from vsfsim.core.scene import CameraSpec, Scene
 from vsfsim.core.shape import Family
 from vsfsim.data.records import View
 from vsfsim.generate.job import Job, Stream
-from vsfsim.generate.plants.aim import ArmAim, aim_arm, arm_spec, load
+from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
 from vsfsim.generate.plants.surface import plant_view
 from vsfsim.physics.rods.family import grow as grow_family
 from vsfsim.physics.rods.model import RodModel, build
@@ -71,7 +71,7 @@ def outline(job: Job) -> Outline:
     """The plant of a job, turned for its view."""
     r, scene = job.recipe, job.scene()
     if "arm" in r.options:
-        scene = dataclasses.replace(scene, arm=dataclasses.replace(arm_spec(scene), model=r.options["arm"]))
+        scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.required_arm, model=r.options["arm"]))
     plant = grow(scene, job.stream(Stream.BODY), number=job.object_index)
     plant = plant.turned(2.0 * np.pi * job.view_index / r.views)
     return Outline(job, scene, plant, build(plant, gravity=scene.gravity))
@@ -100,7 +100,7 @@ class Subject:
 
     def loaded_arm(self) -> Arm:
         """The arm; loaded anew in a process to which it did not travel."""
-        return self.arm or load(arm_spec(self.scene))
+        return self.arm or load(self.scene.required_arm)
 
 
 def prepare_job(job: Job, *, device: str, seconds: Seconds | None = None) -> Subject:
@@ -109,9 +109,8 @@ def prepare_job(job: Job, *, device: str, seconds: Seconds | None = None) -> Sub
     since = seconds.begin()
     o = outline(job)
     seconds.charge("grow", since)
-    assert o.scene.touches is not None
     view = look(o, device=device, seconds=seconds)
-    arm, aims, poses = choose(o, view.points(), range(o.scene.touches.count), seconds=seconds)
+    arm, aims, poses = choose(o, view.points(), range(o.scene.required_touches.count), seconds=seconds)
     return Subject(job, o.scene, o.plant, o.model, view, aims, poses, arm)
 
 
@@ -129,10 +128,9 @@ def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -
     """The scene's arm, the touches ``numbers`` of a view whose visible cloud (n, 3) [m] is given, and the poses of the
     arm's capsules along their lines (P, B, K, 4, 4) [m]."""
     since = seconds.begin()
-    assert o.scene.touches is not None
-    spec = arm_spec(o.scene)
+    spec = o.scene.required_arm
     arm = load(spec)
-    aims = aim_arm(arm, spec, o.scene.touches, o.plant, cloud,
+    aims = aim_arm(arm, spec, o.scene.required_touches, o.plant, cloud,
                    lambda k: np.random.default_rng(o.job.stream(Stream.AIM, k)), numbers=numbers,
                    where=str(o.scene.source))
     since = seconds.charge("aim", since)

@@ -10,7 +10,7 @@ import numpy as np
 from vsfsim.core.scene import Scene
 from vsfsim.data.records import AUDIT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.job import Job
-from vsfsim.generate.plants.aim import ArmAim, arm_spec
+from vsfsim.generate.plants.aim import ArmAim
 from vsfsim.generate.plants.prepare import Seconds, Subject, prepare_job
 from vsfsim.generate.plants.truth import plant_truth
 from vsfsim.generate.record import audit, verdict
@@ -49,11 +49,10 @@ def make_views(jobs: Sequence[Job], *, device: str, progress: Callable[[int], No
 
 def rod_options(scene: Scene) -> RodOptions:
     """Options of the solver for a scene's touches."""
-    assert scene.touches is not None
-    guarded = arm_spec(scene).at_limit == "return"
-    _, _, hold, out = scene.touches.frames
-    options = RodOptions(force_limit=scene.touches.force_limit)
-    if not guarded:
+    spec = scene.required_touches
+    _, _, hold, out = spec.frames
+    options = RodOptions(force_limit=spec.force_limit)
+    if scene.required_arm.at_limit != "return":
         return options
     return dataclasses.replace(options, guarded=True, hold=hold, out=out, travel=TRAVEL, work=WORK, patience=PATIENCE)
 
@@ -114,7 +113,7 @@ def finish_touches(subject: Subject, frames: RodFrames) -> list[Touch]:
 
 
 def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touch:
-    spec = arm_spec(scene)
+    spec = scene.required_arm
     n = int(frames.frames[b])
     if n < len(a.plan) and spec.at_limit == "end":
         # stopped by the force limit: what did not converge on the way there is no reading either

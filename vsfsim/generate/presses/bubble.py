@@ -165,11 +165,11 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         SceneError: an object is pressed, or bodies without a radius and no contact_edge is given.
     """
     scene = loaded.sample(request.seed)
-    assert scene.sensor is not None
+    bubble = scene.required_sensor
     if scene.object is not None:
         raise SceneError(f"{scene.source}: --refine refines a [sensor] where rigid bodies touch it; with an [object] "
                          f"set nodes in [sensor] and resolution in [object], and compare.")
-    edge = scene.sensor.contact_edge
+    edge = bubble.contact_edge
     if edge is None:
         radii = [body.radius for body in scene.bodies if isinstance(body, (Sphere, Capsule))]
         if not radii:
@@ -180,7 +180,7 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
     for k in range(meshes):
         asked = dataclasses.replace(request, keep=request.keep and k == meshes - 1,
                                     progress=of_mesh(request.progress, k, meshes))
-        sensor = dataclasses.replace(scene.sensor, contact_edge=edge * 2.0 ** (meshes - 2 - k))
+        sensor = dataclasses.replace(bubble, contact_edge=edge * 2.0 ** (meshes - 2 - k))
         solved_ = solve(dataclasses.replace(scene, sensor=sensor), asked)
         results.append(result_of(solved_, asked))
         rows += _rows(solved_, results[-1])

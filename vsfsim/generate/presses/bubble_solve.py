@@ -100,8 +100,7 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
         SceneError: no path, both an object and obstacles, a tier or precision that a sensor cannot press, or something
             that cannot be built.
     """
-    spec, sensor = scene.press, scene.sensor
-    assert sensor is not None
+    spec, sensor = scene.press, scene.required_sensor
     if spec is None:
         raise SceneError(f"{scene.source}: a scene with a [sensor] needs a [press]: the path of the middle of its rim, "
                          f"e.g. from = [0, 0, 0.05], to = [0, 0, 0.02].")
@@ -166,7 +165,7 @@ def _on_obstacles(scene: Scene, model: BubbleModel, mount: np.ndarray, poses: np
 
 
 def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: PressRequest, built: float) -> Solved:
-    assert scene.sensor is not None and scene.press is not None
+    friction = scene.required_sensor.friction
     chosen = tiers.choose(scene, request.tier)
     if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
         if request.tier is not None or scene.object.tier != "auto":
@@ -179,7 +178,7 @@ def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: Pre
     first = mount[0].copy()
     first[:3, 3] = scene.press.start
     options = tiers.options(chosen)
-    solver = CoupledSolver(body, model, friction=scene.sensor.friction, device=request.device,
+    solver = CoupledSolver(body, model, friction=friction, device=request.device,
                            precision=request.precision, options=options)
     frames = solver.run(mount[:, None], keep=True, progress=None if request.progress is None
                         else lambda t: request.progress(t, len(mount), "frames"))
@@ -191,7 +190,7 @@ def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: Pre
     # The mount holds against what holds the object.
     return Solved(scene, model, mount, frames, free_way(body, model, first, direction(scene.press)), position, push,
                   np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], -frames.reaction[:, 0], -frames.force,
-                  ("object",), (scene.sensor.friction,), options.tolerance, notes, body,
+                  ("object",), (friction,), options.tolerance, notes, body,
                   np.stack([u[:3 * len(body.mesh.points), 0].reshape(-1, 3) for u in solver.history]), built)
 
 

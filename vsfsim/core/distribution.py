@@ -1,0 +1,77 @@
+"""Distributions in a scene file: ``{ uniform = [a, b] }``, ``{ loguniform = [a, b] }`` or ``{ choice = [..] }`` in the
+place of any value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.errors import SceneError
+
+_DISTRIBUTIONS = ("uniform", "loguniform", "choice")
+
+
+def sample(tree: Any, rng: np.random.Generator) -> Any:
+    """The tree with every distribution drawn, in the order of the file; a choice may hold distributions itself."""
+    return _resolve(tree, lambda kind, args: _draw(kind, args, rng))
+
+
+def _is_distribution(node: Any) -> bool:
+    return isinstance(node, Mapping) and len(node) == 1 and next(iter(node)) in _DISTRIBUTIONS
+
+
+def ends(node: Any, where: str) -> list:
+    """Trees without distributions in which every end of every distribution, nested ones too, occurs at least once.
+
+    Raises:
+        SceneError: a distribution without numbers, or with its ends in the wrong order; ``where`` begins the message.
+    """
+    if _is_distribution(node):
+        kind, args = next(iter(node.items()))
+        _check_distribution(kind, args, where)
+        return [end for value in args for end in ends(value, where)]
+    if isinstance(node, Mapping):
+        inner = {key: ends(value, f"{where}: {key}") for key, value in node.items()}
+        return [{key: some[i % len(some)] for key, some in inner.items()}
+                for i in range(max((len(e) for e in inner.values()), default=1))]
+    if isinstance(node, list):
+        items = [ends(value, f"{where}[{i}]") for i, value in enumerate(node)]
+        return [[some[i % len(some)] for some in items] for i in range(max((len(e) for e in items), default=1))]
+    return [node]
+
+
+def _resolve(node: Any, pick: Callable[[str, list], Any]) -> Any:
+    if _is_distribution(node):
+        kind, args = next(iter(node.items()))
+        return _resolve(pick(kind, args), pick)
+    if isinstance(node, Mapping):
+        return {key: _resolve(value, pick) for key, value in node.items()}
+    if isinstance(node, list):
+        return [_resolve(value, pick) for value in node]
+    return node
+
+
+def _check_distribution(kind: str, args: Any, where: str) -> None:
+    if not isinstance(args, list) or not args:
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. "
+                         f"{{ uniform = [0.1, 0.2] }}.")
+    if kind == "choice":
+        return
+    if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v)
+                             for v in args):
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give two finite numbers [low, high].")
+    low, high = args
+    if low > high or (kind == "loguniform" and low <= 0):
+        need = "0 < low <= high" if kind == "loguniform" else "low <= high"
+        raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
+
+
+def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
+    if kind == "choice":
+        return args[int(rng.integers(len(args)))]
+    if kind == "uniform":
+        return float(rng.uniform(args[0], args[1]))
+    return float(math.exp(rng.uniform(math.log(args[0]), math.log(args[1]))))
