@@ -5,13 +5,16 @@ folder. `generate`, `press`, `evaluate` and the baselines take it as it is.
 """
 
 import importlib
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 
+import vsfsim
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.task import parse_task
@@ -227,3 +230,17 @@ def test_loading_a_probe_starts_no_arm():
     words += "assert 'mujoco' not in sys.modules"
     done = subprocess.run([sys.executable, "-P", "-c", words], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_only_effectors_ask_which_sensor_or_arm_a_scene_has():
+    """`generate`, `press`, `inspect`, the harness and the baselines do not mention a scene's [sensor] or [arm]; nobody
+    but the scene itself branches on whether there is one."""
+    root = Path(vsfsim.__file__).parents[1]
+    files = {path: path.read_text() for top in ("vsfsim", "baselines", "benchmarks")
+             for path in (root / top).rglob("*.py")}
+    ask = re.compile(r"scene\.(sensor|arm) is|\bif (not )?scene\.(sensor|arm)\b")
+    assert [str(p) for p, text in files.items() if p.name != "scene.py" and ask.search(text)] == []
+    know = re.compile(r"\bscene\.(required_)?(sensor|arm)\b")
+    beyond = [p for p in files if {"effectors", "plants", "presses", "benchmarks"} & set(p.parts)]
+    assert [str(p) for p, text in files.items() if p not in beyond and know.search(text)] == []
+    assert any(know.search(files[p]) for p in beyond)
