@@ -59,4 +59,4 @@ def loaded(body: Plant, forces: dict[int, tuple[float, float, float]], *, device
     model = dataclasses.replace(build(body), weight=weight)
     far = np.eye(4)[None, None, None].copy()
     far[..., 0, 3] = 5.0
-    return touch(model, far, device=device, tolerance=tolerance, faint=1e-30)
+    return touch(model, far, device=device, tolerance=tolerance, force_floor=1e-30)

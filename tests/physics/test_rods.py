@@ -239,7 +239,7 @@ def test_a_heavy_stem_sags(device):
     body = dataclasses.replace(plant(nodes, np.arange(-1, 20), radius=0.002, young_modulus=5e9),
                                density=np.full(21, 800.0))
     far = crossing(np.zeros(1), height=1.0, start=1.0)
-    frames = touch(build(body, gravity=(0.0, 0.0, -9.81)), far, device=device, faint=1e-9)
+    frames = touch(build(body, gravity=(0.0, 0.0, -9.81)), far, device=device, force_floor=1e-9)
     assert frames.converged.all()
     down = 800.0 * 9.81 * np.pi * 0.002**2 * 0.2**4 / (8 * 5e9 * np.pi * 0.002**4 / 4)
     # lumped at nodes: second order in 1/20
@@ -285,13 +285,13 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
     first_out[b, 0] = f
     first_out[b, 1] = mc
     first_out[b, 2] = mp
-    h = second(s, kd, kphi, wp.float64(1.0))
+    h = hessian(s, kd, kphi, wp.float64(1.0))
     second_out[b, 0] = h.parent
     second_out[b, 1] = h.mixed
     second_out[b, 2] = h.child
 
 
-from vsfsim.physics.rods.kernels.segment import energy, gradient, second, strain  # noqa: E402  the kernel above is compiled when it is launched
+from vsfsim.physics.rods.kernels.segment import energy, gradient, hessian, strain  # noqa: E402  compiled at the launch
 
 
 def _rotation(spin):

@@ -1,5 +1,4 @@
-"""The dynamic arm: its balance of torques, its slow limit, what speed and friction change, and the errors of its
-sensors."""
+"""The dynamic arm: its balance of torques, its slow limit, and the effects of speed and friction."""
 
 import numpy as np
 import pytest
@@ -9,9 +8,8 @@ from vsfsim.robot.arm import ArmError, load_arm
 from vsfsim.robot.arm_modes import difference, inertial_torque
 from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, series, simulate
 from vsfsim.robot.joint_torque import body_torque
-from vsfsim.robot.mjcf import JointFigures
+from vsfsim.robot.mujoco_model import JointParameters
 from vsfsim.robot.reach import straight_touch
-from vsfsim.robot.torque_sensor import IDEAL, TorqueSensor, read
 
 FRAMES = 21
 
@@ -25,7 +23,7 @@ def smooth(n):
 @pytest.fixture(scope="module")
 def blind():
     """An arm whose sensors see no friction."""
-    return load_arm(joints=JointFigures(seen=0.0))
+    return load_arm(joints=JointParameters(sensed_share=0.0))
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +33,8 @@ def touch(blind):
                           frames=201)
     q = fine[np.rint(200 * smooth(FRAMES)[:, 0]).astype(int)]
     force, moment = np.zeros((2, FRAMES, len(blind.shapes), 3))
-    force[:, 9], force[:, 14], moment[:, 14] = smooth(FRAMES) * [-3, 1,
-                                                                 0], smooth(FRAMES) * [-8, 0, 2], smooth(FRAMES) * [0,
-                                                                                                                    0.2, 0.1]
+    force[:, 9], force[:, 14] = smooth(FRAMES) * [-3, 1, 0], smooth(FRAMES) * [-8, 0, 2]
+    moment[:, 14] = smooth(FRAMES) * [0, 0.2, 0.1]
     return q, force, moment
 
 
@@ -79,21 +76,21 @@ def test_the_balance_of_torques_closes(blind, touch):
 
 def test_friction_shows_in_the_reading_by_the_share_that_is_seen(touch):
     q, force, moment = touch
-    arm = load_arm(joints=JointFigures(seen=0.2))
+    arm = load_arm(joints=JointParameters(sensed_share=0.2))
     times = np.linspace(0.0, 4.0, FRAMES)
     d = difference(arm, q, times, force, moment)
     middle = slice(7, 14)
     moving = np.abs(d.motion.rate[middle]).min(axis=0) > 5e-3
     assert moving.sum() >= 3
     there = body_torque(arm, d.motion.q, force, moment=moment)
-    want = arm.joints.seen_friction(d.motion.rate)
+    want = arm.joints.sensed_friction(d.motion.rate)
     # inertia is a few hundredths of a newton metre here, Coulomb's friction 0.7 of it
     assert (d.dynamic - there)[middle][:, moving] == pytest.approx(want[middle][:, moving], abs=0.06)
 
 
 def test_a_soft_arm_gives_way_by_torque_over_stiffness():
     """Held without friction against a force, every joint turns by J^T f over its stiffness."""
-    arm = load_arm(joints=JointFigures(coulomb=(0.0,) * 7))
+    arm = load_arm(joints=JointParameters(coulomb=(0.0,) * 7))
     q = np.tile(np.array([0.0, 0.26, 3.14, -2.27, 0.0, 0.96, 1.57]), (3, 1))
     force, moment = np.zeros((2, 3, len(arm.shapes), 3))
     force[:, 15] = [5.0, -3.0, 2.0]
@@ -139,52 +136,3 @@ def test_what_cannot_be_run_is_refused(blind, touch):
         simulate(blind, q, np.zeros(FRAMES))
     with pytest.raises(ArmError, match="closer than"):
         simulate(blind, q, np.linspace(0.0, 1e-3, FRAMES))
-
-
-# ---- sensors
-
-
-@pytest.fixture(scope="module")
-def reading():
-    rng = np.random.default_rng(1)
-    return rng.normal(size=(4000, 7)), 10.0 * rng.normal(size=(4000, 7)), np.arange(4000) / 100.0
-
-
-def test_an_ideal_sensor_adds_nothing_and_a_seed_gives_its_bits(reading):
-    assert np.array_equal(read(*reading, 0, sensor=IDEAL), reading[0])
-    key = np.random.SeedSequence(5, spawn_key=(1, 2))
-    first = read(*reading, key)
-    assert np.array_equal(first, read(*reading, key)) and np.array_equal(first,
-                                                                         read(*reading,
-                                                                              np.random.SeedSequence(5,
-                                                                                                     spawn_key=(1, 2))))
-    assert not np.array_equal(first, read(*reading, 6)) and np.array_equal(read(*reading, 6), read(*reading, 6))
-
-
-def test_every_error_has_its_size(reading):
-    torque, weight, times = reading
-    zero = (0.0,) * 7
-    noise = TorqueSensor((0.3,) * 7, zero, zero, 0.0, 0)
-    assert (read(*reading, 1, sensor=noise) - torque).std() == pytest.approx(0.3, rel=0.02)  # 28,000 draws: 0.4 %
-    walk = TorqueSensor(zero, zero, (0.2,) * 7, 0.0, 0)
-    many = np.stack([read(torque[:101], weight[:101], times[:101], s, sensor=walk) - torque[:101] for s in range(300)])
-    # after one second; 2,100 draws
-    assert (many[:, 0] == 0.0).all() and many[:, 100].std() == pytest.approx(0.2, rel=0.06)
-    assert many[:, 25].std() == pytest.approx(0.1, rel=0.06), "grows with the root of time"
-    still = TorqueSensor(zero, (0.5,) * 7, zero, 0.0, 0)
-    offsets = np.stack([read(torque[:3], weight[:3], times[:3], s, sensor=still) - torque[:3] for s in range(300)])
-    assert np.ptp(offsets, axis=1).max() < 1e-12 and offsets.std() == pytest.approx(0.5, rel=0.06)
-    heavy = TorqueSensor(zero, zero, zero, 0.05, 0)
-    share = (read(*reading, 2, sensor=heavy) - torque) / weight
-    assert np.ptp(share, axis=0).max() < 1e-9 and 0.01 < share.std() < 0.15
-
-
-def test_the_tare_takes_off_what_stands_still(reading):
-    torque, weight, times = (v[:50].copy() for v in reading)
-    torque[:10], weight[:] = 0.0, weight[0]
-    sensor = TorqueSensor((0.0,) * 7, (0.5,) * 7, (0.0,) * 7, 0.05, 10)
-    assert read(torque, weight, times, 3, sensor=sensor) == pytest.approx(torque, abs=1e-12)
-    with pytest.raises(ArmError, match="tare is 10"):
-        read(torque[:5], weight[:5], times[:5], 3, sensor=sensor)
-    with pytest.raises(ArmError, match="shapes"):
-        read(torque, weight[:, :6], times, 3)

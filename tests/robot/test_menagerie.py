@@ -11,13 +11,14 @@ import mujoco
 import numpy as np
 import pytest
 
-from vsfsim.robot import gen3, mjcf
+from vsfsim.robot import gen3
 from vsfsim.robot.arm import ArmError, load_arm
 from vsfsim.robot.dynamic import simulate
+from vsfsim.robot.mujoco_model import JointParameters, arm_model
 
 
 def dressed():
-    spec = mujoco.MjSpec.from_string(mjcf.arm_xml())
+    spec = arm_model()
     for old in (*spec.actuators, *spec.sites):
         spec.delete(old)
     for geom in spec.geoms:
@@ -57,7 +58,7 @@ def test_it_is_the_same_arm_as_ours(package):
 
 
 def test_friction_reaches_it(package):
-    figures = mjcf.JointFigures(coulomb=(1.0,) * 7, viscous=(3.0,) * 7, armature=(0.1,) * 7)
+    figures = JointParameters(coulomb=(1.0,) * 7, viscous=(3.0,) * 7, armature=(0.1,) * 7)
     model = load_arm("menagerie", joints=figures).model
     assert ((model.dof_frictionloss == 1.0).all() and (model.dof_damping == 3.0).all()
             and (model.dof_armature == 0.1).all())
@@ -89,9 +90,8 @@ def test_a_copy_on_this_machine_is_used(monkeypatch, tmp_path, inside):
     theirs, ours = load_arm("menagerie"), load_arm()
     assert theirs.model.nmesh == 1
     # a file holds six digits
-    assert np.abs(theirs.body_poses(q)
-                  - ours.body_poses(q)).max() < 1e-5 and np.abs(theirs.gravity_torque(q)
-                                                                - ours.gravity_torque(q)).max() < 1e-3
+    assert np.abs(theirs.body_poses(q) - ours.body_poses(q)).max() < 1e-5
+    assert np.abs(theirs.gravity_torque(q) - ours.gravity_torque(q)).max() < 1e-3
 
 
 def test_a_folder_without_the_model_says_how_to_get_it(monkeypatch, tmp_path):
@@ -112,7 +112,6 @@ def test_without_the_network_the_error_says_what_to_do(package):
 
 
 def test_another_model_is_refused(package):
-    package.get = lambda name: types.SimpleNamespace(default_model="gen3",
-                                                     spec=lambda e: mujoco.MjSpec.from_string("<mujoco><worldbody><body name='a'/></worldbody></mujoco>"))
+    package.get = lambda name: types.SimpleNamespace(default_model="gen3", spec=lambda entry: mujoco.MjSpec())
     with pytest.raises(ArmError, match="not the Gen3 that we know: it has no base_link"):
         load_arm("menagerie")

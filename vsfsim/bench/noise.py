@@ -67,7 +67,9 @@ NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
         # of a good estimator at this depth noise, `vsfsim measure dense-force`; not of the sensor
         "node_force_share": 0.2,
     },
-    # those of `vsfsim.robot.torque_sensor`, with their sources
+    # The maker publishes none of these. Offset: users of a Gen3 zero their torques by hand after every start and find
+    # offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237). Noise and drift are
+    # assumptions: 0.1 % of the peak torque, and a tenth of that after a second.
     "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
 }
 """``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real

@@ -1,5 +1,4 @@
-"""The arm: joint angles in, poses of links, capsules and tool out, and its gravity torques. MuJoCo computes, numpy
-carries.
+"""The arm: poses of its links, capsules and tool at joint angles, and its gravity torques, computed by MuJoCo.
 
 The capsules are rigid bodies for `vsfsim.physics.solve.touches.Solver(model, arm.shapes).run(arm.body_poses(q))`.
 """
@@ -11,9 +10,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.chain import capsule_pose
+from vsfsim.core.errors import did_you_mean
 from vsfsim.core.shape import Capsule
-from vsfsim.robot import gen3, mjcf
+from vsfsim.robot import gen3
+from vsfsim.robot.mujoco_model import ArmError, JointParameters, add_punyo, arm_model, quaternion
 
 if TYPE_CHECKING:
     import mujoco
@@ -23,47 +24,62 @@ TOOLS = ("flange", "punyo")
 _EYE = np.eye(4)
 
 
-class ArmError(VsfsimError):
-    """Something asked of the arm that it does not have or cannot take."""
-
-
 @dataclass(frozen=True)
 class Postures:
-    """The arm at T sets of joint angles, in the world.
-
-    links: poses of the bodies of the chain, the base first (T, L, 4, 4) [m]. tool: pose of the tool (T, 4, 4) [m].
-    anchors: a point on each joint's axis (T, 7, 3) [m]. axes: unit direction of each joint's axis (T, 7, 3) [-].
-    """
+    """The arm at T sets of joint angles, in the world."""
 
     links: np.ndarray
+    """Poses of the bodies of the chain, the base first (T, L, 4, 4) [m]."""
     tool: np.ndarray
+    """Pose of the tool (T, 4, 4) [m]."""
     anchors: np.ndarray
+    """A point on each joint's axis (T, 7, 3) [m]."""
     axes: np.ndarray
+    """Unit direction of each joint's axis (T, 7, 3) [-]."""
 
 
 class Arm:
     """A Kinova Gen3. Everything is in the world's frame, whose z is up.
 
-    base: pose of its base in the world (4, 4) [m]. model: MuJoCo's model. punyo: whether it carries one. tool: "flange"
-    or "punyo", what `Postures.tool` follows (the flange with its z outwards, or the apex of the dome with its z along
-    the dome's axis). links: names of the bodies of the chain. capsules: K of them.
-    shapes: theirs (K,), as the solver takes them.
-    capsule_links: number in ``links`` of the body that each is fixed to (K,). capsule_offsets: their poses in its frame
-    (K, 4, 4) [m].
-    body_ids: of the links in MuJoCo's model. reach: longest distance from joint 2 to the tool [m]. lower, upper: joint
-    limits (7,) [rad], infinite for a continuous joint.
-
     Raises:
-        ArmError: an unknown tool, the tool "punyo" without one, a base that is no pose, or a model that is no Gen3.
+        ArmError: the tool is unknown, or "punyo" without one; the base is not a pose; or the model is not a Gen3.
     """
 
-    def __init__(self, spec: mujoco.MjSpec, *, joints: mjcf.JointFigures | None = None, punyo: bool = False,
-                 tool: str | None = None,
-                 base: np.ndarray | None = None):
+    joints: JointParameters
+    """Friction and inertia of the joints."""
+    punyo: bool
+    """Whether the arm carries a Punyo."""
+    tool: str
+    """What `Postures.tool` follows: "flange", with its z outwards, or "punyo", the apex of the dome with its z along
+    the dome's axis."""
+    base: np.ndarray
+    """Pose of the base in the world (4, 4) [m]."""
+    model: mujoco.MjModel
+    """MuJoCo's model."""
+    links: tuple[str, ...]
+    """Names of the bodies of the chain (L,)."""
+    body_ids: np.ndarray
+    """Numbers of the links in MuJoCo's model (L,)."""
+    lower: np.ndarray
+    """Lower joint limits (7,) [rad], infinite for a continuous joint."""
+    upper: np.ndarray
+    """Upper joint limits (7,) [rad], infinite for a continuous joint."""
+    capsules: tuple[gen3.LinkCapsule, ...]
+    """The capsules (K,)."""
+    shapes: tuple[Capsule, ...]
+    """The shapes of the capsules, as the solver takes them (K,)."""
+    capsule_links: np.ndarray
+    """Number in `links` of the body that each capsule is fixed to (K,)."""
+    capsule_offsets: np.ndarray
+    """Poses of the capsules in the frames of their bodies (K, 4, 4) [m]."""
+    reach: float
+    """Upper bound on the distance from joint 2 to the tool [m]."""
+
+    def __init__(self, spec: mujoco.MjSpec, *, joints: JointParameters | None = None, punyo: bool = False,
+                 tool: str | None = None, base: np.ndarray | None = None):
         import mujoco
 
-        self.joints = joints or mjcf.JointFigures()
-
+        self.joints = joints or JointParameters()
         self.punyo, self.tool = punyo, tool or ("punyo" if punyo else "flange")
         if self.tool not in TOOLS:
             raise ArmError(f"unknown tool '{self.tool}'. {did_you_mean(self.tool, TOOLS)}")
@@ -71,17 +87,17 @@ class Arm:
             raise ArmError("the tool is 'punyo', but the arm carries none; load it with punyo=True, or use the "
                            "tool 'flange'.")
         if punyo:
-            mjcf.add_punyo(spec)
+            add_punyo(spec)
         self.base = _checked_base(base)
         root = spec.body(gen3.LINKS[0].name)
-        if root is not None:  # else the model is no Gen3, and the look for its bodies says so
-            root.pos, root.quat = self.base[:3, 3], mjcf.quaternion(self.base[:3, :3])
+        if root is not None:  # otherwise the model is not a Gen3, which the search for its bodies reports
+            root.pos, root.quat = self.base[:3, 3], quaternion(self.base[:3, :3])
         self._mujoco, self.model = mujoco, spec.compile()
         self._data = mujoco.MjData(self.model)
         self.links = tuple(link.name for link in gen3.LINKS) + (("punyo",) if punyo else ())
         self.body_ids = np.array([self._id(mujoco.mjtObj.mjOBJ_BODY, name) for name in self.links])
         self._site = self._id(mujoco.mjtObj.mjOBJ_SITE, self.tool)
-        # views into MuJoCo's memory; to look them up takes as long as the kinematics
+        # views into MuJoCo's memory, as looking them up takes as long as the kinematics
         self._qpos, self._tool = self._data.qpos, (self._data.site_xpos[self._site],
                                                    self._data.site_xmat[self._site].reshape(3, 3))
         if self.model.nq != gen3.JOINTS or self.model.nv != gen3.JOINTS:
@@ -93,7 +109,7 @@ class Arm:
         self.shapes = tuple(Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start))))
                             for c in self.capsules)
         self.capsule_links = np.array([self.links.index(c.link) for c in self.capsules])
-        self.capsule_offsets = np.stack([_capsule_pose(c) for c in self.capsules])
+        self.capsule_offsets = np.stack([capsule_pose(np.array(c.start), np.array(c.stop)) for c in self.capsules])
         self.reach = self._reach()
 
     def _id(self, kind: int, name: str) -> int:
@@ -129,7 +145,7 @@ class Arm:
         return Postures(links, tool, anchors, axes)
 
     def tool_jacobian(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and MuJoCo's Jacobian (6, 7) of its position [m/rad] and turn
+        """The tool's pose (4, 4) [m] at ``q`` (7,) [rad], and the Jacobian (6, 7) of its position [m/rad] and rotation
         [rad/rad]."""
         data, out, pose = self._data, np.empty((6, gen3.JOINTS)), _EYE.copy()
         self._qpos[:] = q
@@ -144,7 +160,7 @@ class Arm:
         return self.capsule_poses(self.postures(q))
 
     def capsule_poses(self, at: Postures) -> np.ndarray:
-        """As `body_poses`, of postures at hand."""
+        """As `body_poses`, of known postures."""
         return at.links[:, self.capsule_links] @ self.capsule_offsets
 
     def gravity_torque(self, q: np.ndarray) -> np.ndarray:
@@ -175,23 +191,22 @@ class Arm:
 
 
 def load_arm(name: str = "gen3", *, punyo: bool = False, tool: str | None = None, base: np.ndarray | None = None,
-             joints: mjcf.JointFigures | None = None) -> Arm:
+             joints: JointParameters | None = None) -> Arm:
     """An arm by name.
 
     Args:
-        name: "gen3", our own model, or "menagerie": MuJoCo Menagerie's with its meshes, which the package
+        name: "gen3", our own model, or "menagerie", MuJoCo Menagerie's with its meshes, which the package
         `mujoco-menagerie` downloads.
-        punyo: with a Punyo on its flange. tool: see `Arm`.
-        base: pose of its base in the world (4, 4) [m], at the origin by default; a scene's object has its own base
-        there. joints: friction, damping and armature of the joints.
+        punyo: whether the arm carries a Punyo.
+        tool: see `Arm`.
+        base: pose of the base in the world (4, 4) [m], by default the origin.
+        joints: friction and inertia of the joints.
 
     Raises:
-        ArmError: an unknown name, or Menagerie's model cannot be had.
+        ArmError: the name is unknown, or Menagerie's model cannot be loaded.
     """
     if name == "gen3":
-        import mujoco
-
-        return Arm(mujoco.MjSpec.from_string(mjcf.arm_xml(joints)), joints=joints, punyo=punyo, tool=tool, base=base)
+        return Arm(arm_model(joints), joints=joints, punyo=punyo, tool=tool, base=base)
     if name == "menagerie":
         from vsfsim.robot.menagerie import menagerie_spec
 
@@ -203,21 +218,9 @@ def _checked_base(base: np.ndarray | None) -> np.ndarray:
     if base is None:
         return np.eye(4)
     base = np.asarray(base, float)
-    if base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(base[:3,
-                                                                          :3] @ base[:3, :3].T
-                                                                     - np.eye(3)).max() > 1e-9 or np.linalg.det(base[:3, :3]) < 0:
+    turn = base[:3, :3]
+    if (base.shape != (4, 4) or not np.isfinite(base).all() or np.abs(turn @ turn.T - np.eye(3)).max() > 1e-9
+        or np.linalg.det(turn) < 0):
         raise ArmError(f"base is {base.tolist()}; give its pose (4, 4) in the world: a rotation and a "
                        f"position in metres.")
     return base
-
-
-def _capsule_pose(capsule: gen3.LinkCapsule) -> np.ndarray:
-    """Pose (4, 4) of a capsule in its link's frame: its middle, z from start to stop."""
-    start, stop = np.array(capsule.start), np.array(capsule.stop)
-    z = (stop - start) / np.linalg.norm(stop - start)
-    x = np.cross(np.eye(3)[int(np.abs(z).argmin())], z)  # any axis across will do, it is round
-    x /= np.linalg.norm(x)
-    out = np.eye(4)
-    out[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    out[:3, 3] = (start + stop) / 2
-    return out

@@ -24,7 +24,7 @@ import numpy as np
 
 from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, ArmError
-from vsfsim.robot.mjcf import Seven
+from vsfsim.robot.mujoco_model import Seven
 
 if TYPE_CHECKING:
     import mujoco
@@ -115,7 +115,7 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
         mj.mj_step2(model, data)
         if n == read_at[len(rows)]:
             friction = data.qfrc_damper + _coulomb(data)
-            sensor = data.qfrc_actuator - model.dof_armature * data.qacc + (1.0 - arm.joints.seen) * friction
+            sensor = data.qfrc_actuator - model.dof_armature * data.qacc + (1.0 - arm.joints.sensed_share) * friction
             rows.append((*before, data.qacc.copy(), data.qfrc_actuator.copy(), sensor, np.array(saturated)))
     angles, rates, accelerations, motor, sensor, full = (np.array(column) for column in zip(*rows, strict=True))
     if not all(np.isfinite(a).all() for a in (angles, rates, sensor)):

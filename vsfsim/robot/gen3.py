@@ -131,13 +131,14 @@ CAPSULES = (
 PUNYO_ROTATION = ((0.0, -1.0, 0.0), (0.34202, 0.0, -0.93969), (0.93969, 0.0, 0.34202))
 PUNYO_POSITION: Vector = (0.0, 0.02111, 0.096142)  # m, in the flange's frame
 PUNYO_RIM_CENTRE: Vector = (0.0157, 0.0, 0.0655)  # m
+PUNYO_HEIGHT = 0.0305  # m, of the apex of the dome above the plane of the rim
 PUNYO_AXIS: Vector = (-0.39394, 0.0, 0.91914)
 PUNYO_LONG_AXIS: Vector = (0.91914, 0.0, 0.39394)  # of the rim's ellipse, 57.25 mm; the short one, 40 mm, is y
 PUNYO_MASS = 0.4  # kg, an assumption: neither the housing's drawing nor its weight is published; a tare takes it off
 PUNYO_COM: Vector = (0.0, 0.0, 0.035)  # m, an assumption: the middle of the chamber
 PUNYO_INERTIA: Vector = (5e-4, 7e-4, 7e-4)  # kg m^2, that of a block of 0.11 x 0.08 x 0.09 m of the mass
 _DOME = 0.038  # m: 30.5 mm above the rim's plane, and 37 x 56 mm wide in it, where the rim has 40 x 57
-_DEEP, _HALF = 0.0305 - _DOME, 0.05725 - _DOME
+_DEEP, _HALF = PUNYO_HEIGHT - _DOME, 0.05725 - _DOME
 
 
 def _on_dome(side: float) -> Vector:

@@ -1,8 +1,8 @@
-"""Joint angles that put the tool where it shall be: damped least squares on MuJoCo's Jacobian, inside the joint limits.
+"""Inverse kinematics: damped least squares on MuJoCo's Jacobian, within the joint limits.
 
-Levenberg's damping (Wampler 1986; Nakamura and Hanafusa 1986) carries the search past singular postures; a joint that
-stands at its limit and would go on is left out of the step. With seven joints for six equations the step is the
-shortest one, so that a tool that moves a little moves the joints a little.
+Levenberg's damping (Wampler 1986; Nakamura and Hanafusa 1986) keeps the search stable near singular postures. A joint
+at its limit that would move further is left out of the step. With seven joints for six equations the step is the one of
+least norm, so that a small motion of the tool is a small motion of the joints.
 """
 
 from __future__ import annotations
@@ -12,33 +12,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.rotation import rotation_vector
 from vsfsim.robot.arm import Arm
 
-LEVER = 0.3  # m: a turn by 1 rad counts as much as this way; about the length of the last three links
-# m, rad: when to stop; a hundred times finer than what a touch promises, and far above rounding
+LEVER = 0.3  # the distance that counts as much as a rotation by 1 rad [m]; about the length of the last three links
+# Tolerances [m], [rad]: a hundred times finer than those of a touch, and far above the rounding error.
 POSITION, ANGLE = 1e-7, 1e-6
-STEP = 0.3  # rad, the longest a joint turns in an iteration
-NEAR = 1e-9  # rad: a step that ends further inside than this meets no limit on its way, whatever rounding does
+STEP = 0.3  # largest rotation of a joint in an iteration [rad]
+NEAR = 1e-9  # a step that ends further than this from the limits has met none, also with rounding [rad]
 _EYE = np.eye(6)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What the search ended with.
-
-    q: joint angles (7,) [rad]. position: distance from the wanted position [m]. angle: from the wanted orientation
-    [rad].
-    at_limit: whether a joint stands at its limit. found: whether both are within the tolerances.
-    """
+    """The best joint angles of a search."""
 
     q: np.ndarray
+    """Joint angles (7,) [rad]."""
     position: float
+    """Distance of the tool from the target [m]."""
     angle: float
+    """Angle of the tool from the target [rad]."""
     at_limit: bool
+    """Whether a joint is at its limit."""
 
     @property
     def found(self) -> bool:
+        """Whether position and angle are within the tolerances."""
         return self.position <= POSITION and self.angle <= ANGLE
 
 
@@ -46,7 +45,7 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
     """Joint angles near ``start`` (7,) [rad] that bring the tool to the pose ``target`` (4, 4) [m].
 
     Returns:
-        The best point met; look at ``found``.
+        The best point of the search, whether or not it is a solution; see `Solution.found`.
     """
     q = np.clip(start, arm.lower, arm.upper)
     error, jacobian = _error(arm, target, q)
@@ -62,7 +61,7 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
         if new_error @ new_error < error @ error:
             q, error, jacobian, damping = trial, new_error, new_jacobian, max(damping * 0.2, 1e-12)
         elif damping > 1e3 or np.abs(step).max() < 1e-12:
-            break  # a local minimum: the pose cannot be had from here
+            break  # a local minimum: the target cannot be reached from here
         else:
             damping *= 8.0
     at_limit = bool(((q <= arm.lower) | (q >= arm.upper)).any())
@@ -71,7 +70,7 @@ def solve(arm: Arm, target: np.ndarray, start: np.ndarray, *, iterations: int = 
 
 def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray,
           damping: float) -> tuple[np.ndarray, np.ndarray]:
-    """The damped step (7,) [rad], no joint further than `STEP`, and which joints take part (7,)."""
+    """The damped step (7,) [rad], with no joint further than `STEP`, and which joints take part (7,)."""
     low, high = q <= arm.lower, q >= arm.upper
     free, j = np.ones(q.shape, bool), jacobian
     for _ in range(len(q)):
@@ -86,27 +85,39 @@ def _step(arm: Arm, q: np.ndarray, error: np.ndarray, jacobian: np.ndarray,
 
 
 def _up_to_limits(arm: Arm, q: np.ndarray, step: np.ndarray, free: np.ndarray) -> np.ndarray:
-    """``q`` after the step, up to the first limit on the way; there that joint leaves the step and the others go on."""
+    """``q`` after the step, shortened to the first joint limit on the way."""
     room = np.where(step > 0.0, arm.upper - q, arm.lower - q)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(free & (step != 0.0), room / step, np.inf)
     short = min(1.0, float(share.min()))
     trial = q + short * step
-    # exactly at its limit, not a rounding away from it
-    met = share <= short
-    return np.where(met & (step > 0.0), arm.upper, np.where(met & (step < 0.0), arm.lower,
-                                                            trial)) if short < 1.0 else trial
+    if short < 1.0:
+        met = share <= short  # these joints are set exactly to their limits
+        trial = np.where(met & (step > 0.0), arm.upper, np.where(met & (step < 0.0), arm.lower, trial))
+    return trial
 
 
 def _error(arm: Arm, target: np.ndarray, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Position error [m] and rotation vector [rad] times `LEVER` from the tool to the target (6,), and the Jacobian of
+    the tool in the same units (6, 7)."""
     pose, jacobian = arm.tool_jacobian(q)
     jacobian[3:] *= LEVER
     out = np.empty(6)
     out[:3] = target[:3, 3] - pose[:3, 3]
-    out[3:] = LEVER * rotation_vector(target[:3, :3] @ pose[:3, :3].T)
+    out[3:] = LEVER * _rotation_vector(target[:3, :3] @ pose[:3, :3].T)
     return out, jacobian
 
 
+def _rotation_vector(matrix: np.ndarray) -> np.ndarray:
+    """As `core.rotation.rotation_vector` of one matrix (3, 3); MuJoCo's takes 6 us, scipy's with its checks 330 us."""
+    import mujoco
+
+    quaternion, out = np.empty(4), np.empty(3)
+    mujoco.mju_mat2Quat(quaternion, matrix.ravel())
+    mujoco.mju_quat2Vel(out, quaternion, 1.0)
+    return out
+
+
 def _small(error: np.ndarray) -> bool:
-    # what np.linalg.norm does, without its overhead
+    # np.linalg.norm without its overhead
     return math.sqrt(error[:3].dot(error[:3])) <= POSITION and math.sqrt(error[3:].dot(error[3:])) <= LEVER * ANGLE

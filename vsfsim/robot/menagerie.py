@@ -1,5 +1,4 @@
-"""MuJoCo Menagerie's Gen3, with its meshes, made ready to take the place of ours: same names, motors for its position
-servos."""
+"""MuJoCo Menagerie's Gen3, with its meshes, adapted to take the place of our model."""
 
 from __future__ import annotations
 
@@ -7,10 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from vsfsim.robot import gen3, mjcf
-from vsfsim.robot.arm import ArmError
+from vsfsim.robot import gen3
+from vsfsim.robot.mujoco_model import ArmError, JointParameters, equip
 
 if TYPE_CHECKING:
     import mujoco
@@ -22,13 +19,12 @@ _CLONE = (f"git clone --depth 1 https://github.com/google-deepmind/mujoco_menage
 _INSTEAD = "or use the arm 'gen3', which has the same frames, masses and capsules and needs no download."
 
 
-def menagerie_spec(joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
-    """The model from the folder that ``$VSFSIM_MENAGERIE`` names, or downloaded by the package `mujoco-menagerie` on
-    its first use. Bodies, masses and meshes are Menagerie's, capsules ours.
+def menagerie_spec(joints: JointParameters | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
+    """The model in the folder ``$VSFSIM_MENAGERIE``, or from the package `mujoco-menagerie`, which downloads it on its
+    first use. Bodies, masses and meshes are Menagerie's; the capsules are ours.
 
     Raises:
-        ArmError: no model there, the package is not installed, the model cannot be downloaded, or it is not the arm
-        that we know.
+        ArmError: there is no model, the package is not installed, the download fails, or the model is not a Gen3.
     """
     folder = os.environ.get(FOLDER, "")
     spec = _from_folder(Path(folder)) if folder else _from_package()
@@ -36,7 +32,7 @@ def menagerie_spec(joints: mjcf.JointFigures | None = None, *, timestep: float =
 
 
 def _from_folder(folder: Path) -> mujoco.MjSpec:
-    """The model of a copy of Menagerie, or of its folder kinova_gen3."""
+    """The model in a copy of Menagerie, or in its folder kinova_gen3."""
     import mujoco
 
     for file in (folder / MODEL / FILE, folder / FILE):
@@ -64,44 +60,20 @@ def _from_package() -> mujoco.MjSpec:
                        f"elsewhere with `{_CLONE}`, {_INSTEAD}") from error
 
 
-def adopt(spec: mujoco.MjSpec, joints: mjcf.JointFigures | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
-    """Gives a Gen3 model what ours has: site, motors and friction; takes away servos, key frames and contact between
-    its own meshes.
+def adopt(spec: mujoco.MjSpec, joints: JointParameters | None = None, *, timestep: float = 1e-3) -> mujoco.MjSpec:
+    """Equips a Gen3 model like ours (`mujoco_model.equip`), without its servos, its key frames and the contact between
+    its meshes.
 
     Raises:
         ArmError: a body or joint is missing.
     """
-    joints = joints or mjcf.JointFigures()
-    names = {body.name for body in spec.bodies}
-    missing = [link.name for link in gen3.LINKS if link.name not in names]
-    found = {joint.name: joint for joint in spec.joints}
-    missing += [f"joint_{j + 1}" for j in range(gen3.JOINTS) if f"joint_{j + 1}" not in found]
+    missing = [link.name for link in gen3.LINKS if spec.body(link.name) is None]
+    missing += [name for name in (f"joint_{j + 1}" for j in range(gen3.JOINTS)) if spec.joint(name) is None]
     if missing:
         raise ArmError(f"the model is not the Gen3 that we know: it has no {', '.join(missing)}.")
     for old in (*spec.actuators, *spec.keys):
         spec.delete(old)
     for geom in spec.geoms:
         geom.contype = geom.conaffinity = 0
-    for j in range(gen3.JOINTS):
-        joint = found[f"joint_{j + 1}"]
-        joint.frictionloss, joint.armature = joints.coulomb[j], joints.armature[j]
-        _set_damping(joint, joints.viscous[j])
-        peak = gen3.PEAK_TORQUE[j]
-        motor = spec.add_actuator(name=joint.name, target=joint.name, trntype=_joint_transmission(), forcelimited=True,
-                                  forcerange=[-peak, peak])
-        motor.set_to_motor()
-    spec.body(gen3.FLANGE_LINK).add_site(name="flange", pos=gen3.FLANGE_POSITION, quat=gen3.FLANGE_QUATERNION)
-    spec.option.gravity = [0.0, 0.0, -gen3.GRAVITY]
-    spec.option.timestep = timestep
+    equip(spec, joints or JointParameters(), timestep=timestep)
     return spec
-
-
-def _joint_transmission() -> int:
-    import mujoco
-
-    return mujoco.mjtTrn.mjTRN_JOINT
-
-
-def _set_damping(joint: object, value: float) -> None:
-    # newer MuJoCo: a polynomial of the rate, the linear coefficient first; older: a number
-    joint.damping = [value, 0.0, 0.0] if np.ndim(joint.damping) else value  # type: ignore[attr-defined]

@@ -1,27 +1,26 @@
-"""A touch of the arm: the tool along a straight line, or any path of poses, or the reason why it cannot be had."""
+"""Joint angles that lead the tool along a path of poses, or the reason why there are none."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 from enum import Enum
 
 import numpy as np
 
-from vsfsim.core.rotation import between, rotation_vector
+from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.robot import clearance, gen3
 from vsfsim.robot.arm import Arm, ArmError
 from vsfsim.robot.inverse_kinematics import solve
 
-STRIDE, TURN = 0.005, 0.05  # m, rad: the longest step of the tool from one solution to the next
-# rad: joints that move further in one such step pass a singular posture; at 1 cm/s that is 0.5 rad/s, past half of what
-# the arm can
+STRIDE, TURN = 0.005, 0.05  # longest step of the tool from one solution to the next [m], [rad]
+# A joint that moves further in one such step passes a singular posture [rad]; at 1 cm/s that is 0.5 rad/s, more than
+# half of what the arm can do.
 JUMP = 0.25
-LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # m, rad: what is promised of every pose
+LINE_POSITION, LINE_ANGLE = 1e-5, 1e-4  # tolerance of every pose of the path [m], [rad]
 
 
 class Reason(Enum):
-    """Why a touch cannot be had; a generator draws another one."""
+    """Why the arm cannot make a touch; a generator then draws another one."""
 
     TOO_FAR = "out of the arm's reach"
     POSE = "no joint angles give this pose"
@@ -32,8 +31,12 @@ class Reason(Enum):
 
 
 class Unreachable(ArmError):
-    """A touch that the arm cannot make. reason: why, of the attempt that came furthest. progress: how far that came, as
-    a fraction of the path."""
+    """A touch that the arm cannot make."""
+
+    reason: Reason
+    """Why, for the attempt that came furthest."""
+    progress: float
+    """How far that attempt came, as a fraction of the path."""
 
     def __init__(self, message: str, reason: Reason, progress: float):
         super().__init__(message)
@@ -42,8 +45,8 @@ class Unreachable(ArmError):
 
 def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.ndarray, *, frames: int,
                    **limits: object) -> np.ndarray:
-    """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, turned by
-    ``rotation`` (3, 3) all the way.
+    """Joint angles (frames, 7) [rad] that take the tool from ``start`` to ``stop`` (3,) [m], both included, with the
+    orientation ``rotation`` (3, 3).
 
     The keywords ``limits`` and the errors are those of `follow`.
     """
@@ -51,31 +54,29 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
         raise ArmError(f"frames is {frames}; a line needs its two ends, so at least 2.")
     poses = np.tile(np.eye(4), (frames, 1, 1))
     poses[:, :3, :3] = rotation
-    poses[:, :3, 3] = np.asarray(start, float) + np.linspace(0.0, 1.0, frames)[:,
-                                                                               None] * (np.asarray(stop,
-                                                                                                   float) - np.asarray(start, float))
+    start, stop = np.asarray(start, float), np.asarray(stop, float)
+    poses[:, :3, 3] = start + np.linspace(0.0, 1.0, frames)[:, None] * (stop - start)
     return follow(arm, poses, **limits)  # type: ignore[arg-type]
 
 
 def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0,
-           self_clearance: float = 0.005,
-           table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
+           self_clearance: float = 0.005, table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
     """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the
     other.
 
-    Every pose is met to 1e-5 m and 1e-4 rad; between two poses the tool is led in steps of 5 mm and 0.05 rad at most,
-    so that the joints move without a jump and obstacles between them are seen. A pose that comes again gets the same
-    angles again.
+    Every pose is met to 1e-5 m and 1e-4 rad. Between two poses the tool moves in steps of 5 mm and 0.05 rad at most, so
+    that the joints do not jump and collisions between the poses are found. Equal poses get equal angles.
 
     Args:
-        near: joint angles (7,) [rad] to begin the search at. table: height of the table in the world [m], None for
-        none; base and shoulder may stand on it.
-        self_clearance, table_clearance: least gap [m] between links that are no neighbours, and above the table.
-        restarts: random postures that the search begins at, besides a few that face the target. seed: of these.
+        near: joint angles (7,) [rad] at which the search begins.
+        table: height of the table in the world [m], None for no table. Base and shoulder may touch it.
+        self_clearance, table_clearance: least gap between links that are not neighbours, and above the table [m].
+        restarts: number of random postures at which the search begins again, besides a few that face the target.
+        seed: of these postures.
 
     Raises:
-        Unreachable: no posture leads along the whole path; with the reason.
-        ArmError: poses that are none.
+        Unreachable: no posture leads along the whole path.
+        ArmError: the array does not hold poses.
     """
     poses = _checked(poses)
     dense, number = _refined(poses)
@@ -84,7 +85,7 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
         found, reason, detail = _track(arm, dense, q0, table, self_clearance, table_clearance)
         if reason is None:
             q = found[number]
-            _promise(arm, q, poses)
+            _verify(arm, q, poses)
             return q
         progress = len(found) / len(dense)
         if best is None or progress > best[0]:
@@ -103,12 +104,12 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
 
 def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, self_clearance: float,
            table_clearance: float) -> tuple[np.ndarray, Reason | None, str]:
-    """The angles (n, 7) found until the path ends or something is in the way, and what."""
+    """The joint angles (n, 7) up to the end of the path or the first obstacle, and what that is."""
     out: list[np.ndarray] = []
-    seen: dict[bytes, np.ndarray] = {}
+    solved: dict[bytes, np.ndarray] = {}
     reason, detail = None, ""
     for pose in dense:
-        known = seen.get(pose.tobytes())
+        known = solved.get(pose.tobytes())
         if known is None:
             s = solve(arm, pose, _guess(arm, out, q0))
             if not s.found:
@@ -121,7 +122,7 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
                                   f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by "
                                   f"{np.abs(known - out[-1]).max():.2g} rad")
                 break
-            seen[pose.tobytes()] = known
+            solved[pose.tobytes()] = known
         out.append(known)
     if not out:
         return np.empty((0, gen3.JOINTS)), reason, detail
@@ -131,12 +132,11 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
 
 
 def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
-    """Where the search for the next posture begins: along the way of the last ones, as steps are mostly alike; half of
-    the iterations are saved."""
+    """Where the search for the next posture begins: extrapolated from the last ones, which halves the iterations."""
     if len(out) < 3:
         return out[-1] if out else q0
     ahead = 3.0 * (out[-1] - out[-2]) + out[-3]
-    # past a limit, or after a bend in the path, the last posture is the better guess
+    # beyond a joint limit, or after a corner of the path, the last posture is the better guess
     if np.abs(ahead - out[-1]).max() > JUMP / 2 or (ahead < arm.lower).any() or (ahead > arm.upper).any():
         return out[-1]
     return ahead
@@ -144,7 +144,7 @@ def _guess(arm: Arm, out: list[np.ndarray], q0: np.ndarray) -> np.ndarray:
 
 def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float,
              table_clearance: float) -> tuple[int, Reason, str] | None:
-    """The first of the postures ``q`` (T, 7) that is too close to itself or the table."""
+    """The first of the postures ``q`` (T, 7) in which the arm is too close to itself or to the table."""
     at, hits = arm.postures(q), []
     gaps, pairs = clearance.self_gaps(arm, at)
     if (gaps < self_clearance).any():
@@ -164,7 +164,8 @@ def _blocked(arm: Arm, q: np.ndarray, table: float | None, self_clearance: float
 
 def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts: int,
                 seed: int) -> Iterator[np.ndarray]:
-    """Joint angles to begin the search at: the given ones, the home posture turned towards the target, random ones."""
+    """Joint angles at which the search begins: the given ones, the home posture turned towards the target, random
+    ones."""
     if near is not None:
         yield arm.check(np.asarray(near, float)[None])[0]
     home = np.array(gen3.HOME)
@@ -183,19 +184,20 @@ def _beginnings(arm: Arm, target: np.ndarray, near: np.ndarray | None, restarts:
 
 
 def _refined(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The path with steps of STRIDE and TURN at most (N, 4, 4) [m], and where in it each of ``poses`` (T,) stands."""
-    out, number = [poses[0]], [0]
-    for a, b in itertools.pairwise(poses):
-        turn = np.linalg.norm(rotation_vector(a[:3, :3].T @ b[:3, :3]))
-        n = max(1, int(np.ceil(max(np.linalg.norm(b[:3, 3] - a[:3, 3]) / STRIDE, turn / TURN) - 1e-9)))
-        for k in range(1, n):
-            step = np.eye(4)
-            step[:3, 3] = a[:3, 3] + k / n * (b[:3, 3] - a[:3, 3])
-            step[:3, :3] = between(a[:3, :3], b[:3, :3], k / n)
-            out.append(step)
-        out.append(b)
-        number.append(len(out) - 1)
-    return np.stack(out), np.array(number)
+    """The path with steps of STRIDE and TURN at most (N, 4, 4) [m], and the place of each of ``poses`` in it (T,)."""
+    before, after = poses[:-1], poses[1:]
+    vector = rotation_vector(before[:, :3, :3].swapaxes(1, 2) @ after[:, :3, :3])
+    way = after[:, :3, 3] - before[:, :3, 3]
+    length = np.maximum(np.linalg.norm(way, axis=1) / STRIDE, np.linalg.norm(vector, axis=1) / TURN)
+    steps = np.maximum(1, np.ceil(length - 1e-9)).astype(int)
+    number = np.concatenate([[0], np.cumsum(steps)])
+    pair = np.repeat(np.arange(len(steps)), steps)  # of each step the pair of poses that it lies between
+    share = ((np.arange(len(pair)) - number[pair] + 1) / steps[pair])[:, None]
+    out = np.tile(np.eye(4), (len(pair) + 1, 1, 1))
+    out[1:, :3, 3] = before[pair, :3, 3] + share * way[pair]
+    out[1:, :3, :3] = before[pair, :3, :3] @ rotation_matrix(share * vector[pair])
+    out[number] = poses
+    return out, number
 
 
 def _checked(poses: np.ndarray) -> np.ndarray:
@@ -203,14 +205,15 @@ def _checked(poses: np.ndarray) -> np.ndarray:
     if poses.ndim != 3 or poses.shape[1:] != (4, 4) or not len(poses):
         raise ArmError(f"poses have the shape {poses.shape}; give (frames, 4, 4) in metres.")
     turn = poses[:, :3, :3]
-    if not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2,
-                                                                    1) - np.eye(3)).max() > 1e-6 or (np.linalg.det(turn) < 0).any():
-        raise ArmError("the poses hold a rotation that is none (its columns must be orthogonal unit vectors, "
+    if (not np.isfinite(poses).all() or np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max() > 1e-6
+        or (np.linalg.det(turn) < 0).any()):
+        raise ArmError("the poses hold a matrix that is not a rotation (its columns must be orthogonal unit vectors, "
                        "right-handed) or a number that is not finite.")
     return poses
 
 
-def _promise(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:
+def _verify(arm: Arm, q: np.ndarray, poses: np.ndarray) -> None:
+    """Checks that every pose is met within `LINE_POSITION` and `LINE_ANGLE`."""
     tool = arm.postures(q).tool
     assert np.linalg.norm(tool[:, :3, 3] - poses[:, :3, 3], axis=1).max() <= LINE_POSITION
     # |R - R'| in the Frobenius norm is sqrt(2) times a small angle

@@ -151,7 +151,7 @@ def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -
                          f"{type(shape).__name__.lower()}.")
     plant = grow_family(shape, np.random.default_rng(seed),
                         where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
-    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=min(scene.object.poisson_ratio, 0.49))
+    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=scene.object.poisson_ratio)
 
 
 def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:

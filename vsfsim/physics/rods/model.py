@@ -1,4 +1,4 @@
-"""From a plant to the arrays of the solver: stiffness of sections, frames, contact samples, and the compliance at
+"""From a plant to the arrays of the solver: section stiffnesses, frames, contact samples, and the compliance at
 rest."""
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.plant import Plant
 
 SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
-SAMPLE_SPACING = 0.004  # m along a branch: the sagitta of half of it under a forearm is 0.06 mm
-BLADE_SPACING = 0.008  # m across a leaf blade
-# contact penalty over the stiffness of the plant at that point: a touch goes in by a thousandth of what it bends
+SAMPLE_SPACING = 0.004  # of samples along a branch [m]; under a forearm half of it has a sagitta of 0.06 mm
+BLADE_SPACING = 0.008  # of samples across a leaf blade [m]
+MOST_SAMPLES = 4000  # of a segment
+# contact penalty over the stiffness of the plant at that point: the penetration is a thousandth of the deflection
 STIFFER = 1000.0
-PENALTY = (1e2, 1e8)  # N/m, limits of the penalty
+PENALTY = (1e2, 1e8)  # limits of the penalty [N/m]
 _ROUNDING = 2.2e-16
 
 
@@ -25,45 +26,54 @@ class RodError(VsfsimError):
 
 @dataclass(frozen=True)
 class RodModel:
-    """A plant ready to be solved; arrays of n nodes, entry 0 of what belongs to segments not used.
-
-    plant: what it was made from. frame: rotations (n, 3, 3), the segment's axis as the first column, a blade's width as
-    the second. kd: (n, 3) [N/m], kphi: (n, 3) [N m], see `segment`.
-    reach: longest way to a node below (n,) [m]. first: of a segment's samples (n + 1,). sample_segment, along, radius,
-    penalty: (Q,) [-, -, m, N/m]; offset: (Q, 3) [m].
-    compliance: of each node against a force and a moment there, rest state (n, 6, 6) [m/N and so on]. weight: dead load
-    a node (n, 3) [N].
-    """
+    """A plant ready to be solved, with n nodes and Q contact samples. Entry 0 of the arrays of segments is not used."""
 
     plant: Plant
+    """The plant that it was made from."""
     frame: np.ndarray
+    """Rotation of each segment, its axis as the first column, a blade's width as the second (n, 3, 3)."""
     kd: np.ndarray
+    """Axial and shear stiffnesses, see `kernels.segment` (n, 3) [N/m]."""
     kphi: np.ndarray
+    """Torsional and bending stiffnesses, see `kernels.segment` (n, 3) [N m]."""
     reach: np.ndarray
+    """Longest way along segments from a node to a descendant (n,) [m]."""
     first: np.ndarray
+    """First sample of each segment, and the end (n + 1,)."""
     sample_segment: np.ndarray
+    """Segment of each sample (Q,)."""
     along: np.ndarray
+    """Place of each sample along its segment, 0 to 1 (Q,) [-]."""
     offset: np.ndarray
+    """Offset of each sample from the middle line (Q, 3) [m]."""
     radius: np.ndarray
+    """Radius of the branch around each sample (Q,) [m]."""
     penalty: np.ndarray
+    """Contact penalty of each sample (Q,) [N/m]."""
     compliance: np.ndarray
+    """Displacement and spin of each node under a force and a moment there, at rest (n, 6, 6) [m/N and so on]."""
     weight: np.ndarray
+    """Dead load on each node (n, 3) [N]."""
 
     def floor(self) -> float:
-        """What rounding leaves of the sum of unbalanced forces [N], a bound."""
+        """Bound on the rounding error of the sum of unbalanced forces [N]."""
         size = float(np.abs(self.plant.nodes).max())
         return 4.0 * _ROUNDING * size * float(self.kd.sum())
 
     def point_stiffness(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray,
                         direction: np.ndarray) -> np.ndarray:
-        """Force over displacement at material points (k,), along unit directions (k, 3), at rest: (k,) [N/m]; infinite
-        where nothing gives way."""
+        """Stiffness at rest of material points along unit directions (k, 3): (k,) [N/m], infinite where the plant does
+        not move.
+
+        Args:
+            segment, along, offset: the material points, as samples have them (k,), (k,), (k, 3).
+        """
         c = self._point_compliance(segment, along, offset)
         soft = np.einsum("ki,kij,kj->k", direction, c, direction)
         return np.where(soft > 0.0, 1.0 / np.where(soft > 0.0, soft, 1.0), np.inf)
 
     def _point_compliance(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """(k, 3, 3) [m/N] of material points."""
+        """Compliance of material points (k, 3, 3) [m/N]."""
         parent = self.plant.parent[segment]
         carry = _carry(self.plant.nodes[segment] - self.plant.nodes[parent])
         cp, cc = self.compliance[parent], self.compliance[segment]
@@ -78,8 +88,11 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """The rod model of a plant.
 
     Args:
-        gravity: [m/s^2]; a plant that weighs something sags before it is touched, and costs more: all of it is solved
-        in every frame.
+        gravity: [m/s^2]. A plant with weight sags before it is touched, and is slower to solve: all of it is active in
+        every frame.
+
+    Raises:
+        RodError: a segment is so large that it has too many contact samples.
     """
     n, length = len(plant.nodes), plant.lengths()
     frame = _frames(plant)
@@ -144,15 +157,16 @@ def skew(v: np.ndarray) -> np.ndarray:
 
 
 def _carry(way: np.ndarray) -> np.ndarray:
-    """Displacement and spin at a point ``way`` (k, 3) from one that moves rigidly with it: (k, 6, 6)."""
+    """Matrices (k, 6, 6) from the displacement and spin of a point to those of a point rigidly attached at the offset
+    ``way`` (k, 3)."""
     out = np.tile(np.eye(6), (len(way), 1, 1))
     out[:, :3, 3:] = -skew(way)
     return out
 
 
 def _compliance(plant: Plant, frame: np.ndarray, kd: np.ndarray, kphi: np.ndarray) -> np.ndarray:
-    """Of each node at rest: that of its parent, carried along, and that of the segment between; what hangs on other
-    branches does not matter."""
+    """Compliance of each node at rest (n, 6, 6): that of its parent, carried along, plus that of the segment between.
+    Other branches do not contribute."""
     n = len(plant.nodes)
     out = np.zeros((n, 6, 6))
     way = plant.nodes - plant.nodes[np.maximum(plant.parent, 0)]
@@ -167,7 +181,7 @@ def _compliance(plant: Plant, frame: np.ndarray, kd: np.ndarray, kphi: np.ndarra
 
 
 def _samples(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Contact samples: segment, place along it, offset [m], radius [m]."""
+    """Contact samples: segment, place along it, offset [m], radius [m], sorted by segment."""
     parts = []
     has_child = np.bincount(plant.parent[1:], minlength=len(plant.nodes)) > 0
     for i in range(1, len(plant.nodes)):
@@ -180,7 +194,7 @@ def _samples(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
         grid, width = (a.ravel() for a in np.meshgrid(s, side, indexing="ij"))
         parts.append((np.full(len(grid), i), grid, width[:, None] * frame[i][:, 1],
                       np.full(len(grid), plant.radius[i])))
-        if len(grid) > 4000:
+        if len(grid) > MOST_SAMPLES:
             raise RodError(f"segment {i} of the plant is {plant.lengths()[i]:g} m long and {2 * plant.half_width[i]:g} "
                            f"m wide: more contact samples than a segment may have. Cut it into shorter ones.")
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]

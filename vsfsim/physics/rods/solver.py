@@ -1,7 +1,6 @@
-"""Touches of plants by an arm's capsules: the host's side of the rod solver.
+"""The host side of the rod solver: touches of plants by the capsules of an arm.
 
-All touches of a batch advance together, each by itself, and may be of different plants; the host only counts them
-between launches.
+The touches of a batch advance together but independently, and may be of different plants.
 """
 
 from __future__ import annotations
@@ -21,98 +20,113 @@ from vsfsim.physics.rods.kernels.lanes import LANES
 from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touches, make_trees, make_work, quaternions
 from vsfsim.physics.rods.model import RodError, RodModel
 
-SMALL_FORCE = 0.1  # N: forces under it are measured against it in `force_balance`
-ROOM = 512  # places for contacts (sample, capsule) of a touch
+SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
+ROOM = 512  # places for the contacts (pairs of a sample and a capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
-# s: a launch on a GPU, which ends up to 1 s later, as a try at a stride is not cut short; touches that found no room on
-# it go first in the next one
+# Duration of a launch on a GPU [s]. It ends up to 1 s later, as an attempt at a stride is not interrupted. Touches for
+# which it had no multiprocessor go first in the next one.
 GPU_SPAN = 10.0
 ENDLESS = 2**31 - 1  # Newton iterations
-MOST = 31  # capsules: `search` keeps a bit for each
+MOST_CAPSULES = 31  # the contact search has a bit for each
 
 
 class Ended(IntEnum):
-    """Why a touch has fewer frames than it was to have: it has them all, the force limit or the protective stop (a
-    guarded one's), or its `RodOptions.patience`."""
+    """Why a touch has no more frames."""
 
     WHOLE = 0
+    """It has all of them."""
     FORCE = 1
+    """The force limit, or the protective stop of a guarded touch."""
     PATIENCE = 2
+    """`RodOptions.patience`."""
 
 
 @dataclass(frozen=True)
 class RodOptions:
-    """Limits. tolerance: largest sum of unbalanced forces over the sum of contact forces [-]. faint: contact forces
-    under this count as this there [N]; with the defaults a joint is off by under 0.1 mN m, a thousandth of the noise of
-    its sensor. force_limit: on the way in no frame is kept that is past it [N]. guarded: False, a touch ends there, on
-    the way out too; True, the arm slows down, turns back and keeps its number of frames, as `guard` says, unless it
-    comes to a protective stop on the way back;
-    hold, out: frames that it then stands still, and at least goes back. newton: iterations of one try at a stride,
-    travel: with those in which something goes as far as it may, which `newton` does not count. work: of a frame, after
-    which no stride is tried again in shorter ones. patience: of a touch, after which it ends, None for no end.
-    room: places for contacts of a touch. share: Newton iterations of a touch in one launch, None for as many as suit
-    the device; it changes no bit.
-    lanes: threads of a CPU that work on a touch, 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests); a GPU
-    always has 32."""
+    """Limits of the rod solver."""
 
     tolerance: float = 1e-4
-    faint: float = 1.0
+    """Largest sum of unbalanced forces over the sum of the contact forces [-]."""
+    force_floor: float = 1.0
+    """Contact forces below this count as this in the tolerance [N]. With the defaults the error of a joint torque is
+    below 0.1 mN m, a thousandth of the noise of its sensor."""
     force_limit: float = np.inf
+    """Largest contact force of the frames on the way in [N]."""
     guarded: bool = False
+    """False: a touch ends at the force limit, also on the way out. True: the arm slows down, turns back and keeps its
+    number of frames (see `kernels.guard`), unless it makes a protective stop on the way back."""
     hold: int = 0
+    """Frames that a guarded arm stands still after it turned."""
     out: int = 0
+    """Least number of frames of a guarded arm's way back."""
     newton: int = 60
+    """Newton iterations of one attempt at a stride, without those whose length the free space limits."""
     travel: int = 400
+    """Newton iterations of one attempt at a stride, all counted."""
     work: int = 800
+    """Newton iterations of a frame after which strides are no longer divided."""
     patience: int | None = None
+    """Newton iterations after which a touch ends; None for no limit."""
     room: int = ROOM
+    """Places for the contacts of a touch."""
     share: int | None = None
+    """Newton iterations of a touch in one launch, None for a number that suits the device; the bits do not depend on
+    it."""
     lanes: int = 1
+    """Threads of a CPU that work on a touch: 1, or 32 with `warp.config.enable_cpu_blocks` (slow, for tests). A GPU
+    always uses 32."""
 
 
 @dataclass(frozen=True)
 class RodFrames:
-    """T frames of B touches by K capsules. Frames after a touch's last one are NaN (False, 0).
-
-    frames: of each touch that were solved (B,); ended: why no more, `Ended` (B,). force: on each capsule (T, B, K, 3)
-    [N]; moment: about its origin, world (T, B, K, 3) [N m].
-    reaction: force of the pot on the plant (T, B, 3) [N]; reaction_moment: about the clamped node (T, B, 3) [N m].
-    converged: (T, B). reason: `frames.Reason` (T, B). residual: (T, B) [-]. iterations: Newton's (T, B). energy:
-    elastic (T, B) [J]. penetration: deepest sample inside a capsule (T, B) [m].
-    contacts: samples in contact (T, B). slipping: their share that slips (T, B) [-]. force_balance: |force on capsules
-    - reaction - weight| over the larger, or over 0.1 N (T, B) [-].
-    where: the arm on its way (T, B), in numbers of poses.
-    nodes: positions (T, B, N, 3) [m], turns: quaternions x y z w (T, B, N, 4), or None.
-    """
+    """T frames of B touches by K capsules. Frames after the last one of a touch are NaN (False, 0)."""
 
     frames: np.ndarray
+    """Number of solved frames of each touch (B,)."""
     ended: np.ndarray
+    """`Ended` (B,)."""
     force: np.ndarray
+    """Force on each capsule (T, B, K, 3) [N]."""
     moment: np.ndarray
+    """Moment on each capsule about its origin, in the world (T, B, K, 3) [N m]."""
     reaction: np.ndarray
+    """Force of the pot on the plant (T, B, 3) [N]."""
     reaction_moment: np.ndarray
+    """Moment of the pot on the plant about the clamped node (T, B, 3) [N m]."""
     converged: np.ndarray
+    """Whether the frame is an equilibrium (T, B) bool."""
     reason: np.ndarray
+    """`frames.Reason` (T, B)."""
     residual: np.ndarray
+    """Unbalanced force over contact force (T, B) [-]."""
     iterations: np.ndarray
+    """Newton iterations (T, B)."""
     energy: np.ndarray
+    """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
+    """Depth of the deepest sample inside a capsule (T, B) [m]."""
     contacts: np.ndarray
+    """Number of samples in contact (T, B)."""
     slipping: np.ndarray
+    """Share of them that slips (T, B) [-]."""
     force_balance: np.ndarray
+    """|force on the capsules - reaction - weight| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
     where: np.ndarray
+    """Position of the arm on its way (T, B) [poses]."""
     nodes: np.ndarray | None
+    """Positions of the nodes (T, B, N, 3) [m], or None."""
     turns: np.ndarray | None
+    """Rotations of the nodes since rest, quaternions x y z w (T, B, N, 4), or None."""
 
     def columns(self, some: slice) -> RodFrames:
-        """Those of some touches."""
+        """The frames of some touches."""
         parts = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return RodFrames(**{name: None if a is None else a[some] if a.ndim == 1 else a[:, some] for name,
-                            a in parts.items()})
+        return RodFrames(**{name: None if a is None else a[some] if a.ndim == 1 else a[:, some]
+                            for name, a in parts.items()})
 
     @staticmethod
     def joined(parts: Sequence[RodFrames]) -> RodFrames:
-        """Those of some batches of as many frames, one after the other."""
+        """The touches of several batches with the same number of frames."""
 
         def one(name: str) -> np.ndarray | None:
             arrays = [getattr(p, name) for p in parts]
@@ -125,24 +139,27 @@ class RodSolver:
     """Touches of some plants by K capsules.
 
     Args:
-        models: the plants. shapes: of the capsules; one of length 0 is a ball. device: Warp device. options: limits.
+        models: the plants.
+        shapes: the capsules; one of length 0 is a ball.
+        device: Warp device.
+        options: limits.
 
     Raises:
-        RodError: no plant, a shape that is no capsule, or too many of them.
+        RodError: there is no plant or no capsule, a shape is not a capsule, or there are too many.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu",
                  options: RodOptions | None = None):
-        self.models, self.shapes, self.device, self.options = (list(models), list(shapes), device,
-                                                               options or RodOptions())
+        self.models, self.shapes = list(models), list(shapes)
+        self.device, self.options = device, options or RodOptions()
         if not self.models or not self.shapes:
             raise RodError("a rod solver needs at least one plant and one capsule.")
         for shape in self.shapes:
             if not isinstance(shape, Capsule):
                 raise RodError(f"plants are touched by capsules only, not by {shape!r}; give "
                                f"vsfsim.core.shape.Capsule, of length 0 for a ball.")
-        if len(self.shapes) > MOST:
-            raise RodError(f"{len(self.shapes)} capsules, at most {MOST} can touch plants together.")
+        if len(self.shapes) > MOST_CAPSULES:
+            raise RodError(f"{len(self.shapes)} capsules, at most {MOST_CAPSULES} can touch plants together.")
         self.trees = make_trees(self.models, device)
         self.weighs = int(any(m.weight.any() for m in self.models))
 
@@ -152,15 +169,17 @@ class RodSolver:
         """Carry out touches.
 
         Args:
-            plant: number of the touched plant of each touch (B,). poses: of the capsules along the way, z along their
-            axes (P, B, K, 4, 4) [m]. friction: (B,) or one for all [-].
-            plan: where on the way, in numbers of poses, each frame is (B, T), None for one frame a pose. frames: of
-            each touch (B,), None for T. inward: those before the planned way out (B,), None for all.
-            keep_nodes: return where the nodes are. progress: called with the number of frames newly done and of the
-            touches that go on.
+            plant: number of the touched plant (B,).
+            poses: poses of the capsules along the way, z along their axes (P, B, K, 4, 4) [m].
+            friction: coefficient of friction (B,), or one for all [-].
+            frames: number of frames of each touch (B,), None for T.
+            plan: position of each frame on the way, in numbers of poses (B, T); None for one frame a pose.
+            inward: number of frames before the planned way out (B,), None for all.
+            keep_nodes: return the states of the nodes.
+            progress: called with the number of new frames and of the touches that are not finished.
 
         Raises:
-            RodError: shapes that do not fit, or poses that are not finite.
+            RodError: shapes do not fit, or poses are not finite.
         """
         p, b = len(poses), len(np.asarray(plant))
         plan = np.tile(np.arange(p, dtype=float), (b, 1)) if plan is None else np.asarray(plan, float)
@@ -174,11 +193,13 @@ class RodSolver:
 
 
 class RodBatch:
-    """Places for touches on a device; they come and go while others are under way.
+    """Places for touches on a device. Touches may be added and taken while others are computed.
 
     Args:
-        solver: with the plants. places: for how many touches. frames, poses: the most of a touch, and of its way.
-        keep_nodes: return where the nodes are.
+        solver: the solver with the plants.
+        places: number of touches.
+        frames, poses: largest number of frames of a touch, and of poses on its way.
+        keep_nodes: return the states of the nodes.
     """
 
     def __init__(self, solver: RodSolver, places: int, *, frames: int, poses: int, keep_nodes: bool = False):
@@ -194,8 +215,8 @@ class RodBatch:
             touch.guarded, touch.hold, touch.out = int(options.guarded), options.hold, options.out
             touch.newton, touch.travel, touch.work = options.newton, options.travel, options.work
             touch.patience = ENDLESS if options.patience is None else options.patience
-            touch.force_limit, touch.tolerance, touch.faint = (float(options.force_limit), float(options.tolerance),
-                                                               float(options.faint))
+            touch.force_limit, touch.tolerance = float(options.force_limit), float(options.tolerance)
+            touch.force_floor = float(options.force_floor)
             self._work = make_work(places, self._wide, len(shapes), options.room,
                                    max(len(levels_of(m)[1]) for m in solver.models))
             self._out = make_results(places, frames, len(shapes), self._wide if keep_nodes else 0)
@@ -204,18 +225,18 @@ class RodBatch:
 
     @property
     def live(self) -> int:
-        """Touches that go on."""
+        """Number of unfinished touches."""
         return int(self._going().sum())
 
     def _going(self) -> np.ndarray:
         return self._taken & (self._next < self._frames) & (self._ended == 0)
 
     def room(self, touches: int) -> bool:
-        """Whether there are places for so many touches more."""
+        """Whether there are free places for so many touches."""
         return self._free(touches) is not None
 
     def _free(self, touches: int) -> int | None:
-        """The first of so many free places in a row."""
+        """The first of so many consecutive free places."""
         begin = 0
         for place in range(len(self._taken)):
             if self._taken[place]:
@@ -226,13 +247,13 @@ class RodBatch:
 
     def add(self, plant: np.ndarray, poses: np.ndarray, *, plan: np.ndarray, friction: np.ndarray | float = 0.0,
             frames: np.ndarray | None = None, inward: np.ndarray | None = None) -> slice:
-        """Begin touches; the arguments are those of `RodSolver.run`.
+        """Adds touches; the arguments are those of `RodSolver.run`.
 
         Returns:
-            Their places; they are free again after `take`.
+            Their places, which are free again after `take`.
 
         Raises:
-            RodError: shapes that do not fit, poses that are not finite, or no room.
+            RodError: shapes do not fit, poses are not finite, or there is no room.
         """
         models, k = self.solver.models, len(self.solver.shapes)
         plant, poses = np.asarray(plant, np.int32), np.asarray(poses, float)
@@ -271,19 +292,18 @@ class RodBatch:
             put(touch.plant, plant)
             put(touch.friction, friction)
             put(touch.frames, self._frames[some])
-            put(touch.last, np.full(b, p - 1))
+            put(touch.last_pose, np.full(b, p - 1))
             put(touch.inward, self._frames[some] if inward is None else np.asarray(inward))
             put(touch.plan, np.pad(plan, ((0, 0), (0, touch.plan.shape[1] - t))))
-            put(touch.place, along(poses[..., :3, 3]))
-            put(touch.turn, along(quaternions(poses[..., :3, :3])))
+            put(touch.position, along(poses[..., :3, 3]))
+            put(touch.rotation, along(quaternions(poses[..., :3, :3])))
             wp.launch(enter, dim=(b, self._wide), inputs=[self.solver.trees, touch, begin], outputs=[self._work])
         return some
 
     def advance(self, *, seconds: float = GPU_SPAN) -> int:
-        """One launch for all touches that go on, on a GPU for about so many seconds [s]; the number of frames newly
-        done.
+        """One launch for all unfinished touches, on a GPU for about ``seconds`` [s]. Returns the number of new frames.
 
-        Those with most frames before them go first: if not all find room at once, the hardest do.
+        The touches with most frames to go come first, in case the device cannot hold all of them at once.
         """
         live = np.flatnonzero(self._going())
         if not len(live):
@@ -291,15 +311,18 @@ class RodBatch:
         options, before = self.solver.options, int(self._next[self._taken].sum())
         if self._gpu:
             live = live[np.argsort(self._next[live] - self._frames[live], kind="stable")]
-        lanes, share, span = (LANES, options.share or ENDLESS,
-                              round(1e9 * seconds)) if self._gpu else (options.lanes, options.share or CPU_SHARE, 0)
+        if self._gpu:
+            lanes, share, span = LANES, options.share or ENDLESS, round(1e9 * seconds)
+        else:
+            lanes, share, span = options.lanes, options.share or CPU_SHARE, 0
         with wp.ScopedDevice(self.solver.device):
             self._clock.zero_()
-            wp.launch(advance, dim=len(live) * lanes, inputs=[self.solver.trees, self._touch,
-                                                              wp.array(live, dtype=wp.int32), lanes, share, span,
-                                                              self.solver.weighs],
-                      outputs=[self._clock, self._work, self._out], block_dim=lanes)
-            self._next[:], self._ended[:] = self._work.next.numpy(), self._work.ended.numpy()
+            inputs = [self.solver.trees, self._touch, wp.array(live, dtype=wp.int32), lanes, share, span,
+                      self.solver.weighs]
+            wp.launch(advance, dim=len(live) * lanes, inputs=inputs, outputs=[self._clock, self._work, self._out],
+                      block_dim=lanes)
+            progress = self._work.progress
+            self._next[:], self._ended[:] = progress.next.numpy(), progress.ended.numpy()
         return int(self._next[self._taken].sum()) - before
 
     def done(self, some: slice) -> bool:
@@ -307,12 +330,11 @@ class RodBatch:
         return not self._going()[some].any()
 
     def take(self, some: slice) -> RodFrames:
-        """The frames of some touches, as far as they are; their places are free."""
+        """The frames of some touches, as far as they are solved; frees their places."""
         out, models = self._out, self.solver.models
         count, ended, plant = np.minimum(self._frames[some], self._next[some]), self._ended[some], self._plant[some]
         done = np.where(ended > 0, np.minimum(ended - 1, count), count)
-        # a frame past the force limit was the one before `next`, and is not kept; a frame after which the patience was
-        # over is
+        # a frame above the force limit is not kept and precedes `next`; the frame that exhausted the patience is kept
         why = np.where(done == self._frames[some], Ended.WHOLE,
                        np.where(ended <= self._next[some], Ended.FORCE, Ended.PATIENCE))
         why = np.where(ended > 0, why, Ended.WHOLE)
@@ -328,7 +350,7 @@ class RodBatch:
         force, moment = of(out.force), of(out.moment)
         reason = np.where(solved, of(out.reason), 0)
         weight = np.stack([models[p].weight.sum(axis=0) for p in plant])
-        weight -= np.stack([models[p].weight[0] for p in plant])  # what rests on the clamp itself bends nothing
+        weight -= np.stack([models[p].weight[0] for p in plant])  # the load on the clamped node bends nothing
         whole = force.sum(axis=2)
         gap = np.linalg.norm(whole - root - weight, axis=-1)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)

@@ -1,351 +1,360 @@
-"""Gradient and second derivative of the potential at a state, and the model that Newton's step minimises.
+"""Gradient and second derivative of the potential at a state, and the quadratic model that a Newton step minimises.
 
-What contacts say is worked out contact by contact, what segments say segment by segment, and a node gathers from its
-own segment and those above it: nothing is added up by two lanes at once.
+Contacts and segments are computed one by one, and a node gathers from its own segment and its children's: no two lanes
+add to the same number.
 """
 
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import friction
-from vsfsim.physics.rods.kernels.lanes import count_all, meet, total
-from vsfsim.physics.rods.kernels.search import surface_point
-from vsfsim.physics.rods.kernels.segment import (
-    ONE,
-    TINY,
-    ZERO,
-    gradient,
-    mat33,
-    mat66,
-    quat,
-    real,
-    second,
-    six,
-    strain,
-    vec3,
-)
-from vsfsim.physics.rods.kernels.touching import (
+from vsfsim.physics.rods.kernels.contact_law import (
+    capsule_gap,
     friction_force,
     friction_hessian,
-    gap_of,
     normal_energy,
     normal_force,
     normal_hessian,
     normal_stiffness,
     plus_point,
     plus_spin,
-    point_at,
     slip,
     turn_hessian,
 )
-from vsfsim.physics.rods.state import Here, Touches, Trees, Work
+from vsfsim.physics.rods.kernels.geometry import sample_point, segment_strain, surface_point
+from vsfsim.physics.rods.kernels.lanes import lane_count, lane_sum, sync
+from vsfsim.physics.rods.kernels.segment import (
+    ONE,
+    TINY,
+    ZERO,
+    gradient,
+    hessian,
+    mat33,
+    mat66,
+    quat,
+    real,
+    spatial,
+    vec3,
+)
+from vsfsim.physics.rods.problem import Touches, Trees
+from vsfsim.physics.rods.workspace import Stale, Stick, Thread, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 vec6 = wp.spatial_vectord
+# the blocks of a segment, by the nodes of their rows and columns
+CHILD, PARENT, CHILD_PARENT, PARENT_CHILD = (wp.constant(k) for k in range(4))
 
 
 @wp.func
-def renew(tree: Trees, touch: Touches, w: Work, at: Here, side: int):
-    """Limits, normals, anchors of friction, levers and forces of all contacts at the present state. The sum of the
-    contact forces [N]."""
-    b = at.b
+def update_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, side: int):
+    """Friction limits, normals, anchors, levers and forces of all contacts at the present state. Returns the sum of the
+    normal forces [N]."""
+    b = me.b
     pressed = ZERO
     mu = touch.friction[b]
-    for c in range(at.lane, w.count[side, b], at.lanes):
-        i = w.node[side, b, c]
-        k = w.body[side, b, c]
-        j = w.sample[side, b, c]
-        p = tree.parent[at.o + i]
+    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
+        i = w.contacts.node[side, b, c]
+        k = w.contacts.capsule[side, b, c]
+        j = w.contacts.sample[side, b, c]
+        p = tree.parent[me.o + i]
         s = tree.along[j]
-        cx = w.cap_x[b, k]
-        cq = w.cap_q[b, k]
-        qp = w.q[b, p]
-        qc = w.q[b, i]
+        cx = w.capsules.x[b, k]
+        cq = w.capsules.q[b, k]
+        qp = w.nodes.q[b, p]
+        qc = w.nodes.q[b, i]
         arm_p = wp.quat_rotate(qp, tree.offset[j])
         arm_c = wp.quat_rotate(qc, tree.offset[j])
-        y = (ONE - s) * (w.x[b, p] + arm_p) + s * (w.x[b, i] + arm_c)
-        gap = gap_of(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
+        y = (ONE - s) * (w.nodes.x[b, p] + arm_p) + s * (w.nodes.x[b, i] + arm_c)
+        gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
         depth = -gap.value
         force = normal_force(wp.max(depth, ZERO), tree.penalty[j])
         tau = mu * force
         pressed = pressed + force
-        lever = w.lever[side, b, c]
-        rub_p = arm_p + wp.quat_rotate(qp, wp.quat_rotate_inv(w.q_start[b, p], lever))
-        rub_c = arm_c + wp.quat_rotate(qc, wp.quat_rotate_inv(w.q_start[b, i], lever))
-        ys = (ONE - s) * (w.x[b, p] + rub_p) + s * (w.x[b, i] + rub_c)
-        stuck = w.stuck[side, b, c]
-        if gap.value < ZERO and stuck == 0:
-            free = w.gap0[side, b, c] / wp.max(w.gap0[side, b, c] - gap.value, TINY)
-            met = w.local0[side, b, c]
-            w.anchor[side, b, c] = met + free * (wp.quat_rotate_inv(cq, ys - cx) - met)
-            w.stuck[side, b, c] = 2
-        if gap.value >= ZERO and stuck == 2:
-            w.stuck[side, b, c] = 0  # it left again before the step was over
-        hold = cx + wp.quat_rotate(cq, w.anchor[side, b, c])
+        lever = w.contacts.lever[side, b, c]
+        surface_p = arm_p + wp.quat_rotate(qp, wp.quat_rotate_inv(w.nodes.q_start[b, p], lever))
+        surface_c = arm_c + wp.quat_rotate(qc, wp.quat_rotate_inv(w.nodes.q_start[b, i], lever))
+        ys = (ONE - s) * (w.nodes.x[b, p] + surface_p) + s * (w.nodes.x[b, i] + surface_c)
+        stuck = w.contacts.stuck[side, b, c]
+        if gap.value < ZERO and stuck == Stick.FREE:
+            free = w.contacts.gap_start[side, b, c] / wp.max(w.contacts.gap_start[side, b, c] - gap.value, TINY)
+            met = w.contacts.point_start[side, b, c]
+            w.contacts.anchor[side, b, c] = met + free * (wp.quat_rotate_inv(cq, ys - cx) - met)
+            w.contacts.stuck[side, b, c] = Stick.NEW
+        if gap.value >= ZERO and stuck == Stick.NEW:
+            w.contacts.stuck[side, b, c] = Stick.FREE  # it lost contact again within the step
+        hold = cx + wp.quat_rotate(cq, w.contacts.anchor[side, b, c])
         slid = slip(gap.normal, ys, hold)
         ft = vec3()
         if tau > ZERO:
             ft = friction_force(slid, tree.penalty[j], tau)
-        w.tau[side, b, c] = tau
-        w.normal[side, b, c] = gap.normal
-        w.depth[side, b, c] = depth
-        w.hold[side, b, c] = hold
-        w.slid[b, c] = slid
-        w.arm_p[b, c] = arm_p
-        w.arm_c[b, c] = arm_c
-        w.rub_p[b, c] = rub_p
-        w.rub_c[b, c] = rub_c
-        # one that does not press yet has the force of a plane that stands in its way: only the step's model looks at it
-        w.fn[b, c] = -wp.where(depth > ZERO, force, tree.penalty[j] * depth) * gap.normal
-        w.ft[b, c] = ft
-        w.on[side, b, c] = wp.where(depth > ZERO, 1, 0)
-    meet()
-    return total(pressed)
+        w.contacts.friction_limit[side, b, c] = tau
+        w.contacts.normal[side, b, c] = gap.normal
+        w.contacts.depth[side, b, c] = depth
+        w.contacts.anchor_world[side, b, c] = hold
+        w.contacts.slip[b, c] = slid
+        w.contacts.arm_parent[b, c] = arm_p
+        w.contacts.arm_child[b, c] = arm_c
+        w.contacts.surface_arm_parent[b, c] = surface_p
+        w.contacts.surface_arm_child[b, c] = surface_c
+        # An open contact has the force of a plane at the capsule's surface; only the model of the step uses it.
+        push = wp.where(depth > ZERO, force, tree.penalty[j] * depth)
+        w.contacts.normal_gradient[b, c] = -push * gap.normal
+        w.contacts.friction_gradient[b, c] = ft
+        w.contacts.in_step[side, b, c] = wp.where(depth > ZERO, 1, 0)
+    sync()
+    return lane_sum(pressed)
 
 
 @wp.func
-def contact_energy(tree: Trees, touch: Touches, w: Work, at: Here, side: int, x: wp.array2d(dtype=vec3),
+def contact_energy(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, x: wp.array2d(dtype=vec3),
                    q: wp.array2d(dtype=quat)):
-    """This lane's share of the energy of the contacts, the limits of friction as `renew` left them [J]."""
-    b = at.b
+    """This lane's share of the contact energy in the state (x, q) [J], with the friction limits of
+    `update_contacts`."""
+    b = me.b
     out = ZERO
-    for c in range(at.lane, w.count[side, b], at.lanes):
-        i = w.node[side, b, c]
-        k = w.body[side, b, c]
-        j = w.sample[side, b, c]
-        p = tree.parent[at.o + i]
-        y = point_at(tree.along[j], tree.offset[j], x[b, p], q[b, p], x[b, i], q[b, i])
-        gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
+    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
+        i = w.contacts.node[side, b, c]
+        k = w.contacts.capsule[side, b, c]
+        j = w.contacts.sample[side, b, c]
+        p = tree.parent[me.o + i]
+        y = sample_point(tree, b, p, i, j, x, q)
+        gap = capsule_gap(y, tree.radius[j], w.capsules.x[b, k], w.capsules.q[b, k], touch.half[k], touch.radius[k])
         if gap.value < ZERO:
             out = out + normal_energy(-gap.value, tree.penalty[j])
-        if w.tau[side, b, c] > ZERO:
-            ys = surface_point(tree, w, b, p, i, j, w.lever[side, b, c], x[b, p], q[b, p], x[b, i], q[b, i])
-            u = slip(w.normal[side, b, c], ys, w.hold[side, b, c])
-            out = out + friction.energy(wp.length(u), tree.penalty[j], w.tau[side, b, c])
+        if w.contacts.friction_limit[side, b, c] > ZERO:
+            ys = surface_point(tree, w, b, p, i, j, w.contacts.lever[side, b, c], x, q)
+            u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor_world[side, b, c])
+            out = out + friction.energy(wp.length(u), tree.penalty[j], w.contacts.friction_limit[side, b, c])
     return out
 
 
 @wp.func
-def assemble(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real):
-    """Gradient, elastic part and whole, and the blocks of the elastic energy. How many samples slip."""
-    b = at.b
-    o = at.o
+def assemble(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real):
+    """The gradient, and the blocks of the elastic energy. Returns the number of slipping samples."""
+    b = me.b
+    o = me.o
     slipping = int(0)
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
         p = tree.parent[o + i]
-        s = strain(w.x[b, p], w.q[b, p], w.x[b, i], w.q[b, i], tree.frame[o + i], tree.length[o + i])
+        s = segment_strain(tree, b, o, p, i, w.nodes.x, w.nodes.q)
         f, mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
-        w.elastic[b, i] = six(f - tree.load[o + i], mc)
-        w.elastic_up[b, i] = six(-f, mp)
-        w.mid[b, i] = s.turn
-        w.stretch[b, i] = s.D
-        w.half_turn[b, i] = s.g
-        h = second(s, tree.kd[o + i], tree.kphi[o + i], geometric)
-        w.own[b, i] = h.child
-        w.own_up[b, i] = h.parent
-        w.mixed[b, i] = h.mixed
+        w.system.elastic_gradient[b, i] = spatial(f - tree.load[o + i], mc)
+        w.system.elastic_gradient_parent[b, i] = spatial(-f, mp)
+        w.segments.frame[b, i] = s.turn
+        w.segments.span[b, i] = s.D
+        w.segments.half_rotation[b, i] = s.g
+        h = hessian(s, tree.kd[o + i], tree.kphi[o + i], geometric)
+        w.system.elastic_block[b, i] = h.child
+        w.system.elastic_block_parent[b, i] = h.parent
+        w.system.elastic_coupling[b, i] = h.mixed
         on = vec6()
         up = vec6()
-        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
-            if w.on[side, b, c] == 1:
-                j = w.sample[side, b, c]
+        for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
+            if w.contacts.in_step[side, b, c] == 1:
+                j = w.contacts.sample[side, b, c]
                 al = tree.along[j]
-                fn = w.fn[b, c]
-                ft = w.ft[b, c]
-                up = up + (ONE - al) * six(fn + ft, wp.cross(w.arm_p[b, c], fn) + wp.cross(w.rub_p[b, c], ft))
-                on = on + al * six(fn + ft, wp.cross(w.arm_c[b, c], fn) + wp.cross(w.rub_c[b, c], ft))
-                if w.tau[side, b, c] > ZERO and tree.penalty[j] * wp.length(w.slid[b, c]) > w.tau[side, b, c]:
+                fn = w.contacts.normal_gradient[b, c]
+                ft = w.contacts.friction_gradient[b, c]
+                moment = wp.cross(w.contacts.arm_parent[b, c], fn) + wp.cross(w.contacts.surface_arm_parent[b, c], ft)
+                up = up + (ONE - al) * spatial(fn + ft, moment)
+                moment = wp.cross(w.contacts.arm_child[b, c], fn) + wp.cross(w.contacts.surface_arm_child[b, c], ft)
+                on = on + al * spatial(fn + ft, moment)
+                tau = w.contacts.friction_limit[side, b, c]
+                if tau > ZERO and tree.penalty[j] * wp.length(w.contacts.slip[b, c]) > tau:
                     slipping = slipping + 1
-        w.g_on[b, i] = on
-        w.g_up[b, i] = up
-    meet()
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        elastic = w.elastic[b, i]
-        g = w.g_on[b, i]
-        own = w.own[b, i]
+        w.system.contact_gradient_child[b, i] = on
+        w.system.contact_gradient_parent[b, i] = up
+    sync()
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        elastic = w.system.elastic_gradient[b, i]
+        g = w.system.contact_gradient_child[b, i]
+        own = w.system.elastic_block[b, i]
         kid = tree.child[o + i]
         while kid >= 0:
-            if w.active[b, kid] == 1:
-                elastic = elastic + w.elastic_up[b, kid]
-                g = g + w.g_up[b, kid]
-                own = own + w.own_up[b, kid]
+            if w.nodes.active[b, kid] == 1:
+                elastic = elastic + w.system.elastic_gradient_parent[b, kid]
+                g = g + w.system.contact_gradient_parent[b, kid]
+                own = own + w.system.elastic_block_parent[b, kid]
             kid = tree.next[o + kid]
-        w.elastic[b, i] = elastic
-        w.g[b, i] = elastic + g
-        w.own[b, i] = own
-    meet()
-    return count_all(slipping)
+        w.system.elastic_gradient[b, i] = elastic
+        w.system.gradient[b, i] = elastic + g
+        w.system.elastic_block[b, i] = own
+    sync()
+    return lane_count(slipping)
 
 
 @wp.func
-def harden(tree: Trees, touch: Touches, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
-    """Second derivatives of the contacts; all of the model is stale then. One that does not press stands in the way as
-    a plane with the penalty's stiffness; with ``coulomb`` the limit of friction follows the normal force."""
-    b = at.b
-    for a in range(1 + at.lane, count, at.lanes):
-        w.stale[b, w.order[b, a]] = 2
-    for c in range(at.lane, w.count[side, b], at.lanes):
-        i = w.node[side, b, c]
-        k = w.body[side, b, c]
-        j = w.sample[side, b, c]
-        p = tree.parent[at.o + i]
+def contact_hessians(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real,
+                     coulomb: int):
+    """Second derivatives of the contacts; marks the whole model as stale. An open contact is a plane with the penalty's
+    stiffness. With ``coulomb`` the friction limit follows the normal force."""
+    b = me.b
+    for a in range(1 + me.lane, count, me.lanes):
+        w.system.stale[b, w.nodes.order[b, a]] = Stale.CONTACTS
+    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
+        i = w.contacts.node[side, b, c]
+        k = w.contacts.capsule[side, b, c]
+        j = w.contacts.sample[side, b, c]
+        p = tree.parent[me.o + i]
         al = tree.along[j]
         kn = tree.penalty[j]
-        n = w.normal[side, b, c]
-        depth = w.depth[side, b, c]
-        tau = w.tau[side, b, c]
+        n = w.contacts.normal[side, b, c]
+        depth = w.contacts.depth[side, b, c]
+        tau = w.contacts.friction_limit[side, b, c]
         hn = kn * wp.outer(n, n)
         ht = mat33()
         hc = mat33()
         if depth > ZERO:
-            y = (ONE - al) * (w.x[b, p] + w.arm_p[b, c]) + al * (w.x[b, i] + w.arm_c[b, c])
-            gap = gap_of(y, tree.radius[j], w.cap_x[b, k], w.cap_q[b, k], touch.half[k], touch.radius[k])
+            arm_p = w.contacts.arm_parent[b, c]
+            y = (ONE - al) * (w.nodes.x[b, p] + arm_p) + al * (w.nodes.x[b, i] + w.contacts.arm_child[b, c])
+            gap = capsule_gap(y, tree.radius[j], w.capsules.x[b, k], w.capsules.q[b, k], touch.half[k], touch.radius[k])
             hn = normal_hessian(gap, kn, geometric)
             if tau > ZERO:
-                u = w.slid[b, c]
+                u = w.contacts.slip[b, c]
                 size = wp.length(u)
                 ht = friction_hessian(u, n, kn, tau)
                 if coulomb == 1 and kn * size > tau:
                     hc = (-touch.friction[b] * normal_stiffness(depth, kn) / size) * wp.outer(u, n)
-        w.hn[b, c] = hn
-        w.ht[b, c] = ht
-        w.hc[b, c] = hc
-    meet()
+        w.contacts.normal_hessian[b, c] = hn
+        w.contacts.friction_hessian[b, c] = ht
+        w.contacts.coulomb_hessian[b, c] = hc
+    sync()
 
 
 @wp.func
-def model(tree: Trees, w: Work, at: Here, count: int, side: int, geometric: real, coulomb: int):
-    """Blocks and right side of the step, where they are stale: the elastic part and the contacts that are on."""
-    b = at.b
-    o = at.o
-    # each of the four blocks of a segment by itself: segments with contacts are few, and lanes many
-    for item in range(4 + at.lane, 4 * count, at.lanes):
-        i = w.order[b, item / 4]
-        if w.stale[b, i] < 2 or w.many[b, i] == 0:
+def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geometric: real, coulomb: int):
+    """Blocks and right-hand side of the step where they are stale, from the elastic energy and the contacts that take
+    part."""
+    b = me.b
+    o = me.o
+    # one item for each of the four blocks of a segment: there are few segments with contacts and many lanes
+    for item in range(4 + me.lane, 4 * count, me.lanes):
+        i = w.nodes.order[b, item / 4]
+        if w.system.stale[b, i] < Stale.CONTACTS or w.segments.contact_count[b, i] == 0:
             continue
-        block = item % 4  # rows and columns: child child, parent parent, child parent, parent child
-        if block == 3 and coulomb == 0:
+        block = item % 4
+        if block == PARENT_CHILD and coulomb == 0:
             continue
         own = mat66()
-        if block == 2:
-            own = w.mixed[b, i]
-        if block == 3:
-            own = wp.transpose(w.mixed[b, i])
+        if block == CHILD_PARENT:
+            own = w.system.elastic_coupling[b, i]
+        if block == PARENT_CHILD:
+            own = wp.transpose(w.system.elastic_coupling[b, i])
         right = vec6()
-        for c in range(w.first[b, i], w.first[b, i] + w.many[b, i]):
-            if w.on[side, b, c] == 1:
-                al = tree.along[w.sample[side, b, c]]
-                fn = w.fn[b, c]
-                ft = w.ft[b, c]
+        for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
+            if w.contacts.in_step[side, b, c] == 1:
+                al = tree.along[w.contacts.sample[side, b, c]]
+                fn = w.contacts.normal_gradient[b, c]
+                ft = w.contacts.friction_gradient[b, c]
                 row = al
-                ra = w.arm_c[b, c]
-                rr = w.rub_c[b, c]
-                if block == 1 or block == 3:
+                ra = w.contacts.arm_child[b, c]
+                rr = w.contacts.surface_arm_child[b, c]
+                if block == PARENT or block == PARENT_CHILD:
                     row = ONE - al
-                    ra = w.arm_p[b, c]
-                    rr = w.rub_p[b, c]
+                    ra = w.contacts.arm_parent[b, c]
+                    rr = w.contacts.surface_arm_parent[b, c]
                 column = al
-                ca = w.arm_c[b, c]
-                cr = w.rub_c[b, c]
-                if block == 1 or block == 2:
+                ca = w.contacts.arm_child[b, c]
+                cr = w.contacts.surface_arm_child[b, c]
+                if block == PARENT or block == CHILD_PARENT:
                     column = ONE - al
-                    ca = w.arm_p[b, c]
-                    cr = w.rub_p[b, c]
-                own = plus_point(own, w.hn[b, c], ra, ca, row * column)
-                if w.tau[side, b, c] > ZERO:
-                    own = plus_point(own, w.ht[b, c], rr, cr, row * column)
+                    ca = w.contacts.arm_parent[b, c]
+                    cr = w.contacts.surface_arm_parent[b, c]
+                own = plus_point(own, w.contacts.normal_hessian[b, c], ra, ca, row * column)
+                if w.contacts.friction_limit[side, b, c] > ZERO:
+                    own = plus_point(own, w.contacts.friction_hessian[b, c], rr, cr, row * column)
                     if coulomb == 1:
-                        own = plus_point(own, w.hc[b, c], rr, ca, row * column)
-                if block < 2:
-                    right = right - row * six(fn + ft, wp.cross(ra, fn) + wp.cross(rr, ft))
-                    if geometric > ZERO and w.depth[side, b, c] > ZERO:
+                        own = plus_point(own, w.contacts.coulomb_hessian[b, c], rr, ca, row * column)
+                if block == CHILD or block == PARENT:
+                    right = right - row * spatial(fn + ft, wp.cross(ra, fn) + wp.cross(rr, ft))
+                    if geometric > ZERO and w.contacts.depth[side, b, c] > ZERO:
                         own = plus_spin(own, turn_hessian(fn, ra), row)
                         own = plus_spin(own, turn_hessian(ft, rr), row)
-        if block == 0:
-            w.diagonal_on[b, i] = own
-            w.right_on[b, i] = right
-        if block == 1:
-            w.diagonal_up[b, i] = own
-            w.right_up[b, i] = right
-        if block == 2:
-            w.coupling[b, i] = own
-        if block == 3:
-            w.across[b, i] = own
-    meet()
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        if w.stale[b, i] == 0:
+        if block == CHILD:
+            w.system.contact_block_child[b, i] = own
+            w.system.contact_rhs_child[b, i] = right
+        if block == PARENT:
+            w.system.contact_block_parent[b, i] = own
+            w.system.contact_rhs_parent[b, i] = right
+        if block == CHILD_PARENT:
+            w.system.child_parent[b, i] = own
+        if block == PARENT_CHILD:
+            w.system.parent_child[b, i] = own
+    sync()
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        if w.system.stale[b, i] == Stale.NO:
             continue
-        diagonal = w.own[b, i]
-        right = -w.elastic[b, i]
-        if w.many[b, i] > 0:
-            diagonal = diagonal + w.diagonal_on[b, i]
-            right = right + w.right_on[b, i]
-        elif w.stale[b, i] == 2:
-            w.coupling[b, i] = w.mixed[b, i]
+        diagonal = w.system.elastic_block[b, i]
+        right = -w.system.elastic_gradient[b, i]
+        if w.segments.contact_count[b, i] > 0:
+            diagonal = diagonal + w.system.contact_block_child[b, i]
+            right = right + w.system.contact_rhs_child[b, i]
+        elif w.system.stale[b, i] == Stale.CONTACTS:
+            w.system.child_parent[b, i] = w.system.elastic_coupling[b, i]
             if coulomb == 1:
-                w.across[b, i] = wp.transpose(w.mixed[b, i])
+                w.system.parent_child[b, i] = wp.transpose(w.system.elastic_coupling[b, i])
         kid = tree.child[o + i]
         while kid >= 0:
-            if w.active[b, kid] == 1 and w.many[b, kid] > 0:
-                diagonal = diagonal + w.diagonal_up[b, kid]
-                right = right + w.right_up[b, kid]
+            if w.nodes.active[b, kid] == 1 and w.segments.contact_count[b, kid] > 0:
+                diagonal = diagonal + w.system.contact_block_parent[b, kid]
+                right = right + w.system.contact_rhs_parent[b, kid]
             kid = tree.next[o + kid]
-        w.diagonal[b, i] = diagonal
-        w.right[b, i] = right
-    meet()
+        w.system.diagonal[b, i] = diagonal
+        w.system.rhs[b, i] = right
+    sync()
 
 
 @wp.func
-def foresee(tree: Trees, w: Work, at: Here, tall: int, count: int, side: int):
-    """Sets on what the step would press, off what it would leave, and marks what of the model is stale then. How many
-    contacts changed."""
-    b = at.b
+def predict_contacts(tree: Trees, w: Work, me: Thread, levels: int, count: int, side: int):
+    """Predicts from the step which contacts will press, takes these into the model of the step, and marks what of it is
+    stale then. Returns the number of contacts that changed."""
+    b = me.b
     changed = int(0)
-    for a in range(1 + at.lane, count, at.lanes):
-        w.stale[b, w.order[b, a]] = 0
-    meet()
-    for c in range(at.lane, w.count[side, b], at.lanes):
-        i = w.node[side, b, c]
-        sp = w.step[b, tree.parent[at.o + i]]
-        sc = w.step[b, i]
-        al = tree.along[w.sample[side, b, c]]
-        way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.arm_p[b, c]))
-        way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.arm_c[b, c]))
+    for a in range(1 + me.lane, count, me.lanes):
+        w.system.stale[b, w.nodes.order[b, a]] = Stale.NO
+    sync()
+    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
+        i = w.contacts.node[side, b, c]
+        sp = w.system.step[b, tree.parent[me.o + i]]
+        sc = w.system.step[b, i]
+        al = tree.along[w.contacts.sample[side, b, c]]
+        way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.contacts.arm_parent[b, c]))
+        way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.contacts.arm_child[b, c]))
         on = int(0)
-        if w.depth[side, b, c] - wp.dot(w.normal[side, b, c], way) > ZERO:
+        if w.contacts.depth[side, b, c] - wp.dot(w.contacts.normal[side, b, c], way) > ZERO:
             on = 1
-        if on != w.on[side, b, c]:
-            w.on[side, b, c] = on
-            w.stale[b, i] = 2
+        if on != w.contacts.in_step[side, b, c]:
+            w.contacts.in_step[side, b, c] = on
+            w.system.stale[b, i] = Stale.CONTACTS
             changed = changed + 1
-    meet()
-    changed = count_all(changed)
+    sync()
+    changed = lane_count(changed)
     if changed > 0:
-        for back in range(1, tall):
-            d = tall - back
-            for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
-                i = w.order[b, a]
-                stale = w.stale[b, i]
-                kid = tree.child[at.o + i]
+        for back in range(1, levels):
+            d = levels - back
+            for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
+                i = w.nodes.order[b, a]
+                stale = w.system.stale[b, i]
+                kid = tree.child[me.o + i]
                 while kid >= 0:
-                    if w.active[b, kid] == 1 and w.stale[b, kid] > 0:
-                        stale = wp.max(stale, 1)
-                    kid = tree.next[at.o + kid]
-                w.stale[b, i] = stale
-            meet()
+                    if w.nodes.active[b, kid] == 1 and w.system.stale[b, kid] > Stale.NO:
+                        stale = wp.max(stale, Stale.BELOW)
+                    kid = tree.next[me.o + kid]
+                w.system.stale[b, i] = stale
+            sync()
     return changed
 
 
 @wp.func
-def unbalanced(tree: Trees, w: Work, at: Here, count: int):
-    """Sum of the lengths of the unbalanced forces, moments over the segment's length counted as forces [N]."""
+def unbalanced_force(tree: Trees, w: Work, me: Thread, count: int):
+    """Sum of the norms of the unbalanced forces, and of the moments over the length of the segment [N]."""
     out = ZERO
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[at.b, a]
-        g = w.g[at.b, i]
-        out = out + wp.length(wp.spatial_top(g)) + wp.length(wp.spatial_bottom(g)) / tree.length[at.o + i]
-    return total(out)
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[me.b, a]
+        g = w.system.gradient[me.b, i]
+        out = out + wp.length(wp.spatial_top(g)) + wp.length(wp.spatial_bottom(g)) / tree.length[me.o + i]
+    return lane_sum(out)

@@ -1,22 +1,23 @@
-"""Newton's step of a tree: elimination of 6 x 6 blocks from the tips to the root and back, which costs as many blocks
-as there are nodes.
+"""Solution of the Newton system of a tree: block elimination from the tips to the root, then back substitution. The
+cost is linear in the number of nodes.
 
-Level by level; the seven columns of a node, six of its coupling with the parent and the right side, are worked on by a
-lane each, which all eliminate the node's block for themselves. The loops over a block are plain C++, which the
-compilers unroll: on a GPU a block then stays in registers.
+The elimination goes level by level. A node has seven columns, six of its coupling with the parent and the right-hand
+side. Each lane eliminates the whole diagonal block and solves for one column. The loops over a block are plain C++,
+which the compilers unroll: on a GPU a block then stays in registers.
 """
 
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.lanes import count_all, meet
+from vsfsim.physics.rods.kernels.lanes import lane_count, sync
 from vsfsim.physics.rods.kernels.segment import mat66
-from vsfsim.physics.rods.state import Here, Trees, Work
+from vsfsim.physics.rods.problem import Trees
+from vsfsim.physics.rods.workspace import Stale, Thread, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
 vec6 = wp.spatial_vectord
-COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
+COLUMNS = wp.constant(8)  # lanes of a node, one of which is idle
 
 
 @wp.func_native(snippet="""
@@ -30,7 +31,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
                 d[r][c] = block.data[r][c];
         }
     }
-    // what the children leave: A (Y, t), with A the coupling towards the child
+    // subtract the children's A (Y, t), where A couples to the child and (Y, t) is what their elimination gave
     for (int kid = *wp::address(child, o + i); kid >= 0; kid = *wp::address(next, o + kid)) {
         if (*wp::address(active, b, kid) == 0)
             continue;
@@ -56,7 +57,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
                 }
         }
     }
-    // the columns of this lane: all seven of one thread, or one; the right side is the seventh
+    // the columns of this lane: one, or all seven with a single lane; the right-hand side is the seventh
     auto& pair = *wp::address(coupling, b, i);
 #if defined(__CUDA_ARCH__) || WP_TILE_BLOCK_DIM > 1
     const int wide = 1;
@@ -77,7 +78,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
         own[k] = ::fabs(d[k][k]);
     for (int k = 0; k < 6; ++k) {
         if (symmetric) {
-            // the pivots are the squares of those of Cholesky's factor
+            // the pivots are the squares of those of the Cholesky factor
             if (!(d[k][k] > 1e-13 * own[k])) {
                 fine = 0;
                 d[k][k] = 1.0;
@@ -94,7 +95,7 @@ COLUMNS = wp.constant(8)  # lanes of a node, the last of which idles
                 fine = 0;
                 d[k][k] = 1.0;
             }
-            for (int m = k + 1; m < 6; ++m)  // rows by constant numbers, so that the block stays in registers
+            for (int m = k + 1; m < 6; ++m)  // constant row numbers keep the block in registers
                 if (m == best) {
                     for (int c = k; c < 6; ++c) {
                         const double swap = d[k][c];
@@ -147,8 +148,13 @@ def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), a
               diagonal: wp.array2d(dtype=mat66), coupling: wp.array2d(dtype=mat66),
               across: wp.array2d(dtype=mat66), right: wp.array2d(dtype=vec6), passed: wp.array2d(dtype=mat66),
               held: wp.array2d(dtype=vec6), b: int, o: int, i: int, column: int, symmetric: int) -> int:
-    """Node ``i`` after its children: the inverse of its block on the column. 1, or 0 where the block is not positive
-    definite; if it is not ``symmetric``, rows are exchanged for the largest pivot, and 0 says that one is lost."""
+    """Eliminates node ``i``, whose children are eliminated already: applies the inverse of its block to the column.
+
+    A symmetric system is solved without pivoting, an unsymmetric one with row pivoting.
+
+    Returns:
+        1, or 0 where the symmetric block is not positive definite or the unsymmetric one is singular.
+    """
     ...
 
 
@@ -166,42 +172,48 @@ def eliminate(child: wp.array(dtype=wp.int32), next: wp.array(dtype=wp.int32), a
 """)
 def substitute(passed: wp.array2d(dtype=mat66), held: wp.array2d(dtype=vec6), step: wp.array2d(dtype=vec6), b: int,
                p: int, i: int):
-    """The step of node ``i`` after that of its parent ``p``."""
+    """The step of node ``i`` from that of its parent ``p``."""
     ...
 
 
 @wp.func
-def solve(tree: Trees, w: Work, at: Here, tall: int, coulomb: int):
-    """The step of all active nodes into ``w.step``; nodes that are not stale keep what elimination left of them before.
-    1, or 0 where the tangent is not positive definite, or with ``coulomb`` a pivot is lost."""
-    b = at.b
+def solve(tree: Trees, w: Work, me: Thread, levels: int, coulomb: int):
+    """Solves for the step of all active nodes; nodes that are not stale keep their last elimination.
+
+    Returns:
+        1, or 0 where the tangent is not positive definite, or with ``coulomb`` (the unsymmetric system) singular.
+    """
+    b = me.b
     column = int(0)
     begin = int(0)
     by = int(1)
-    if at.lanes > 1:
-        column = at.lane % COLUMNS
-        begin = at.lane / COLUMNS
-        by = at.lanes / COLUMNS
+    if me.lanes > 1:
+        column = me.lane % COLUMNS
+        begin = me.lane / COLUMNS
+        by = me.lanes / COLUMNS
     lost = int(0)
-    for back in range(1, tall):
-        d = tall - back
+    for back in range(1, levels):
+        d = levels - back
         if column < COLUMNS - 1:
-            for a in range(w.level[b, d] + begin, w.level[b, d + 1], by):
-                i = w.order[b, a]
-                if w.stale[b, i] == 0:
+            for a in range(w.nodes.level[b, d] + begin, w.nodes.level[b, d + 1], by):
+                i = w.nodes.order[b, a]
+                if w.system.stale[b, i] == Stale.NO:
                     continue
-                if eliminate(tree.child, tree.next, w.active, w.diagonal, w.coupling, w.across, w.right, w.passed,
-                             w.held, b, at.o, i, column, 1 - coulomb) == 0:
+                fine = eliminate(tree.child, tree.next, w.nodes.active, w.system.diagonal, w.system.child_parent,
+                                 w.system.parent_child, w.system.rhs, w.system.eliminated_coupling,
+                                 w.system.eliminated_rhs, b, me.o, i, column, 1 - coulomb)
+                if fine == 0:
                     lost = lost + 1
-        meet()
-    if count_all(lost) > 0:
+        sync()
+    if lane_count(lost) > 0:
         return 0
-    if at.lane == 0:
-        w.step[b, 0] = vec6()
-    meet()
-    for d in range(1, tall):
-        for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
-            i = w.order[b, a]
-            substitute(w.passed, w.held, w.step, b, tree.parent[at.o + i], i)
-        meet()
+    if me.lane == 0:
+        w.system.step[b, 0] = vec6()
+    sync()
+    for d in range(1, levels):
+        for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
+            i = w.nodes.order[b, a]
+            p = tree.parent[me.o + i]
+            substitute(w.system.eliminated_coupling, w.system.eliminated_rhs, w.system.step, b, p, i)
+        sync()
     return 1

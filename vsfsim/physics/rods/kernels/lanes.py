@@ -1,10 +1,9 @@
-"""The lanes that one touch is worked on by: the 32 threads of a GPU's warp, or one thread of a CPU.
+"""The lanes of a touch: the 32 threads of a warp on a GPU, or one thread on a CPU.
 
-All lanes of a touch run through the same code; a loop over nodes or contacts is shared out, lane k takes every 32nd
-from k on, and `meet` stands between what is written and what other lanes read.
-A decision is taken on numbers that all lanes have alike, so none of them ever waits alone. Sums over lanes have a fixed
-order: the same bits on every run.
-A block is one touch, so Warp's barrier of a block is all that is needed; with one lane everything here is nothing.
+All lanes of a touch execute the same code. Loops over nodes or contacts are distributed: lane k takes every 32nd item
+from k on, and `sync` separates writes from reads by other lanes. Branches depend only on values that all lanes share,
+so no lane waits alone at a barrier. Reductions over the lanes have a fixed order, so every run gives the same bits.
+A thread block holds one touch, so Warp's barrier of a block suffices; with one lane all functions here are trivial.
 """
 
 import warp as wp
@@ -23,14 +22,13 @@ LANES = 32  # of a touch on a GPU
     WP_TILE_SYNC();
 #endif
 """)
-def meet():
-    """What any lane wrote before, all lanes see after."""
+def sync():
+    """Barrier: what a lane wrote before it, all lanes read after it."""
     ...
 
 
 def _folded(kind: str, join: str) -> str:
-    """A number of every lane joined in a butterfly; on a CPU with more than one lane (tests) through a box that they
-    share."""
+    """Source of a butterfly reduction over the lanes; with several lanes on a CPU (tests) it uses a shared array."""
     return f"""
     {kind} v = x;
 #if defined(__CUDA_ARCH__)
@@ -54,19 +52,19 @@ def _folded(kind: str, join: str) -> str:
 
 
 @wp.func_native(snippet=_folded("double", "v + u"))
-def total(x: wp.float64) -> wp.float64:
+def lane_sum(x: wp.float64) -> wp.float64:
     """Sum over the lanes."""
     ...
 
 
 @wp.func_native(snippet=_folded("double", "v > u || u != u ? v : u"))
-def most(x: wp.float64) -> wp.float64:
-    """Largest of the lanes' numbers; what is no number is left out, so that all lanes have the same."""
+def lane_max(x: wp.float64) -> wp.float64:
+    """Maximum over the lanes. NaN is ignored, so that all lanes get the same value."""
     ...
 
 
 @wp.func_native(snippet=_folded("int", "v + u"))
-def count_all(x: wp.int32) -> wp.int32:
+def lane_count(x: wp.int32) -> wp.int32:
     """Sum over the lanes."""
     ...
 
@@ -93,8 +91,8 @@ def count_all(x: wp.int32) -> wp.int32:
 #endif
     return v;
 """)
-def ahead(x: wp.int32) -> wp.int32:
-    """Sum over the lanes before this one."""
+def lanes_before(x: wp.int32) -> wp.int32:
+    """Sum over the lanes before this one (exclusive prefix sum)."""
     ...
 
 
@@ -111,7 +109,9 @@ def ahead(x: wp.int32) -> wp.int32:
     return 0;
 #endif
 """)
-def late(clock: wp.array(dtype=wp.uint64), span: wp.int64) -> wp.int32:
-    """1 once ``span`` [ns] have gone since the launch first asked; ``clock`` (1,) is 0 before it. On a CPU, and without
-    a span, never: there the iterations are counted. It decides where a launch stops, no bit depends on it."""
+def time_is_up(clock: wp.array(dtype=wp.uint64), span: wp.int64) -> wp.int32:
+    """1 when ``span`` [ns] have passed since the first call of the launch, for which ``clock`` (1,) must be 0.
+
+    On a CPU, and for a span of 0, the answer is always 0: the host limits the iterations there. The answer only decides
+    where a launch stops; the results do not depend on it."""
     ...

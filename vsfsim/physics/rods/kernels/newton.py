@@ -3,32 +3,43 @@
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.assembly import assemble, contact_energy, foresee, harden, model, renew, unbalanced
+from vsfsim.physics.rods.kernels.assembly import (
+    assemble,
+    assemble_step,
+    contact_energy,
+    contact_hessians,
+    predict_contacts,
+    unbalanced_force,
+    update_contacts,
+)
+from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, list_contacts
 from vsfsim.physics.rods.kernels.elimination import solve
-from vsfsim.physics.rods.kernels.lanes import meet, most, total
-from vsfsim.physics.rods.kernels.search import activate, gather, ride
-from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, energy, quat, real, six, strain, vec3
-from vsfsim.physics.rods.state import Here, Touches, Trees, Work
+from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, energy, quat, real, spatial, strain, vec3
+from vsfsim.physics.rods.problem import Touches, Trees
+from vsfsim.physics.rods.workspace import Thread, Work
+from vsfsim.physics.solve.frames import Reason
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARGIN = wp.constant(wp.float64(0.006))  # how near a sample must be to be listed [m]
-# longest way in one iteration, of the room that a node has: its distance from the capsules, `MARGIN` at least, which is
-# under half of the thinnest
+MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a sample is listed as a contact [m]
+# Longest displacement in one iteration over the clearance of the node, its distance from the capsules. The clearance
+# counts as `MARGIN` at least, which is less than half the thickness of the thinnest capsule.
 MOVE = wp.constant(wp.float64(0.85))
-TURN = wp.constant(wp.float64(0.5))  # and its largest turn [rad]
-BEND = wp.constant(wp.float64(0.3))  # the most that one segment bends in an iteration [rad]
-HALVINGS = wp.constant(12)
-# least share by which a step that no potential vouches for must shrink the unbalanced force, at its full length
+TURN = wp.constant(wp.float64(0.5))  # largest rotation of a node in one iteration [rad]
+BEND = wp.constant(wp.float64(0.3))  # largest bending of one segment in one iteration [rad]
+NO_BEND_LIMIT = wp.constant(wp.float64(10.0))  # more than a segment can bend [rad]
+HALVINGS = wp.constant(12)  # of the length of a step in the line search
+# Sufficient decrease of the residual norm, at full length, of steps with the unsymmetric tangent of Coulomb friction
+# (no potential exists there).
 SHRINK = wp.constant(wp.float64(0.25))
-TRIES = wp.constant(3)  # lengths that such a step is tried at
-CAREFUL = wp.constant(2)  # steps down the potential after one that was taken back
-OK, ITERATIONS, STALLED, NOT_FINITE, PATCH = (wp.constant(k) for k in (0, 1, 3, 4, 5))  # frames.Reason
-SETS = wp.constant(6)  # how often the contacts of a step are chosen anew
+TRIES = wp.constant(3)  # lengths at which such a step is tried
+CAREFUL = wp.constant(2)  # steps with the symmetric tangent after an unsymmetric one was rejected
+SETS = wp.constant(6)  # how often the set of contacts of a step is predicted again
 
 
 @wp.func
-def turned(q: quat, spin: vec3):
+def rotated(q: quat, spin: vec3):
     """exp(spin) q."""
     angle = wp.length(spin)
     half = HALF * angle
@@ -39,162 +50,172 @@ def turned(q: quat, spin: vec3):
 
 
 @wp.func
-def rates(tree: Trees, w: Work, at: Here, count: int):
-    """D' and the relative spin of each segment along the step, see `segment`. The largest spin over a segment [rad]."""
-    b = at.b
+def span_rates(tree: Trees, w: Work, me: Thread, count: int):
+    """Sets D' and the relative spin of each segment along the step, see `segment`. Returns the largest relative spin
+    [rad]."""
+    b = me.b
     largest = ZERO
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        s = w.step[b, i]
-        up = w.step[b, tree.parent[at.o + i]]
-        mid = w.mid[b, i]
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        s = w.system.step[b, i]
+        up = w.system.step[b, tree.parent[me.o + i]]
+        mid = w.segments.frame[b, i]
         on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
         on_c = wp.quat_rotate_inv(mid, wp.spatial_bottom(s))
-        spin = HALF * (on_p + on_c) - HALF * wp.cross(w.half_turn[b, i], on_c - on_p)
-        w.rate[b, i] = wp.quat_rotate_inv(mid, wp.spatial_top(s) - wp.spatial_top(up)) - wp.cross(spin, w.stretch[b, i])
+        spin = HALF * (on_p + on_c) - HALF * wp.cross(w.segments.half_rotation[b, i], on_c - on_p)
+        apart = wp.quat_rotate_inv(mid, wp.spatial_top(s) - wp.spatial_top(up))
+        w.segments.span_rate[b, i] = apart - wp.cross(spin, w.segments.span[b, i])
         relative = wp.spatial_bottom(s) - wp.spatial_bottom(up)
-        w.relative[b, i] = relative
+        w.segments.relative_spin[b, i] = relative
         largest = wp.max(largest, wp.length(relative))
-    meet()
-    return most(largest)
+    sync()
+    return lane_max(largest)
 
 
 @wp.func
-def soften(tree: Trees, w: Work, at: Here, tall: int, bend: real):
-    """A segment that would bend further than ``bend`` [rad] bends that far, and what is above it goes with it: soft
-    leaves shall not hold up the branch that they hang on. The step is changed."""
-    b = at.b
-    for d in range(1, tall):
-        for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
-            i = w.order[b, a]
-            up = w.step[b, tree.parent[at.o + i]]
-            mid = w.mid[b, i]
+def limit_bending(tree: Trees, w: Work, me: Thread, levels: int, bend: real):
+    """Limits the bending of each segment in the step to ``bend`` [rad]; the tree beyond it moves along. So soft leaves
+    do not shorten the step of the branch that carries them."""
+    b = me.b
+    for d in range(1, levels):
+        for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
+            i = w.nodes.order[b, a]
+            up = w.system.step[b, tree.parent[me.o + i]]
+            mid = w.segments.frame[b, i]
             on_p = wp.quat_rotate_inv(mid, wp.spatial_bottom(up))
-            e = wp.quat_rotate_inv(mid, w.relative[b, i])
-            rate = w.rate[b, i]
+            e = wp.quat_rotate_inv(mid, w.segments.relative_spin[b, i])
+            rate = w.segments.span_rate[b, i]
             size = wp.length(e)
             if size > bend:
                 e = (bend / size) * e
                 rate = (bend / size) * rate
-            spin = on_p + HALF * e - HALF * wp.cross(w.half_turn[b, i], e)
-            w.rate[b, i] = rate
-            w.step[b, i] = six(wp.spatial_top(up) + wp.quat_rotate(mid, rate + wp.cross(spin, w.stretch[b, i])),
-                               wp.quat_rotate(mid, on_p + e))
-        meet()
+            spin = on_p + HALF * e - HALF * wp.cross(w.segments.half_rotation[b, i], e)
+            w.segments.span_rate[b, i] = rate
+            apart = wp.quat_rotate(mid, rate + wp.cross(spin, w.segments.span[b, i]))
+            w.system.step[b, i] = spatial(wp.spatial_top(up) + apart, wp.quat_rotate(mid, on_p + e))
+        sync()
 
 
 @wp.func
-def extent(w: Work, at: Here, count: int):
-    """Slope of the potential along the step [J], the longest way of a node or its riders over the room that they have
-    [-], the largest turn [rad]."""
-    b = at.b
+def step_extent(w: Work, me: Thread, count: int):
+    """Slope of the potential along the step [J], the largest displacement of a node, or of what it carries, over its
+    clearance [-], and the largest rotation [rad]."""
+    b = me.b
     slope = ZERO
     way = ZERO
     turn = ZERO
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        s = w.step[b, i]
-        slope = slope + wp.dot(w.g[b, i], s)
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        s = w.system.step[b, i]
+        slope = slope + wp.dot(w.system.gradient[b, i], s)
         angle = wp.length(wp.spatial_bottom(s))
         turn = wp.max(turn, angle)
-        way = wp.max(way, (wp.length(wp.spatial_top(s)) + angle * w.rider[b, i]) / wp.max(MARGIN, w.room[b, i]))
-    return total(slope), most(way), most(turn)
+        farthest = wp.length(wp.spatial_top(s)) + angle * w.nodes.unloaded_reach[b, i]
+        way = wp.max(way, farthest / wp.max(MARGIN, w.nodes.node_clearance[b, i]))
+    return lane_sum(slope), lane_max(way), lane_max(turn)
 
 
 @wp.func
-def attempt(tree: Trees, w: Work, at: Here, count: int, tall: int, alpha: real, weighs: int):
-    """The trial state at ``alpha`` of the step, and this lane's share of its elastic energy less the work of the loads
-    [J].
+def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real, weighs: int):
+    """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy less the work of the
+    loads [J].
 
-    Nodes turn by their spins, each segment's D goes a part of its D', and positions follow from the root: a slender
-    segment is then not stretched by turning, as it would be if positions went straight. The path has the step as its
-    tangent, which is all that a line search needs.
+    Nodes turn by ``alpha`` times their spins, the D of a segment changes by ``alpha`` D', and positions follow from the
+    root. So a rotation does not stretch a slender segment, as it would if positions moved along straight lines. The
+    path has the step as its tangent, which is all that a line search needs.
     """
-    b = at.b
-    o = at.o
+    b = me.b
+    o = me.o
     out = ZERO
-    if at.lane == 0:
-        w.x_try[b, 0] = w.x[b, 0]
-        w.q_try[b, 0] = w.q[b, 0]
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        w.q_try[b, i] = turned(w.q[b, i], alpha * wp.spatial_bottom(w.step[b, i]))
-    meet()
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[b, a]
-        there = w.stretch[b, i] + alpha * w.rate[b, i]
-        s = strain(vec3(), w.q_try[b, tree.parent[o + i]], vec3(), w.q_try[b, i], tree.frame[o + i], ZERO)
-        w.x_try[b, i] = wp.quat_rotate(s.turn, there)
-        s.d = there - vec3(tree.length[o + i], ZERO, ZERO)
+    if me.lane == 0:
+        w.nodes.x_trial[b, 0] = w.nodes.x[b, 0]
+        w.nodes.q_trial[b, 0] = w.nodes.q[b, 0]
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        w.nodes.q_trial[b, i] = rotated(w.nodes.q[b, i], alpha * wp.spatial_bottom(w.system.step[b, i]))
+    sync()
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[b, a]
+        span = w.segments.span[b, i] + alpha * w.segments.span_rate[b, i]
+        qp = w.nodes.q_trial[b, tree.parent[o + i]]
+        s = strain(vec3(), qp, vec3(), w.nodes.q_trial[b, i], tree.frame[o + i], ZERO)
+        w.nodes.x_trial[b, i] = wp.quat_rotate(s.turn, span)
+        s.d = span - vec3(tree.length[o + i], ZERO, ZERO)
         out = out + energy(s, tree.kd[o + i], tree.kphi[o + i])
-    meet()
-    for d in range(1, tall):
-        for a in range(w.level[b, d] + at.lane, w.level[b, d + 1], at.lanes):
-            i = w.order[b, a]
-            w.x_try[b, i] = w.x_try[b, i] + w.x_try[b, tree.parent[o + i]]
-        meet()
+    sync()
+    for d in range(1, levels):
+        for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):
+            i = w.nodes.order[b, a]
+            w.nodes.x_trial[b, i] = w.nodes.x_trial[b, i] + w.nodes.x_trial[b, tree.parent[o + i]]
+        sync()
     if weighs == 1:
-        for a in range(1 + at.lane, count, at.lanes):
-            i = w.order[b, a]
-            out = out - wp.dot(tree.load[o + i], w.x_try[b, i] - tree.rest[o + i])
+        for a in range(1 + me.lane, count, me.lanes):
+            i = w.nodes.order[b, a]
+            out = out - wp.dot(tree.load[o + i], w.nodes.x_trial[b, i] - tree.rest[o + i])
     return out
 
 
 @wp.func
-def copy_state(w: Work, at: Here, count: int, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat),
+def copy_active(w: Work, me: Thread, count: int, x_in: wp.array2d(dtype=vec3), q_in: wp.array2d(dtype=quat),
                x_out: wp.array2d(dtype=vec3), q_out: wp.array2d(dtype=quat)):
-    """Active nodes of one state to another: the trial that is taken, the state to come back to, and the way back."""
-    for a in range(1 + at.lane, count, at.lanes):
-        i = w.order[at.b, a]
-        x_out[at.b, i] = x_in[at.b, i]
-        q_out[at.b, i] = q_in[at.b, i]
-    meet()
+    """Copies the state of the active nodes."""
+    for a in range(1 + me.lane, count, me.lanes):
+        i = w.nodes.order[me.b, a]
+        x_out[me.b, i] = x_in[me.b, i]
+        q_out[me.b, i] = q_in[me.b, i]
+    sync()
 
 
 @wp.func
-def step(tree: Trees, touch: Touches, w: Work, at: Here, count: int, tall: int, side: int, geometric: real,
-         coulomb: int, sets: int):
-    """Newton's step with the contacts that it needs itself: their set is chosen anew until it stays, ``sets`` times at
-    most. 1, or 0 where there is none."""
+def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, levels: int, side: int, geometric: real,
+                coulomb: int, sets: int):
+    """Newton's step with the contacts that it closes itself: their set is predicted until it no longer changes, at most
+    ``sets`` times. Returns 1, or 0 if the system is singular or not positive definite."""
     fine = int(0)
-    harden(tree, touch, w, at, count, side, geometric, coulomb)
+    contact_hessians(tree, touch, w, me, count, side, geometric, coulomb)
     for _pick in range(sets):
-        model(tree, w, at, count, side, geometric, coulomb)
-        fine = solve(tree, w, at, tall, coulomb)
+        assemble_step(tree, w, me, count, side, geometric, coulomb)
+        fine = solve(tree, w, me, levels, coulomb)
         if fine == 0 or sets == 1:
             break
-        if foresee(tree, w, at, tall, count, side) == 0:
+        if predict_contacts(tree, w, me, levels, count, side) == 0:
             break
     return fine
 
 
 @wp.func
-def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, weighs: int, load: real):
-    """From the present state to the equilibrium with the capsules where they are. Reason (0: found), iterations,
-    residual, active nodes.
+def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int, weighs: int, load: real):
+    """From the present state to the equilibrium with the capsules at their present poses.
 
-    Each large function is called in one place only, and a step that failed comes round again by another turn of the
-    loop: CUDA's compiler takes in what is called, once for each place.
+    Each large function is called in one place only, and a failed step is repeated by another turn of the loop: CUDA's
+    compiler inlines a function at every call.
+
+    Args:
+        old, new: contact lists of the last stride and of this one. weighs: whether the plants have weight. load: sum of
+        the weights [N].
+
+    Returns:
+        `frames.Reason`, Newton iterations, residual [-], number of active nodes.
     """
-    b = at.b
+    b = me.b
     count = int(0)
-    tall = int(0)
-    moved = real(2.0)  # so that the lists are made at once
+    levels = int(0)
+    moved = real(2.0)  # displacement since the last contact search over the clearance; > 1 makes the lists now
     listed = int(0)
-    reason = int(ITERATIONS)
+    reason = int(Reason.ITERATIONS)
     used = int(0)
     residual = ZERO
     small = int(0)
-    plain = int(0)  # steps down the potential that are still owed
-    tried = int(0)
+    plain = int(0)  # steps with the symmetric tangent that remain to be made
+    tried = int(0)  # lengths at which the present unsymmetric step was tried
     before = ZERO
     again = int(0)
     part = ONE
     way = ZERO
     spent = int(0)
-    same = int(0)  # 1: the state is the one before, and the step is sought in another way
+    same = int(0)  # 1: the state is that of the iteration before, and the step is computed in another way
     geometric = ONE
-    pressing = int(0)  # 1: with the contacts that press now
+    pressing = int(0)  # 1: only the contacts that press now take part
     rest = ZERO
     slope = ZERO
     turn = ZERO
@@ -205,29 +226,29 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
         if same == 0:
             turns = turns + 1
         if moved > ONE and tried == 0:
-            ride(tree, w, at)
-            listed = gather(tree, touch, w, at, MARGIN, old, new)
+            carry_unloaded(tree, w, me)
+            listed = list_contacts(tree, touch, w, me, MARGIN, old, new)
             if listed < 0:
-                reason = PATCH
+                reason = Reason.PATCH
                 break
-            count, tall = activate(tree, w, at, weighs)
+            count, levels = activate_nodes(tree, w, me, weighs)
             moved = ZERO
             if count == 1:
-                reason = OK
+                reason = Reason.NONE
                 break
-        force = renew(tree, touch, w, at, new) + load
-        slips = assemble(tree, touch, w, at, count, new, geometric)
-        leap = int(0)  # 1: the step is taken at `part` of its length, no potential decides
+        force = update_contacts(tree, touch, w, me, new) + load
+        slips = assemble(tree, touch, w, me, count, new, geometric)
+        leap = int(0)  # 1: the step is taken at `part` of its length, without a line search
         if again == 1:
-            # back where the step was made: it is tried once more, shorter
+            # the state is that of the step again, which is tried at a smaller length
             again = 0
             leap = 1
         else:
-            rest = unbalanced(tree, w, at, count)
+            rest = unbalanced_force(tree, w, me, count)
             if tried > 0 and not rest < (ONE - SHRINK * part) * before:
-                # no potential vouches for the step with friction that follows the normal force, so the unbalanced force
-                # must shrink; else back, and at last down the potential
-                copy_state(w, at, count, w.x_keep, w.q_keep, w.x, w.q)
+                # The residual norm has not decreased enough: return to the state before, try a smaller length, and
+                # finally the symmetric tangent.
+                copy_active(w, me, count, w.nodes.x_saved, w.nodes.q_saved, w.nodes.x, w.nodes.q)
                 if tried < TRIES:
                     tried = tried + 1
                     part = real(0.35) * part
@@ -239,12 +260,12 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
             if tried > 0:
                 moved = moved + part * way
             tried = 0
-            residual = rest / wp.max(wp.max(force, touch.faint), tree.floor[touch.plant[b]] / touch.tolerance)
+            residual = rest / wp.max(wp.max(force, touch.force_floor), tree.floor[touch.plant[b]] / touch.tolerance)
             if not wp.isfinite(rest):
-                reason = NOT_FINITE
+                reason = Reason.NOT_FINITE
                 break
             if residual <= touch.tolerance:
-                reason = OK
+                reason = Reason.NONE
                 break
             if same == 0:
                 used = used + 1
@@ -254,17 +275,17 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
             bend = BEND
             if pressing == 1:
                 sets = 1
-                bend = real(10.0)
+                bend = NO_BEND_LIMIT
             elif slips > 0 and plain == 0:
                 coulomb = 1
-                bend = real(10.0)
+                bend = NO_BEND_LIMIT
             elif small > 0:
                 sets = 1
-            fine = step(tree, touch, w, at, count, tall, new, geometric, coulomb, sets)
+            fine = newton_step(tree, touch, w, me, count, levels, new, geometric, coulomb, sets)
             if fine == 1:
-                if rates(tree, w, at, count) > bend:
-                    soften(tree, w, at, tall, bend)
-                slope, way, turn = extent(w, at, count)
+                if span_rates(tree, w, me, count) > bend:
+                    limit_bending(tree, w, me, levels, bend)
+                slope, way, turn = step_extent(w, me, count)
             if coulomb == 1:
                 if fine == 1 and wp.isfinite(slope) and way < MOVE and turn < TURN:
                     spent = spent + 1
@@ -272,7 +293,7 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
                     tried = 1
                     part = ONE
                     leap = 1
-                    copy_state(w, at, count, w.x, w.q, w.x_keep, w.q_keep)
+                    copy_active(w, me, count, w.nodes.x, w.nodes.q, w.nodes.x_saved, w.nodes.q_saved)
                 else:
                     plain = 1
                     same = 1
@@ -280,21 +301,21 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
             else:
                 if fine == 0:
                     if geometric > ZERO:
-                        # without the terms of the stresses the tangent cannot lose its definiteness
+                        # without the geometric stiffness the tangent is positive definite
                         geometric = ZERO
                         same = 1
                         plain = wp.max(plain, 1)
                         continue
-                    reason = NOT_FINITE
+                    reason = Reason.NOT_FINITE
                     break
                 if not (slope < ZERO) and pressing == 0:
-                    # the choice of contacts went round in circles; with those that press now the step leads down
+                    # the prediction of contacts cycles; with those that press now the step is a descent direction
                     pressing = 1
                     same = 1
                     plain = wp.max(plain, 1)
                     continue
                 if not wp.isfinite(slope):
-                    reason = NOT_FINITE
+                    reason = Reason.NOT_FINITE
                     break
                 geometric = ONE
                 pressing = 0
@@ -309,31 +330,31 @@ def balance(tree: Trees, touch: Touches, w: Work, at: Here, old: int, new: int, 
                 reach = part
             elif trial == 0:
                 reach = ZERO
-            there = attempt(tree, w, at, count, tall, reach, weighs)
+            there = trial_state(tree, w, me, count, levels, reach, weighs)
             if leap == 1:
                 break
-            there = total(there + contact_energy(tree, touch, w, at, new, w.x_try, w.q_try))
+            there = lane_sum(there + contact_energy(tree, touch, w, me, new, w.nodes.x_trial, w.nodes.q_trial))
             if trial == 0:
                 start = there
             else:
-                # rounding of the sum decides below its last digits
+                # Armijo's condition, up to the rounding error of the sum
                 if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
                     found = 1
                     break
                 alpha = HALF * alpha
         if leap == 1:
-            copy_state(w, at, count, w.x_try, w.q_try, w.x, w.q)
+            copy_active(w, me, count, w.nodes.x_trial, w.nodes.q_trial, w.nodes.x, w.nodes.q)
             continue
         if found == 0:
             small = small + 1
             if small > 2:
-                reason = STALLED
+                reason = Reason.STALLED
                 break
             continue
         small = 0
         if alpha * way > HALF * MOVE:
-            spent = spent - 1  # on its way: a branch that springs back goes as far as it must
-        copy_state(w, at, count, w.x_try, w.q_try, w.x, w.q)
+            spent = spent - 1  # limited by the clearance: a branch that springs back may take many such steps
+        copy_active(w, me, count, w.nodes.x_trial, w.nodes.q_trial, w.nodes.x, w.nodes.q)
         moved = moved + alpha * way
-    ride(tree, w, at)
+    carry_unloaded(tree, w, me)
     return reason, used, residual, count

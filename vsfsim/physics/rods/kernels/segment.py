@@ -5,9 +5,9 @@
     Kd = diag(E A, S2, S3) / L,  Kphi = diag(G J, E I2, E I3) / L,  1/S = 1/(k G A) + L^2 / (12 E I)
 
 The strain measures are Simo's and Reissner's (Reissner 1972; Simo and Vu-Quoc 1986) at the middle of the segment,
-invariant to rigid motions of any size (Crisfield and Jelenic 1999). One point of integration cannot lock in shear; the
-compliance L^2 / (12 E I) that it leaves out is put into S (MacNeal 1978), so that at small strain the nodes of a
-straight beam are exact for loads at nodes, at any slenderness: G A may be infinite (Kirchhoff's rod).
+invariant under rigid motions of any size (Crisfield and Jelenic 1999). One integration point cannot lock in shear; the
+compliance L^2 / (12 E I) that it omits is added to 1/S (MacNeal 1978). So at small strain the nodes of a straight beam
+are exact for loads at nodes, at any slenderness: G A may be infinite (Kirchhoff's rod).
 
 Node rotations are the identity at rest, so a joint of several segments is rigid by itself. Spins are spatial: R <-
 exp(spin) R. In the middle frame a and b are the spins of the two ends, e = b - a, psi = phi / 2, tau = tan(|psi| / 2) /
@@ -36,22 +36,30 @@ real = wp.float64
 HALF = wp.constant(wp.float64(0.5))
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
-SMALL = wp.constant(wp.float64(0.05))  # below it series; what they leave out is under 1e-12 of the value
+SMALL = wp.constant(wp.float64(0.05))  # angle below which series are used, exact to 1e-12 of the value [rad]
 TINY = wp.constant(wp.float64(1e-12))
 
 
 @wp.struct
 class Strain:
-    """Strains of a segment and what follows from them. turn: Rm F. d, phi: see above. D: d + L e1 [m]. psi, g: (3,)."""
+    """Strains of a segment and what follows from them, in the notation of the module."""
 
     turn: wp.quatd
+    """Rm F, the rotation of the middle frame."""
     d: wp.vec3d
+    """d, extension and shear [m]."""
     phi: wp.vec3d
+    """phi, torsion and bending [rad]."""
     D: wp.vec3d
+    """D = d + L e1 [m]."""
     psi: wp.vec3d
+    """psi = phi / 2 [rad]."""
     g: wp.vec3d
+    """g = tau psi [-]."""
     angle: wp.float64
+    """|psi| [rad]."""
     c: wp.float64
+    """c = |psi| / sin |psi| [-]."""
 
 
 @wp.struct
@@ -59,8 +67,11 @@ class Blocks:
     """Second derivative of a segment, 6 x 6 blocks in (position, spin) of the parent's node and of the child's."""
 
     parent: wp.spatial_matrixd
+    """By the parent's node."""
     child: wp.spatial_matrixd
-    mixed: wp.spatial_matrixd  # rows: child, columns: parent
+    """By the child's node."""
+    mixed: wp.spatial_matrixd
+    """Rows of the child, columns of the parent."""
 
 
 @wp.func(inline=False)
@@ -108,8 +119,8 @@ def times_c(s: Strain, mu: vec3):
 
 @wp.func(inline=False)
 def gradient(s: Strain, kd: vec3, kphi: vec3):
-    """Force on the child's node, and moments on the child's and the parent's, in the world; the force on the parent's
-    is minus the first."""
+    """Derivatives by the child's position, the child's spin and the parent's spin, in the world; that by the parent's
+    position is minus the first."""
     q = wp.cw_mul(kd, s.d)
     cmu = times_c(s, wp.cw_mul(kphi, s.phi))
     m = wp.cross(q, s.D)
@@ -121,11 +132,12 @@ def gradient(s: Strain, kd: vec3, kphi: vec3):
 
 @wp.func
 def symmetric(a: vec3, b: vec3):
+    """Symmetric part of a b^T."""
     return HALF * (wp.outer(a, b) + wp.outer(b, a))
 
 
 @wp.func
-def place(tl: mat33, tr: mat33, bl: mat33, br: mat33):
+def from_blocks(tl: mat33, tr: mat33, bl: mat33, br: mat33):
     """A 6 x 6 matrix of four blocks."""
     out = mat66()
     for i in range(3):
@@ -138,14 +150,15 @@ def place(tl: mat33, tr: mat33, bl: mat33, br: mat33):
 
 
 @wp.func
-def six(force: vec3, moment: vec3):
-    """A force, or displacement, and a moment, or spin, as one vector."""
+def spatial(force: vec3, moment: vec3):
+    """A force and a moment, or a displacement and a spin, as one 6-vector."""
     return wp.spatial_vectord(force[0], force[1], force[2], moment[0], moment[1], moment[2])
 
 
 @wp.func(inline=False)
-def second(s: Strain, kd: vec3, kphi: vec3, geometric: real):
-    """The second derivative; ``geometric`` 1: exact, 0: without the terms of the stresses, which is never negative."""
+def hessian(s: Strain, kd: vec3, kphi: vec3, geometric: real):
+    """The second derivative; with ``geometric`` 0 without the geometric stiffness, which makes it positive
+    semidefinite."""
     q = wp.cw_mul(kd, s.d)
     mu = wp.cw_mul(kphi, s.phi)
     m = wp.cross(q, s.D)
@@ -190,7 +203,7 @@ def second(s: Strain, kd: vec3, kphi: vec3, geometric: real):
     hbb = turn * (bw * wb + be + wp.transpose(be) + hee) * back
     hba = turn * (bw * wa - be + wp.transpose(ae) - hee) * back
     out = Blocks()
-    out.parent = place(hvv, -hva, -wp.transpose(hva), haa)
-    out.child = place(hvv, hvb, wp.transpose(hvb), hbb)
-    out.mixed = place(-hvv, hva, -wp.transpose(hvb), hba)
+    out.parent = from_blocks(hvv, -hva, -wp.transpose(hva), haa)
+    out.child = from_blocks(hvv, hvb, wp.transpose(hvb), hbb)
+    out.mixed = from_blocks(-hvv, hva, -wp.transpose(hvb), hba)
     return out

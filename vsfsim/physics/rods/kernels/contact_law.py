@@ -1,14 +1,15 @@
-"""Contact of samples on a plant with rigid capsules: gap, penalty, and Coulomb's friction with memory.
+"""Contact of the samples of a plant with rigid capsules: gap, penalty, and Coulomb friction with memory.
 
     Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
     Pi_t as in `contact.friction`, of the stiffness k
 
 y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch
-around it. The penalty k hardens at h = 1 mm, so that soft leaves may have a soft one, which Newton's method wants, and
-are still not gone through. Friction acts on the surface, y_s = y - r n with the n of the step's start carried along by
-the nodes, so a branch may roll. tau = mu dPi_n/dp is renewed in every Newton iteration and is a constant for its line
-search (a sequence of Tresca problems). u_t is the way of y_s over the capsule from where it stuck; a point that comes
-into contact within the step sticks where its straight way met the surface, as the first iterate inside has it.
+around it. The penalty k hardens at h = 1 mm: soft leaves may have a soft penalty, which Newton's method needs, and a
+capsule still does not pass through them. Friction acts on the surface, at y_s = y - r n; the nodes carry the n of the
+start of the stride along, so a branch may roll. tau = mu dPi_n/dp is updated in every Newton iteration and is constant
+during its line search (a sequence of Tresca problems). u_t is the displacement of y_s over the capsule from its anchor.
+The anchor of a new contact is where the straight path of its surface point met the capsule, by the first iterate that
+is inside.
 """
 
 import warp as wp
@@ -19,34 +20,37 @@ from vsfsim.physics.rods.kernels.segment import HALF, ONE, ZERO, quat, real, vec
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-NEAR = wp.constant(wp.float64(1e-12))
-HARD = wp.constant(wp.float64(1e-3))
+NEAR = wp.constant(wp.float64(1e-12))  # distance from the axis below which the normal is arbitrary [m]
+HARD = wp.constant(wp.float64(1e-3))  # h, the penetration at which the penalty hardens [m]
 
 
 @wp.struct
 class Gap:
-    """value: [m]. normal: from the capsule to the point, world. away: distance from the capsule's axis [m]. axis: its
-    direction, or 0 at a cap."""
+    """Gap between a sample and a capsule."""
 
     value: wp.float64
+    """Signed distance, negative inside [m]."""
     normal: wp.vec3d
+    """Unit normal from the capsule to the sample, in the world."""
     away: wp.float64
+    """Distance of the sample from the capsule's axis [m]."""
     axis: wp.vec3d
+    """Direction of the capsule's axis; 0 where the nearest point is on a cap."""
 
 
 @wp.func
-def point_at(s: real, b: vec3, xp: vec3, qp: quat, xc: vec3, qc: quat):
+def material_point(s: real, b: vec3, xp: vec3, qp: quat, xc: vec3, qc: quat):
     """World position of a material point with the offset ``b`` from the middle line at rest."""
     return (ONE - s) * (xp + wp.quat_rotate(qp, b)) + s * (xc + wp.quat_rotate(qc, b))
 
 
 @wp.func
-def gap_of(y: vec3, r: real, cx: vec3, cq: quat, half: real, radius: real):
+def capsule_gap(y: vec3, r: real, cx: vec3, cq: quat, half: real, radius: real):
     local = wp.quat_rotate_inv(cq, y - cx)
     z = wp.clamp(local[2], -half, half)
     out = vec3(local[0], local[1], local[2] - z)
     away = wp.length(out)
-    n = vec3(ONE, ZERO, ZERO)  # on the axis itself any way out will do
+    n = vec3(ONE, ZERO, ZERO)  # on the axis itself every normal is as good
     if away > NEAR:
         n = out / away
     g = Gap()
@@ -66,7 +70,7 @@ def normal_energy(p: real, k: real):
 
 @wp.func
 def normal_force(p: real, k: real):
-    """Of a penetration p >= 0 [N]."""
+    """Normal force at a penetration p >= 0 [N]."""
     return k * p * (ONE + p / HARD)
 
 
@@ -77,7 +81,7 @@ def normal_stiffness(p: real, k: real):
 
 @wp.func
 def normal_hessian(g: Gap, k: real, geometric: real):
-    """Second derivative of Pi_n by y; the curvature of the capsule lowers it."""
+    """Second derivative of Pi_n by y; ``geometric`` 0 leaves out the curvature of the capsule, which lowers it."""
     eye = wp.identity(n=3, dtype=real)
     nn = wp.outer(g.normal, g.normal)
     bend = eye - nn - wp.outer(g.axis, g.axis)
@@ -86,7 +90,7 @@ def normal_hessian(g: Gap, k: real, geometric: real):
 
 @wp.func
 def slip(n: vec3, y: vec3, anchor: vec3):
-    """Way over the surface from the anchor."""
+    """Tangential displacement from the anchor."""
     return friction.tangential(y - anchor, n)
 
 
@@ -137,8 +141,7 @@ def turn_hessian(f: vec3, lever: vec3):
 """)
 def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.vec3d,
                weight: wp.float64) -> wp.spatial_matrixd:
-    """``to`` and J_r^T h J_c for points that move with nodes by the levers ``row`` and ``column``: four 3 x 3 blocks as
-    a 6 x 6, times ``weight``."""
+    """``to`` plus ``weight`` J_r^T h J_c, for points that move with nodes by the levers ``row`` and ``column``."""
     ...
 
 
@@ -150,5 +153,5 @@ def plus_point(to: wp.spatial_matrixd, h: wp.mat33d, row: wp.vec3d, column: wp.v
     return out;
 """)
 def plus_spin(to: wp.spatial_matrixd, h: wp.mat33d, weight: wp.float64) -> wp.spatial_matrixd:
-    """``to`` and a 3 x 3 block by the spins of its node, times ``weight``."""
+    """``to`` plus ``weight`` times a 3 x 3 block in the spins of a node."""
     ...

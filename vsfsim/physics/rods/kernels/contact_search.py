@@ -1,0 +1,221 @@
+"""Contact search, and the part of the tree that can be loaded: only that part is solved.
+
+A sub-tree without contacts carries no load, so it moves rigidly with its joint. This is exact for a plant without
+weight.
+"""
+
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.rods.kernels.contact_law import capsule_gap
+from vsfsim.physics.rods.kernels.geometry import sample_point
+from vsfsim.physics.rods.kernels.lanes import lane_count, lanes_before, sync
+from vsfsim.physics.rods.kernels.segment import HALF, ZERO, real, vec3
+from vsfsim.physics.rods.problem import Touches, Trees
+from vsfsim.physics.rods.workspace import Stick, Thread, Work
+
+wp.set_module_options({"enable_backward": False, "max_unroll": 1})
+
+SAMPLES = wp.constant(4096)  # stride of the keys of contacts; a segment has fewer samples
+
+
+@wp.func
+def carry_unloaded(tree: Trees, w: Work, me: Thread):
+    """Moves the nodes of unloaded sub-trees rigidly with their joints."""
+    b = me.b
+    o = me.o
+    for d in range(1, me.high):
+        for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
+            i = tree.rank[r]
+            if w.nodes.active[b, i] == 0:
+                p = tree.parent[o + i]
+                qp = w.nodes.q[b, p]
+                w.nodes.q[b, i] = qp
+                w.nodes.x[b, i] = w.nodes.x[b, p] + wp.quat_rotate(qp, tree.rest[o + i] - tree.rest[o + p])
+        sync()
+
+
+@wp.func
+def find_contact(w: Work, old: int, b: int, key: int):
+    """Place of ``key`` in the sorted list ``old``, or -1."""
+    low = int(0)
+    high = w.contacts.count[old, b]
+    while low < high:
+        mid = (low + high) / 2
+        if w.contacts.key[old, b, mid] < key:
+            low = mid + 1
+        else:
+            high = mid
+    if low < w.contacts.count[old, b] and w.contacts.key[old, b, low] == key:
+        return low
+    return -1
+
+
+@wp.func
+def nearby_capsules(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, margin: real):
+    """The capsules that may be closer than ``margin`` to a sample of segment ``i``, a bit each. Sets
+    `Nodes.segment_clearance`."""
+    b = me.b
+    p = tree.parent[me.o + i]
+    xp = w.nodes.x[b, p]
+    xc = w.nodes.x[b, i]
+    mid = HALF * (xp + xc)
+    around = HALF * wp.length(xc - xp) + tree.bound[me.o + i]
+    clear = real(1.0)
+    which = int(0)
+    for k in range(touch.half.shape[0]):
+        cx = w.capsules.x[b, k]
+        far = around + touch.radius[k]
+        if wp.length(mid - cx) - far - touch.half[k] < clear:
+            local = wp.quat_rotate_inv(w.capsules.q[b, k], mid - cx)
+            along = wp.clamp(local[2], -touch.half[k], touch.half[k])
+            apart = wp.length(vec3(local[0], local[1], local[2] - along)) - far
+            clear = wp.min(clear, apart)
+            if apart < margin:
+                which = which | (1 << k)
+    w.nodes.segment_clearance[b, i] = clear
+    return which
+
+
+@wp.func
+def append_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, k: int, margin: real, old: int, new: int,
+           begin: int):
+    """Appends the samples of segment ``i`` closer than ``margin`` to capsule ``k`` to the list ``new`` from ``begin``
+    on, as far as there is room. Returns their number. The lanes share the samples: a leaf has hundreds."""
+    b = me.b
+    m = begin
+    p = tree.parent[me.o + i]
+    cx = w.capsules.x[b, k]
+    cq = w.capsules.q[b, k]
+    start = tree.sample[me.o + i]
+    stop = tree.sample[me.o + i + 1]
+    for base in range(start, stop, me.lanes):
+        j = base + me.lane
+        hit = int(0)
+        if j < stop:
+            y = sample_point(tree, b, p, i, j, w.nodes.x, w.nodes.q)
+            gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
+            if gap.value < margin:
+                hit = 1
+        place = m + lanes_before(hit)
+        if hit == 1 and place < w.contacts.key.shape[2]:
+            key = (i * touch.half.shape[0] + k) * SAMPLES + (j - start)
+            w.contacts.key[new, b, place] = key
+            w.contacts.sample[new, b, place] = j
+            w.contacts.node[new, b, place] = i
+            w.contacts.capsule[new, b, place] = k
+            stuck = int(Stick.FREE)
+            there = find_contact(w, old, b, key)
+            if there >= 0:
+                stuck = wp.min(w.contacts.stuck[old, b, there], Stick.STUCK)
+                w.contacts.anchor[new, b, place] = w.contacts.anchor[old, b, there]
+            w.contacts.stuck[new, b, place] = stuck
+            cx0 = w.capsules.x_start[b, k]
+            cq0 = w.capsules.q_start[b, k]
+            y0 = sample_point(tree, b, p, i, j, w.nodes.x_start, w.nodes.q_start)
+            gap0 = capsule_gap(y0, tree.radius[j], cx0, cq0, touch.half[k], touch.radius[k])
+            lever = -tree.radius[j] * gap0.normal
+            w.contacts.lever[new, b, place] = lever
+            w.contacts.gap_start[new, b, place] = wp.max(gap0.value, ZERO)
+            w.contacts.point_start[new, b, place] = wp.quat_rotate_inv(cq0, y0 + lever - cx0)
+            w.contacts.friction_limit[new, b, place] = ZERO
+        m = m + lane_count(hit)
+    return m - begin
+
+
+@wp.func
+def list_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, margin: real, old: int, new: int):
+    """Lists all pairs of a sample and a capsule closer than ``margin``, sorted by their keys, in the list ``new``;
+    pairs of the list ``old`` keep their anchors.
+
+    Returns:
+        The number of pairs, or -1 if there is no room for them.
+    """
+    b = me.b
+    for i in range(1 + me.lane, me.n, me.lanes):
+        w.segments.contact_count[b, i] = nearby_capsules(tree, touch, w, me, i, margin)
+    sync()
+    m = int(0)
+    for i in range(1, me.n):
+        which = w.segments.contact_count[b, i]
+        if which == 0:
+            continue
+        begin = m
+        for k in range(touch.half.shape[0]):
+            if (which >> k) & 1 == 1:
+                m = m + append_contacts(tree, touch, w, me, i, k, margin, old, new, m)
+        sync()
+        if me.lane == 0:
+            w.segments.first_contact[b, i] = begin
+            w.segments.contact_count[b, i] = m - begin
+        if m > w.contacts.key.shape[2]:
+            break
+    sync()
+    if m > w.contacts.key.shape[2]:
+        return -1
+    if me.lane == 0:
+        w.contacts.count[new, b] = m
+    sync()
+    return m
+
+
+@wp.func
+def activate_nodes(tree: Trees, w: Work, me: Thread, weighs: int):
+    """Marks and lists the active nodes: those between the root and a segment that is close to a capsule, strained or
+    heavy. Returns their number and the number of their levels."""
+    b = me.b
+    o = me.o
+    for back in range(1, me.high + 1):
+        d = me.high - back
+        for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
+            i = tree.rank[r]
+            on = wp.max(w.nodes.strained[b, i], weighs)
+            clear = real(1.0)
+            if i == 0:
+                on = 1
+            else:
+                clear = w.nodes.segment_clearance[b, i]
+                if w.segments.contact_count[b, i] > 0:
+                    on = 1
+            room = real(1.0)
+            rider = ZERO
+            kid = tree.child[o + i]
+            while kid >= 0:
+                if w.nodes.active[b, kid] == 1:
+                    on = 1
+                    room = wp.min(room, w.nodes.segment_clearance[b, kid])
+                else:
+                    clear = wp.min(clear, w.nodes.segment_clearance[b, kid])  # the node carries the child's branch
+                    rider = wp.max(rider, tree.length[o + kid] + tree.reach[o + kid])
+                kid = tree.next[o + kid]
+            w.nodes.active[b, i] = on
+            w.nodes.segment_clearance[b, i] = clear
+            w.nodes.node_clearance[b, i] = wp.min(clear, room)  # a node moves its own segment and its children's
+            w.nodes.unloaded_reach[b, i] = wp.where(on == 1, rider, ZERO)
+        sync()
+    count = int(0)
+    levels = int(0)
+    for d in range(me.high):
+        begin = tree.level[me.low + d]
+        stop = tree.level[me.low + d + 1]
+        if me.lane == 0:
+            w.nodes.level[b, d] = count
+        before = count
+        for base in range(begin, stop, me.lanes):
+            r = base + me.lane
+            i = int(0)
+            on = int(0)
+            if r < stop:
+                i = tree.rank[r]
+                on = w.nodes.active[b, i]
+            place = count + lanes_before(on)
+            if on == 1:
+                w.nodes.order[b, place] = i
+            count = count + lane_count(on)
+        if count == before:
+            break
+        levels = d + 1
+    if me.lane == 0:
+        w.nodes.level[b, levels] = count
+    sync()
+    return count, levels
