@@ -46,10 +46,10 @@ BY_NAME = {"physics": {"scenes"}}
 """Layers whose modules a layer loads by a name that a user gave: a family is a file of scenes/."""
 
 HEAVY = {
-    "core": {"numpy"},
+    "core": {"numpy", "scipy"},
     "data": {"numpy", "h5py"},
     "physics": {"numpy", "scipy", "warp", "torch", "trimesh", "pytetwild", "cholespy"},
-    "robot": {"numpy", "mujoco"},
+    "robot": {"numpy", "scipy", "mujoco"},
     "sensing": {"numpy", "scipy", "warp", "pyrender", "matplotlib"},
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
