@@ -86,8 +86,8 @@ def test_a_foundation_refuses_what_squeezes_out_sideways_and_a_network_says_what
     model = tiers.build(given, tiers.choose(given))
     assert [block.kind for block in model.blocks] == ["spring"]
     assert any("ignores poisson_ratio = 0.3" in note for note in model.solid.notes)
-    quarter = dataclasses.replace(given, object=dataclasses.replace(given.object, poisson_ratio=0.25))
-    assert not any("poisson_ratio" in note for note in tiers.build(quarter, "spring").solid.notes)
+    fitting = dataclasses.replace(given, object=dataclasses.replace(given.object, poisson_ratio=0.2))
+    assert not any("poisson_ratio" in note for note in tiers.build(fitting, "spring").solid.notes)
 
 
 @pytest.mark.parametrize(("tier", "kind"), [("vsf", "anchor"), ("spring", "spring")])

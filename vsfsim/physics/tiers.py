@@ -14,13 +14,12 @@ from vsfsim.core.scene import ObjectSpec, Scene
 from vsfsim.core.shape import Cylinder, Family, MeshFile, ProbeShape, Rod, extent
 from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
-from vsfsim.physics.elements.spring import POISSON_RATIO
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.inclusions import snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, tetrahedra
-from vsfsim.physics.network import spring_network
+from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
 from vsfsim.physics.solve.frames import SolverOptions
 
 
@@ -235,10 +234,10 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
     tolerance = (FOOT if isinstance(spec.shape, MeshFile) else 1e-6) * height
     if isinstance(spec.shape, MeshFile) and spec.fixed == "bottom":
         solid = dataclasses.replace(solid, notes=(*solid.notes, foot_note(solid, tolerance)))
-    if tier == "spring" and spec.poisson_ratio != POISSON_RATIO:
+    if tier == "spring" and abs(spec.poisson_ratio - OBSERVED_POISSON_RATIO) > POISSON_SPREAD:
         solid = dataclasses.replace(solid, notes=(*solid.notes, (
-            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has "
-            f"{POISSON_RATIO:g}, whatever its constants. "
+            f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has about "
+            f"{OBSERVED_POISSON_RATIO:g}, whatever its constants. "
             "Young's modulus is kept; use 'linear' or above where nu matters.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift,

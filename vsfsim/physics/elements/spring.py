@@ -7,7 +7,7 @@ that turns it.
 A compressed spring (l < L) is unstable sideways, so the projected tangent takes max(0, 1 - L/l).
 At l = 0 the direction is lost and the force is taken as zero; the energy stays finite.
 A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio of an isotropic one is 1/4 (Love 1927, note
-B; `coefficients.spring_stiffness`).
+B; `coefficients.SPRING_ALONG`) where its nodes follow a uniform strain; `network` says what is observed.
 """
 
 import functools
@@ -20,7 +20,6 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 2
-POISSON_RATIO = 0.25  # of an isotropic network; no choice of constants gives another
 
 
 def block(nodes: np.ndarray, points: np.ndarray, stiffness: np.ndarray) -> Block:
