@@ -1,4 +1,4 @@
-"""How far the two arms are apart: one rung of the trade of accuracy against time."""
+"""The difference between the readings of the kinematic and the dynamic arm, and its causes."""
 
 from __future__ import annotations
 
@@ -16,26 +16,30 @@ MODES = ("kinematic", "dynamic")
 
 @dataclass(frozen=True)
 class Difference:
-    """The dynamic arm's readings less the kinematic arm's torques, under the same forces on the same path.
-
-    kinematic: J^T f at the wanted angles (T, 7) [N m]. dynamic: readings, weight taken off (T, 7) [N m].
-    rms, largest: of the difference, each joint (7,) [N m]. scale: largest kinematic torque of any joint [N m].
-    inertia, friction, lag: rms of its parts (7,) [N m]: M q'' and Coriolis; friction that the sensor sees; J^T f at the
-    angles that the arm has instead of the wanted ones. tool: largest distance of the tool from its path [m].
-    motion: what the dynamic arm did. seconds: time that each took, kinematic and dynamic (2,) [s].
-    """
+    """The dynamic arm's readings less the kinematic arm's torques, under the same forces on the same path."""
 
     kinematic: np.ndarray
+    """J^T f at the desired angles (T, 7) [N m]."""
     dynamic: np.ndarray
+    """Readings of the dynamic arm without its weight (T, 7) [N m]."""
     rms: np.ndarray
+    """Root mean square of the difference, each joint (7,) [N m]."""
     largest: np.ndarray
+    """Largest difference, each joint (7,) [N m]."""
     scale: float
+    """Largest kinematic torque of any joint [N m]."""
     inertia: np.ndarray
+    """Rms of the part by inertia and Coriolis torques (7,) [N m]."""
     friction: np.ndarray
+    """Rms of the part by friction that the sensor measures (7,) [N m]."""
     lag: np.ndarray
+    """Rms of the part by the actual instead of the desired angles in J^T f (7,) [N m]."""
     tool: float
+    """Largest distance of the tool from its path [m]."""
     motion: Motion
+    """What the dynamic arm did."""
     seconds: tuple[float, float]
+    """Computing time of the kinematic and of the dynamic arm [s]."""
 
 
 def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, moment: np.ndarray, *,
@@ -43,9 +47,9 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
     """Runs both arms along ``q`` (T, 7) [rad] at ``times`` (T,) [s].
 
     Args:
-        force, moment: on the capsules, moments about their origins (T, K, 3) [N, N m]; at each frame's place in the
-        kinematic arm, while the
-            dynamic one carries them along.
+        force, moment: on the capsules, moments about their origins (T, K, 3) [N, N m]. In the dynamic arm they move
+        along with the capsules.
+        drive: controller of the dynamic arm.
     """
     begin = time.perf_counter()
     kinematic = body_torque(arm, q, force, moment=moment)
@@ -53,20 +57,18 @@ def difference(arm: Arm, q: np.ndarray, times: np.ndarray, force: np.ndarray, mo
     motion = simulate(arm, q, times, series(times, force, moment), drive=drive)
     end = time.perf_counter()
     there = body_torque(arm, motion.q, force, moment=moment)
-    # the sign of a rate that is rounding says nothing: what is left over after J^T f and inertia is the friction,
-    # whatever it is at rest
+    # Friction is what remains after J^T f and inertia. Computed from the rates it would be wrong at rest, where their
+    # signs are rounding errors.
     inertial = inertial_torque(arm, motion)
     gap = motion.torque - kinematic
     away = arm.postures(motion.q).tool[:, :3, 3] - arm.postures(q).tool[:, :3, 3]
     return Difference(kinematic, motion.torque, _rms(gap), np.abs(gap).max(axis=0), float(np.abs(kinematic).max()),
-                      _rms(inertial),
-                      _rms(motion.torque - there - inertial), _rms(there - kinematic),
-                      float(np.linalg.norm(away, axis=1).max()), motion,
-                      (middle - begin, end - middle))
+                      _rms(inertial), _rms(motion.torque - there - inertial), _rms(there - kinematic),
+                      float(np.linalg.norm(away, axis=1).max()), motion, (middle - begin, end - middle))
 
 
 def inertial_torque(arm: Arm, motion: Motion) -> np.ndarray:
-    """-M q'' - c (T, 7) [N m], without the armatures, which are on the motor's side of the sensors."""
+    """-M q'' - c (T, 7) [N m] without the armatures, which are on the motor's side of the sensors."""
     import mujoco as mj
 
     data = mj.MjData(arm.model)
@@ -76,7 +78,7 @@ def inertial_torque(arm: Arm, motion: Motion) -> np.ndarray:
         mj.mj_kinematics(arm.model, data)
         mj.mj_comPos(arm.model, data)
         mj.mj_comVel(arm.model, data)
-        mj.mj_rne(arm.model, data, 1, out[t])  # its inertias are those of the links; MuJoCo adds armature elsewhere
+        mj.mj_rne(arm.model, data, 1, out[t])  # without the armatures, which MuJoCo adds elsewhere
     return arm.gravity_torque(motion.q) - out
 
 

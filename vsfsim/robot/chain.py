@@ -1,4 +1,4 @@
-"""The arm as the chain that a dataset keeps: the numbers of MuJoCo's model, whichever it is."""
+"""The arm as the kinematic chain that a dataset stores, with the numbers of its MuJoCo model."""
 
 from __future__ import annotations
 
@@ -10,11 +10,9 @@ from vsfsim.robot.arm import Arm
 
 
 def chain_of(arm: Arm) -> Chain:
-    """The chain whose links are ``arm.links``, of the same poses at the same joint angles."""
+    """The chain with the links ``arm.links`` and the same kinematics."""
     ids = arm.body_ids
-    base = np.eye(4)
-    first = arm.postures(np.zeros((1, gen3.JOINTS))).links[0, 0]
-    base[:] = first
+    base = arm.postures(np.zeros((1, gen3.JOINTS))).links[0, 0]
     positions = [(0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_pos[i])) for i in ids[1:])]
     quaternions = [(1.0, 0.0, 0.0, 0.0), *(tuple(map(float, arm.model.body_quat[i])) for i in ids[1:])]
     joints = tuple(int(arm.model.body_jntadr[i]) if arm.model.body_jntnum[i] else -1 for i in ids)

@@ -1,4 +1,4 @@
-"""How far the arm's capsules are from each other and from the table."""
+"""Distances of the arm's capsules from each other and from the table."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from vsfsim.robot.arm import Arm, Postures
 
-ALLOWED_NEIGHBOURS = 1  # links next to each other in the chain share a housing: their capsules overlap by construction
+ALLOWED_NEIGHBOURS = 1  # neighbouring links share a housing, so their capsules overlap by construction
 
 
 def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -20,7 +20,7 @@ def segment_distance(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray)
     s = np.where(parallel, 0.0, np.clip((h * f - g * ee) / np.where(parallel, 1.0, det), 0.0, 1.0))
     t = np.clip((h * s + f) / ee, 0.0, 1.0)
     s = np.clip((h * t - g) / aa, 0.0, 1.0)
-    # the second clamp may move the first point once more; one further pass is exact for segments
+    # the second clamp may move the first point once more; after one further pass the result is exact
     t = np.clip((h * s + f) / ee, 0.0, 1.0)
     return np.linalg.norm(r + s[..., None] * along - t[..., None] * across, axis=-1)
 
@@ -37,10 +37,10 @@ def ends(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def self_gaps(arm: Arm, at: Postures) -> tuple[np.ndarray, np.ndarray]:
-    """Gaps (T, P) [m] of all pairs of capsules whose links are no neighbours, negative where they overlap, and the
+    """Gaps (T, P) [m] of all pairs of capsules whose links are not neighbours, negative where they overlap, and the
     pairs (P, 2)."""
     first, last, radii = ends(arm, at)
-    # the Punyo is rigid with the bracelet: its neighbours are the bracelet's
+    # the Punyo is fixed to the bracelet, so it has the bracelet's neighbours
     place = np.minimum(arm.capsule_links, arm.links.index("bracelet_link"))
     pairs = np.argwhere(np.triu(np.abs(place[:, None] - place[None, :]) > ALLOWED_NEIGHBOURS))
     i, j = pairs.T

@@ -1,17 +1,16 @@
-"""The dynamic arm: MuJoCo steps it under a joint controller while contact forces act on it, and its torque sensors are
-read.
+"""The dynamic arm: MuJoCo simulates it under a joint controller and contact forces, and its torque sensors are read.
 
     M(q) q'' + c(q, q') + g(q) = motor + friction - armature q'' + J^T f
-    motor = stiffness (q_d - q) + damping (q_d' - q') + g + c           the controller, with the model's weight and
-    Coriolis torques
+    motor = stiffness (q_d - q) + damping (q_d' - q') + g + c           the controller compensates g and c
 
-The sensor sits between reducer and link: it reads what goes through there, motor - armature q'' + (1 - seen) friction.
-Weight taken off, with the sign of the kinematic arm, the reading is
+The sensor sits between reducer and link and measures motor - armature q'' + (1 - s) friction, with the sensed share s
+of the friction (`JointParameters.sensed_share`). Without the weight, and with the sign of the kinematic arm, the
+reading is
 
-    g(q) - sensor = J^T f - M q'' - c + seen friction
+    g(q) - sensor = J^T f - M q'' - c + s friction
 
-so at rest it is the kinematic arm's J^T f, and what moves it away are inertia, friction, and that the arm gives way (q
-is not q_d).
+At rest without friction it is the kinematic arm's J^T f. Inertia, friction and the deflection of the arm (q is not q_d)
+change it.
 """
 
 from __future__ import annotations
@@ -30,57 +29,60 @@ if TYPE_CHECKING:
     import mujoco
 
 Contact = Callable[[float, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Time [s] and poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about their origins
-(K, 3) [N m]."""
+"""From the time [s] and the poses of the capsules (K, 4, 4) [m] to the forces on them (K, 3) [N] and the moments about
+their origins (K, 3) [N m]."""
 
 
 @dataclass(frozen=True)
 class Drive:
-    """The joint controller. stiffness: (7,) [N m/rad]. damping: (7,) [N m s/rad]. settle: rest at the first posture
-    before the readings begin [s]."""
+    """The joint controller."""
 
     stiffness: Seven
+    """Proportional gain (7,) [N m/rad]."""
     damping: Seven
+    """Derivative gain (7,) [N m s/rad]."""
     settle: float = 0.5
+    """Time at the first posture before the readings begin [s]."""
 
 
 POSITION = Drive((2000.0,) * 4 + (500.0,) * 3, (100.0,) * 4 + (50.0,) * 3)
 """Position control: the gains of MuJoCo Menagerie's `kinova_gen3`; the real ones are not published."""
 
 IMPEDANCE = Drive((200.0,) * 4 + (50.0,) * 3, (30.0,) * 4 + (15.0,) * 3)
-"""Joint impedance, ten times softer: an assumption. Friction holds such an arm up to 1 degree away from where it should
-be."""
+"""Joint impedance, ten times softer: an assumption. Friction holds such an arm up to 1 degree away from its desired
+angles."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What the arm did and read at T times.
-
-    times: [s] (T,). q: joint angles (T, 7) [rad]. rate: joint rates (T, 7) [rad/s]. acceleration: (T, 7) [rad/s^2].
-    motor: torques of the motors (T, 7) [N m]. torque: the reading, weight taken off, in the sense of J^T f (T, 7) [N
-    m].
-    saturated: whether a motor stood at its limit at any step up to the frame (T,) bool.
-    """
+    """Motion and readings of the arm at T times."""
 
     times: np.ndarray
+    """Times of the readings (T,) [s]."""
     q: np.ndarray
+    """Joint angles (T, 7) [rad]."""
     rate: np.ndarray
+    """Joint rates (T, 7) [rad/s]."""
     acceleration: np.ndarray
+    """Joint accelerations (T, 7) [rad/s^2]."""
     motor: np.ndarray
+    """Torques of the motors (T, 7) [N m]."""
     torque: np.ndarray
+    """Readings of the torque sensors without the weight, with the sign of J^T f (T, 7) [N m]."""
     saturated: np.ndarray
+    """Whether a motor was at its limit in any step up to the frame (T,) bool."""
 
 
 def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None = None, *,
              drive: Drive = POSITION) -> Motion:
-    """Leads the arm along ``q`` (T, 7) [rad] at ``times`` (T,) [s], and reads its torques at each of them.
+    """Moves the arm along ``q`` (T, 7) [rad] at ``times`` (T,) [s], and reads its torques at each of them.
 
-    Between the times the wanted angles follow a cubic curve (Hermite, at rest at both ends); before the first the arm
-    settles there, under the contact of the first time.
+    Between the times the desired angles follow a cubic Hermite curve, at rest at both ends. Before the first time the
+    arm settles at the first posture, under the contact of that time.
 
     Raises:
-        ArmError: shapes that do not fit, times that do not grow, or a state that is no longer finite (gains too high
-        for the time step).
+        ArmError: shapes do not fit, times do not increase, or the state is no longer finite (the gains are too high for
+        the time step).
     """
     q, times = arm.check(q), np.asarray(times, float)
     if times.shape != (len(q),) or len(q) < 2 or not (np.diff(times) > 0.0).all():
@@ -92,7 +94,7 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
     data = mj.MjData(model)
     data.qpos[:] = q[0]
     step, settle = model.opt.timestep, int(np.ceil(drive.settle / model.opt.timestep))
-    # readings fall on whole steps: at most half a step from the wanted time
+    # readings are taken at whole steps, at most half a step from the given time
     read_at = settle + np.rint((times - times[0]) / step).astype(int)
     if (np.diff(read_at) < 1).any():
         raise ArmError(f"times are closer than the arm's time step of {step:g} s.")
@@ -125,10 +127,11 @@ def simulate(arm: Arm, q: np.ndarray, times: np.ndarray, contact: Contact | None
 
 
 def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:
-    """A contact whose forces and moments (T, K, 3) [N, N m] on the capsules are given at ``times`` (T,) [s], straight
-    lines in between.
+    """A contact with given forces and moments on the capsules (T, K, 3) [N, N m] at ``times`` (T,) [s], interpolated
+    linearly.
 
-    So the frames of the quasi-static solver drive the dynamic arm: the object does not feel that the arm gives way.
+    So the frames of the quasi-static solver act on the dynamic arm; the arm's deflection does not act back on the
+    object.
     """
     times, both = np.asarray(times, float), np.stack([force, moment]).astype(float)
 
@@ -142,7 +145,7 @@ def series(times: np.ndarray, force: np.ndarray, moment: np.ndarray) -> Contact:
 
 
 class _Capsules:
-    """The capsules during a simulation: where they are, and their forces on MuJoCo's bodies."""
+    """The capsules during a simulation: their poses, and their forces on MuJoCo's bodies."""
 
     def __init__(self, arm: Arm):
         self.bodies = arm.body_ids[arm.capsule_links]
@@ -162,8 +165,7 @@ class _Capsules:
 
 
 def _coulomb(data: mujoco.MjData) -> np.ndarray:
-    """Coulomb's friction torques (7,) [N m], which MuJoCo keeps among its constraints, apart from those of joint
-    limits."""
+    """Coulomb friction torques (7,) [N m], which MuJoCo stores among its constraints."""
     import mujoco as mj
 
     out = np.zeros(gen3.JOINTS)
@@ -176,7 +178,7 @@ def _hermite(times: np.ndarray, q: np.ndarray) -> Callable[[float], tuple[np.nda
     """Angle and rate at a time, on a cubic through ``q`` with the slopes of central differences, 0 at both ends."""
     slope = np.gradient(q, times, axis=0) if len(q) > 2 else np.zeros_like(q)
     slope[[0, -1]] = 0.0
-    # where neighbours stand still the arm does too: no overshoot at a hold
+    # no slope, and so no overshoot, where the desired angles stand still
     still = (np.diff(q, axis=0) == 0.0).all(axis=1)
     slope[:-1][still] = slope[1:][still] = 0.0
 

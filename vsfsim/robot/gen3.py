@@ -1,14 +1,15 @@
-"""Kinova Gen3 (7 joints) and the Punyo on its flange, in figures: every number of the arm stands here, with its source.
+"""All numbers of the Kinova Gen3 (7 joints) and of the Punyo on its flange, with their sources.
 
-Frames, masses, inertias, joint ranges, flange and torque limits [table]: the maker's public description of the arm
-(ros_kortex, GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`, as collected in the project's
-`data/kinova_gen3.md` (`tests/robot/kinova_gen3.md` is that table, and a test compares it with this file).
-Girths [mesh]: coordinates read off the maker's public surface meshes in the link frames (the copies in robosuite's
-`kinova3` and in Menagerie's
-`kinova_gen3_7dof`): shoulder, half arm 1, forearm, spherical wrist 1 and bracelet in part; half arm 2 and spherical
-wrist 2 are taken to be built like their neighbours, and the depth of the small housings is an estimate. The capsules
-are fitted by us, see `CAPSULES`.
-Punyo [openvsf]: its mount and the frame of its bubble as openvsf has them.
+[table]: frames, masses, inertias, joint ranges, flange and torque limits are from the maker's public description of the
+arm (ros_kortex, GEN3_URDF_V12) in the form of MuJoCo Menagerie's `kinova_gen3`. `tests/robot/kinova_gen3.md` is that
+table, and a test compares it with this file.
+
+[mesh]: girths are coordinates read off the maker's public surface meshes in the link frames (the copies in robosuite's
+`kinova3` and in Menagerie's `kinova_gen3_7dof`) for shoulder, half arm 1, forearm, spherical wrist 1 and bracelet in
+part. Half arm 2 and spherical wrist 2 are assumed to be like their neighbours, and the depth of the small housings is
+an estimate. The capsules are our fit, see `CAPSULES`.
+
+[openvsf]: mount and frame of the Punyo are those of openvsf.
 """
 
 from __future__ import annotations
@@ -26,25 +27,26 @@ JOINTS = 7
 
 @dataclass(frozen=True)
 class Link:
-    """A body of the arm, in its parent's frame; its joint turns about its own +z.
-
-    name, parent: names of the body and of the one it hangs on. position: of its frame (3,) [m]. quaternion: w x y z
-    (4,), unnormalised.
-    joint_range: least and largest angle (2,) [rad], infinite for a continuous joint; None: no joint. mass: [kg]. com:
-    centre of mass (3,) [m].
-    inertia_quaternion: w x y z of the principal axes (4,). inertia: principal moments about the centre of mass (3,) [kg
-    m^2].
-    """
+    """A body of the arm. Its joint rotates about its own +z."""
 
     name: str
+    """Name of the body."""
     parent: str
+    """Name of the body that it is attached to."""
     position: Vector
+    """Origin of its frame in the parent's frame (3,) [m]."""
     quaternion: Quaternion
+    """Rotation of its frame in the parent's frame, w x y z (4,), not normalised."""
     joint_range: tuple[float, float] | None
+    """Least and largest angle [rad], infinite for a continuous joint; None for no joint."""
     mass: float
+    """Mass [kg]."""
     com: Vector
+    """Centre of mass (3,) [m]."""
     inertia_quaternion: Quaternion
+    """Rotation of the principal axes, w x y z (4,)."""
     inertia: Vector
+    """Principal moments of inertia about the centre of mass (3,) [kg m^2]."""
 
 
 LINKS = (  # [table]
@@ -82,15 +84,16 @@ HOME = (0.0, 0.2618, 3.1416, -2.2689, 0.0, 0.9599, 1.5708)  # rad [table]
 
 @dataclass(frozen=True)
 class LinkCapsule:
-    """A capsule fixed to a link.
-
-    link: name of the body. start, stop: centres of its half-spheres in the link's frame (3,) [m]. radius: [m].
-    """
+    """A capsule fixed to a link."""
 
     link: str
+    """Name of the body."""
     start: Vector
+    """Centre of one half-sphere in the link's frame (3,) [m]."""
     stop: Vector
+    """Centre of the other half-sphere in the link's frame (3,) [m]."""
     radius: float
+    """Radius [m]."""
 
 
 LARGE = 0.046  # [mesh] radius of the housings of joints 1 to 4 [m]
@@ -99,12 +102,12 @@ UPPER_WAIST = 0.029  # [mesh] 72 x 39 mm at the thinnest of the two half arms; t
 FOREARM_WAIST = 0.026  # [mesh] 61 x 42 mm at the thinnest of the forearm [m]
 
 CAPSULES = (
-    # How they are fitted. [mesh] gives: the housings are round, of radius LARGE or SMALL, and their flat faces lie
-    # 0.0555 m (large) and about 0.045 m (small) from the link's frame along the joint's axis; between two housings a
-    # link narrows on the inner side of the elbow, while its back stays straight. So each housing is a capsule of its
-    # radius whose cap touches the flat face, and each waist one of equal girth that touches the back. Rounding a
-    # housing's rim by a cap takes up to 19 mm off its edge, never off its girth. The base has panel and clamp; it does
-    # not move, so contact on it is no joint torque, and one capsule about its column will do.
+    # The fit. By [mesh] the housings are round, of radius LARGE or SMALL, and their flat faces are 0.0555 m (large) and
+    # about 0.045 m (small) from the link's frame along the joint's axis. Between two housings a link narrows on the
+    # inner side of the elbow, while its back stays straight. So each housing is a capsule of its radius whose cap
+    # touches the flat face, and each waist is one of equal girth that touches the back. A cap removes up to 19 mm of
+    # the rim of a housing, but nothing of its girth. The base does not move, so contact on it has no joint torque, and
+    # one capsule about its column suffices.
     LinkCapsule("base_link", (0.0, 0.0, 0.050), (0.0, 0.0, 0.115), 0.050),
     LinkCapsule("shoulder_link", (0.0, 0.0, -0.020), (0.0, -0.003, -0.128375), LARGE),
     LinkCapsule("half_arm_1_link", (0.0, 0.0, -0.0095), (0.0, -0.020, -0.0095), LARGE),
@@ -126,8 +129,8 @@ CAPSULES = (
     LinkCapsule("bracelet_link", (-0.032, -0.0608, -0.0495), (0.032, -0.0608, -0.0495), 0.0135),
 )
 
-# The Punyo in its own frame, that of the camera inside [openvsf]: rim centre, and the dome's axis
-# rows, in the flange's frame; design.md, section 7
+# The Punyo [openvsf]. Its own frame is that of the camera inside.
+# rows of its rotation in the flange's frame
 PUNYO_ROTATION = ((0.0, -1.0, 0.0), (0.34202, 0.0, -0.93969), (0.93969, 0.0, 0.34202))
 PUNYO_POSITION: Vector = (0.0, 0.02111, 0.096142)  # m, in the flange's frame
 PUNYO_RIM_CENTRE: Vector = (0.0157, 0.0, 0.0655)  # m
@@ -147,8 +150,8 @@ def _on_dome(side: float) -> Vector:
 
 
 PUNYO_CAPSULES = (
-    # a rigid stand-in for the free dome: what presses deforms it in the bubble's own model, not here
+    # a rigid stand-in for the free dome; the bubble's own model computes its deformation
     LinkCapsule("punyo", _on_dome(-1.0), _on_dome(1.0), _DOME),
-    # the chamber behind it, from the flange: an assumption, see PUNYO_MASS
+    # the chamber between flange and dome: an assumption, see PUNYO_MASS
     LinkCapsule("punyo", (-0.072, 0.0, -0.008), (0.010, 0.0, 0.030), 0.032),
 )

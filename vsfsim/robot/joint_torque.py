@@ -1,11 +1,10 @@
-"""The kinematic arm: joint torques of contact forces, quasi-static. tau = sum of J^T f (SBML, eq. 7).
+"""The kinematic arm: quasi-static joint torques of contact forces, tau = sum of J^T f (SBML, eq. 7).
 
-The joints are given, nothing moves by force; weight is what the arm's own gravity compensation takes off. Sign: the
-torque that the contact exerts on the joint, positive in the sense of positive angles; the motor holds against it with
-the opposite.
+The joint angles are given, forces do not change them, and the arm's gravity compensation removes its weight. A torque
+is that of the contact on the joint, positive in the sense of positive angles; the motor balances it.
 
-For a joint with axis a through the point o, a force f at p and a moment m give a . (m + (p - o) x f) on every link
-behind the joint, and nothing on those before it.
+For a joint with axis a through the point o, a force f at p and a moment m on a link behind the joint give the torque
+a . (m + (p - o) x f); on the links before it they give none.
 """
 
 from __future__ import annotations
@@ -18,17 +17,16 @@ from vsfsim.robot.arm import Arm, ArmError, Postures
 
 def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, moment: np.ndarray | None = None,
                 point: np.ndarray | None = None) -> np.ndarray:
-    """Joint torques (T, 7) [N m] of what acts on the arm's K capsules.
+    """Joint torques (T, 7) [N m] of the forces and moments on the arm's K capsules.
 
     Args:
         at: postures, or joint angles (T, 7) [rad].
         force: on each capsule (T, K, 3) [N], in the world.
-        moment: on each (T, K, 3) [N m], about the ``point``s; None: the forces act through them.
-        point: (T, K, 3) [m], in the world; None: the capsules' origins, their centres.
+        moment: on each capsule about its ``point`` (T, K, 3) [N m], None for none.
+        point: where the forces act (T, K, 3) [m], in the world, None for the capsules' centres.
 
     Raises:
-        ArmError: neither moment nor point is given (a force alone does not say what it turns), or a shape that does not
-        fit.
+        ArmError: neither moment nor point is given (a force alone has no torque), or a shape does not fit.
     """
     at = _postures(arm, at)
     shape = (len(at.tool), len(arm.shapes), 3)
@@ -43,13 +41,18 @@ def body_torque(arm: Arm, at: Postures | np.ndarray, force: np.ndarray, *, momen
 
 def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points: np.ndarray,
                  vectors: np.ndarray) -> np.ndarray:
-    """J^T v of every contact by itself (T, n, 7): joint torques [N m] of forces [N], or the rows of an observation
+    """J^T v of each contact (T, n, 7): joint torques [N m] of forces [N], or the rows of an observation
     matrix of displacements [m].
 
     Args:
         at: postures, or joint angles (T, 7) [rad].
-        links: number in ``arm.links`` of the body that each contact is on (T, n) or (n,); negative: none, its row is 0.
-        points: where (T, n, 3) [m]. vectors: forces on the arm (T, n, 3) [N], or displacements [m]; both in the world.
+        links: number in ``arm.links`` of the body of each contact (T, n) or (n,); negative for no contact, whose row is
+        0.
+        points: points of contact (T, n, 3) [m], in the world.
+        vectors: forces on the arm (T, n, 3) [N], or displacements [m], in the world.
+
+    Raises:
+        ArmError: a shape does not fit, or the arm has no such link.
     """
     at = _postures(arm, at)
     points = np.asarray(points, float)
@@ -64,23 +67,21 @@ def contact_rows(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points:
 
 
 def jacobian(arm: Arm, at: Postures | np.ndarray, links: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Jacobians (T, n, 3, 7) [m/rad] of points (T, n, 3) [m] fixed to the links (T, n) or (n,): their velocity a unit
-    of joint rate."""
+    """Jacobians (T, n, 3, 7) [m/rad] of points (T, n, 3) [m] fixed to the links (T, n) or (n,)."""
     return np.stack([contact_rows(arm, at, links, points, np.broadcast_to(unit, np.shape(points)))
                      for unit in np.eye(3)], axis=-2)
 
 
 def _turn(at: Postures, force: np.ndarray, moment: np.ndarray, point: np.ndarray) -> np.ndarray:
     """a . (m + (p - o) x f) of every contact and joint (T, n, 7)."""
-    # written as a . (m + p x f) - (a x o) . f, which needs no array (T, n, 7, 3)
+    # a . (m + p x f) - (a x o) . f needs no array (T, n, 7, 3)
     about_base = moment + np.cross(point, force)
     return np.einsum("tnc,tjc->tnj", about_base, at.axes) - np.einsum("tnc,tjc->tnj", force,
                                                                       np.cross(at.axes, at.anchors))
 
 
 def _moves(links: np.ndarray) -> np.ndarray:
-    """Whether joint j moves link l: (..., 7). Link 0 is the base, link j + 1 hangs on joint j, the Punyo on all of
-    them."""
+    """Whether each joint moves the links (..., 7). Joint j carries the links from j + 1 on, the Punyo included."""
     return np.arange(gen3.JOINTS) < np.asarray(links)[..., None]
 
 

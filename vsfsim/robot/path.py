@@ -1,4 +1,4 @@
-"""How a probe moves: a press is pose(t), with or without an arm behind it."""
+"""The motion of a probe: poses of a press or of a touch, with or without an arm."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from vsfsim.core.rotation import between, rotation_matrix
 from vsfsim.core.scene import Scene, TouchSpec
 from vsfsim.core.shape import Plane, ProbeShape
 
-FRAME_SECONDS = 1.0 / 30.0  # the Punyo's frame rate
+FRAME_SECONDS = 1.0 / 30.0  # at the Punyo's frame rate [s]
 
 
 def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
@@ -20,11 +20,10 @@ def straight(start: np.ndarray, stop: np.ndarray, steps: int) -> np.ndarray:
 
 
 def turn_to(axis: np.ndarray, probe: ProbeShape) -> np.ndarray:
-    """A rotation (3, 3) that points the probe along the unit direction of travel ``axis`` (3,).
+    """A rotation (3, 3) that points the probe along the direction of travel ``axis`` (3,).
 
-    The probe's -z leads, except for a plane, whose surface looks along its own +z.
-
-    The probe's x stays as horizontal as it can, so the same axis always gives the same rotation.
+    The probe's -z points forward, except for a plane, whose surface faces its own +z. Its x is as horizontal as it can
+    be, so the same axis always gives the same rotation.
     """
     z = np.asarray(axis, float) / np.linalg.norm(axis)
     if not isinstance(probe, Plane):
@@ -47,19 +46,19 @@ def press_path(spec: PressSpec, probe: ProbeShape) -> np.ndarray:
     inward = np.stack([pose_at(spec, probe, k) for k in range(1, spec.inward + 1)])
     parts = [inward, np.repeat(inward[-1:], spec.hold, axis=0)]
     if spec.retract:
-        # frames of the way in where their number allows, so that both ways meet the same equilibria
+        # frames of the way in where their number allows, so that both ways have the same equilibria
         back = np.concatenate([inward[::-1][1:], pose_at(spec, probe, 0)[None]])
-        at = np.linspace(-1, len(back) - 1,
-                         spec.retract + 1).round().astype(int)[1:] if spec.retract <= len(back) else None
-        parts.append(back[at] if at is not None
-                     else np.stack([pose_at(spec, probe, spec.inward * (1 - k / spec.retract))
-                                    for k in range(1, spec.retract + 1)]))
+        if spec.retract <= len(back):
+            parts.append(back[np.linspace(-1, len(back) - 1, spec.retract + 1).round().astype(int)[1:]])
+        else:
+            parts.append(np.stack([pose_at(spec, probe, spec.inward * (1 - k / spec.retract))
+                                   for k in range(1, spec.retract + 1)]))
     return np.concatenate(parts)
 
 
 def pose_at(spec: PressSpec, probe: ProbeShape, frame: float) -> np.ndarray:
-    """Pose (4, 4) of the probe at ``frame`` of the way in: 0 is the first point of the path, `PressSpec.inward` the
-    last."""
+    """Pose (4, 4) of the probe at ``frame`` of the way in, from 0 at the first point of the path to `PressSpec.inward`
+    at the last."""
     ends = np.cumsum((0, *spec.frames))
     part = int(np.clip(np.searchsorted(ends, frame, side="left") - 1, 0, len(spec.frames) - 1))
     share = (frame - ends[part]) / spec.frames[part]
@@ -90,18 +89,20 @@ def _place(body: RigidBody) -> np.ndarray:
 
 def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np.ndarray, *,
                depth: float | None = None) -> np.ndarray:
-    """Poses (T, 4, 4) of one scripted touch: wait free of contact, straight in, hold, straight out.
+    """Poses (T, 4, 4) of one scripted touch: wait without contact, straight in, hold, straight out.
 
     Args:
-        spec: depth, approach and frames of each phase. probe: its shape.
-        contact: where the probe's centre is when its surface reaches the target (3,) [m].
-        axis: unit direction of the press (3,). depth: past first contact [m], or None for the scene's.
+        spec: depth, approach and frames of each phase.
+        probe: shape of the probe.
+        contact: position of the probe's centre when its surface reaches the target (3,) [m].
+        axis: unit direction of the press (3,).
+        depth: travel after the first contact [m], or None for the scene's.
     """
     free, inward, hold, out = spec.frames
     start = contact - spec.approach * axis
-    # the waiting frames stand still at the start: they are the sensor's tare
+    # the waiting frames, at rest at the start, are the sensor's tare
     waiting = np.repeat(start[None], free, axis=0)
-    # the frames in are spread over the depth alone; the way from the start to the surface has nothing to tell
+    # the frames of the way in cover the depth only; on the way from the start to the surface nothing touches
     way_in = straight(contact, contact + (spec.depth if depth is None else depth) * axis, inward)
     parts = [waiting, way_in, np.repeat(way_in[-1:], hold, axis=0)]
     if out:

@@ -1,9 +1,8 @@
-"""From the flat sheet to the inflated dome: continuation in the volume, which goes through the limit points that the
-pressure does not.
+"""From the flat sheet to the inflated dome, by continuation in the volume, which passes limit points of the pressure.
 
-A rubber membrane bears a highest pressure: beyond its *limit point* more volume needs less pressure, and at a
-prescribed pressure the membrane would blow up without bound. The working state of a sensor is on the branch that comes
-from the flat state, before that point.
+A rubber membrane has a largest pressure: beyond its *limit point* a larger volume needs less pressure, and under a
+prescribed pressure the membrane would grow without bound. The working state of a sensor is on the branch from the flat
+state, before that point.
 """
 
 from __future__ import annotations
@@ -15,18 +14,19 @@ import numpy as np
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.bubble.sheet import Balanced, Sheet
 
-_FIRST = 0.1  # height of the first dome over the short semi-axis
-_GROWTH, _MOST = 1.4, 1e4  # of the volume from step to step, and in all over the first
-_LEAST = 1e-3  # smallest growth
-_SECANT = 60
+_GROWTH, _MOST = 1.4, 1e4  # ratio of the volumes of two steps, and of the last and the first one
+_LEAST = 1e-3  # smallest growth of the volume in a step
+_SECANT = 60  # iterations of regula falsi
 
 
 def inflate(sheet: Sheet, guess: np.ndarray, pressure: float, *, where: str) -> Balanced:
-    """The equilibrium at a gauge pressure on the branch that comes from the flat state.
+    """The equilibrium at a gauge pressure, on the branch from the flat state.
 
     Args:
-        sheet: with u = 0 flat and clamped. guess: a shallow dome (3 n,) [m]. pressure: [Pa]. where: scene and section,
-        for messages.
+        sheet: the sheet, flat and clamped at u = 0.
+        guess: a shallow dome (3 n,) [m].
+        pressure: gauge pressure [Pa].
+        where: scene and section, for messages.
 
     Raises:
         SceneError: the pressure is beyond the limit point, or the branch could not be followed.
@@ -41,7 +41,7 @@ def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tu
     first = sheet.at_volume(guess, pressure, volume)
     shrink = 0
     while first is None or first.pressure > pressure:
-        # flatter: so near the plane the pressure grows with the volume or faster
+        # A flatter dome has less pressure: near the plane it grows with the volume or faster.
         above, share = first, 0.5 if first is None else max(0.05, min(0.7, pressure / first.pressure))
         volume, guess = share * volume, share * (guess if first is None else first.displacement)
         first = sheet.at_volume(guess, pressure, volume)
@@ -84,14 +84,14 @@ def _bracket(sheet: Sheet, guess: np.ndarray, pressure: float, where: str) -> tu
 
 
 def _ahead(states: list[Balanced], volume: float) -> tuple[np.ndarray, float]:
-    """Displacement and pressure drawn on from the last two states."""
+    """Displacement and pressure extrapolated from the last two states."""
     now = states[-1]
     if len(states) == 1:
         return now.displacement * volume / now.volume, now.pressure * volume / now.volume
     before = states[-2]
     share = (volume - now.volume) / (now.volume - before.volume)
-    return now.displacement + share * (now.displacement
-                                       - before.displacement), now.pressure + share * (now.pressure - before.pressure)
+    return (now.displacement + share * (now.displacement - before.displacement),
+            now.pressure + share * (now.pressure - before.pressure))
 
 
 def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
@@ -104,10 +104,9 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
         if high - low < 1e-4 * high:
             break
         middle = best.volume
-        # the larger part is cut
-        volume = middle + (1.0 - golden) * (high
-                                            - middle) if high - middle > middle - low else middle - (1.0
-                                                                                                     - golden) * (middle - low)
+        # the larger part is divided
+        part = high - middle if high - middle > middle - low else low - middle
+        volume = middle + (1.0 - golden) * part
         near = min(known, key=lambda s: abs(s.volume - volume))
         found = sheet.at_volume(near.displacement, near.pressure, volume)
         if found is None:
@@ -122,8 +121,8 @@ def _top(sheet: Sheet, around: list[Balanced]) -> Balanced:
 
 
 def _between(sheet: Sheet, low: Balanced, high: Balanced, pressure: float, where: str) -> Balanced:
-    """Regula falsi in the volume, then Newton's method at the pressure itself; the volume's alone where that does not
-    converge, as near the limit."""
+    """Regula falsi in the volume, then Newton's method at the pressure. Where that does not converge, as near the limit
+    point, regula falsi alone."""
     for _ in range(_SECANT):
         span = high.pressure - low.pressure
         share = min(0.95, max(0.05, (pressure - low.pressure) / span)) if span > 0.0 else 0.5

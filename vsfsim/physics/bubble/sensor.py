@@ -1,6 +1,6 @@
-"""The air-filled bubble sensor as a body that the solver can press: inflated once, kept, and free of load at u = 0.
+"""The air-filled bubble sensor as a body for the solver: inflated once, cached, and in equilibrium at u = 0.
 
-Mount frame: origin in the middle of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
+Mount frame: origin at the centre of the rim, x along the long semi-axis, y along the short one, +z out of the dome.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ from vsfsim.physics.mesh.membrane_refine import Wishes
 from vsfsim.physics.mesh.quadratic import assemble
 from vsfsim.physics.model import Model
 
-# Part of the cache key: raise it when a mesh, a law or the inflation changes.
-_RECIPE = 1
+_VERSION = 1  # part of the cache key: raise it when a mesh, a law or the inflation changes
 _KEPT = 8  # models kept in this process
-_COARSE = 390  # nodes that the way from flat to inflated is followed with
+_COARSE = 390  # nodes of the mesh on which the branch from flat to inflated is followed
 _SHALLOW = 0.1  # height of the first dome over the short semi-axis
 
 _models: OrderedDict[str, BubbleModel] = OrderedDict()
@@ -40,20 +39,19 @@ _models: OrderedDict[str, BubbleModel] = OrderedDict()
 
 @dataclass(frozen=True)
 class ReadOut:
-    """The mesh that a user of the sensor sees: the Punyo's 390 nodes, tied to the material.
-
-    faces: triangles (714, 3), wound outwards. rim: nodes of the edge in order (64,). flat: places before inflation
-    (390, 2) [m].
-    weights: positions of its nodes are ``weights @`` those of the fine mesh (390, n) [-], sparse.
-    """
+    """The mesh of the sensor's reading: the Punyo's 390 nodes, fixed to the material."""
 
     faces: np.ndarray
+    """Triangles, wound outwards (714, 3)."""
     rim: np.ndarray
+    """Nodes of the rim in order (64,)."""
     flat: np.ndarray
+    """Positions before inflation (390, 2) [m]."""
     weights: sp.csr_matrix
+    """Interpolation from the nodes of the fine mesh (390, n) [-], sparse."""
 
     def positions(self, points: np.ndarray) -> np.ndarray:
-        """Nodes (..., 390, 3) [m] when those of the fine mesh are at ``points`` (..., n, 3) [m]."""
+        """Positions of the nodes (..., 390, 3) [m] when those of the fine mesh are at ``points`` (..., n, 3) [m]."""
         lead = points.shape[:-2]
         rows = points.reshape(-1, *points.shape[-2:])
         return np.stack([self.weights @ row for row in rows]).reshape(*lead, -1, 3)
@@ -61,42 +59,45 @@ class ReadOut:
 
 @dataclass(frozen=True)
 class BubbleModel(Model):
-    """A bubble in its mount frame: a `Model` whose rest, u = 0, is the free inflated dome.
+    """A bubble in its mount frame: a `Model` whose rest state, u = 0, is the free inflated dome.
 
-    mesh: linear triangles, a `TriangleMesh`. young_modulus: E h over the mean edge (1,) [Pa], what the contact counts
-    as its modulus.
-    surface_modulus: the same with each triangle's own size (f,) [Pa]. solid: no tetrahedra. element_size: mean edge of
-    the inflated mesh [m], where it was made finer of the nodes that are touched.
-    spec: what it was built from. flat: places of the nodes in the clamped, uninflated sheet (n, 2) [m].
-    pressure: gauge, of the free dome [Pa]. dead_volume: of the chamber behind the rim plane [m^3]. read_out: the 390
-    nodes.
+    Its mesh is a `TriangleMesh` of linear triangles and its solid has no tetrahedra. Its moduli, which scale the
+    contact, are E h over the mean edge, or over the size of each triangle. Its element size is the mean edge of the
+    inflated mesh, where it was refined that at the touched nodes.
     """
 
     spec: Bubble
+    """The bubble that it was built from."""
     flat: np.ndarray
+    """Positions of the nodes in the clamped sheet before inflation (n, 2) [m]."""
     pressure: float
+    """Gauge pressure of the free dome [Pa]."""
     dead_volume: float
+    """Volume of the chamber behind the plane of the rim [m^3]."""
     read_out: ReadOut
+    """The mesh of the sensor's reading."""
 
     def least_force(self) -> float:
-        """Forces under this are zero [N]: 1e-7 of the gas's push on the rim plane (6 uN for the Punyo), which 20,000
-        nodes balance at u = 0 to 1e-12 only."""
+        """Forces below this count as zero [N]: 1e-7 of the gas's force on the plane of the rim (6 uN for the Punyo),
+        which 20,000 nodes balance at u = 0 to 1e-12 only."""
         return 1e-7 * self.pressure * np.pi * self.spec.semi_axes[0] * self.spec.semi_axes[1]
 
 
 def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]",
                  cache: Path | None = None) -> BubbleModel:
-    """The model of a bubble; the same spec again costs nothing, and in a new process only the factor.
+    """The model of a bubble, cached in this process and, but for its factor, on the disk.
 
     Args:
-        spec: the bubble. finer: where its mesh is to be finer than even. where: scene and section, for messages. cache:
-        folder for inflated shapes; None is the user's own.
+        spec: the bubble.
+        finer: where its mesh is refined.
+        where: scene and section, for messages.
+        cache: folder for inflated shapes; None for the user's own.
 
     Raises:
-        SceneError: the gauge pressure is beyond the membrane's limit point, or there is less gas than the dome holds.
+        SceneError: the gauge pressure is beyond the membrane's limit point, or the dome holds more than the gas.
     """
     finer = tuple((edge, nodes) for edge, nodes in finer if nodes)
-    key = hashlib.sha256(repr((astuple(spec), finer, _RECIPE)).encode()).hexdigest()
+    key = hashlib.sha256(repr((astuple(spec), finer, _VERSION)).encode()).hexdigest()
     if key not in _models:
         _models[key] = _build(spec, finer, where, cache)
         while len(_models) > _KEPT:
@@ -106,8 +107,8 @@ def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]",
 
 
 def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Flat places (n, 2) [m], triangles (f, 3) and rim (r,); with the default number of nodes the read-out mesh is part
-    of it."""
+    """Flat positions (n, 2) [m], triangles (f, 3) and rim (r,). The mesh with the default number of nodes contains the
+    nodes of the read-out mesh."""
     a, b = spec.semi_axes
     nodes = spec.nodes if nodes is None else nodes
     total, rim = membrane_mesh.READ_OUT
@@ -118,19 +119,19 @@ def flat_mesh(spec: Bubble, nodes: int | None = None) -> tuple[np.ndarray, np.nd
 
 
 def elastic_blocks(spec: Bubble, points: np.ndarray, flat: np.ndarray, faces: np.ndarray) -> tuple[Block, Block]:
-    """Membrane and bending of a sheet that was stretched ``spec.pre_stretch`` times when it was clamped, at u = 0 in
-    ``points`` (n, 3) [m].
+    """Membrane and bending elements of a sheet that was stretched by ``spec.pre_stretch`` when it was clamped, with
+    u = 0 at ``points`` (n, 3) [m].
 
-    The rim may turn: a clamp bends the sheet over sqrt(D / tension), 0.3 mm, less than any element; half resolved, it
-    would make the dome depend on the mesh.
+    The rim may rotate. A clamp would bend the sheet over sqrt(D / tension) = 0.3 mm, less than the size of an element,
+    and the dome would depend on the mesh.
     """
     rest = flat / spec.pre_stretch
-    return triangle.block(faces, points, rest[faces], spec.modulus), hinge.block(faces, points, rest, spec.bending,
-                                                                                 clamped=False)
+    return (triangle.block(faces, points, rest[faces], spec.modulus),
+            hinge.block(faces, points, rest, spec.bending, clamped=False))
 
 
 def sheet(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> Sheet:
-    """The flat, clamped sheet with u = 0 in the rim plane."""
+    """The flat, clamped sheet, with u = 0 in the plane of the rim."""
     points = np.column_stack([flat, np.zeros(len(flat))])
     return Sheet(points, elastic_blocks(spec, points, flat, faces), closed(faces, rim), _free(len(flat), rim))
 
@@ -142,18 +143,18 @@ def _free(nodes: int, rim: np.ndarray) -> np.ndarray:
 
 
 def _dome(spec: Bubble, flat: np.ndarray) -> np.ndarray:
-    """A shallow dome (3 n,) [m] to begin with."""
+    """Displacements to a shallow dome (3 n,) [m], where the inflation begins."""
     a, b = spec.semi_axes
     u = np.zeros((len(flat), 3))
     u[:, 2] = _SHALLOW * b * (1.0 - (flat[:, 0] / a) ** 2 - (flat[:, 1] / b) ** 2)
     return u.ravel()
 
 
-def inflate(spec: Bubble, where: str) -> np.ndarray:
+def free_dome(spec: Bubble, where: str) -> np.ndarray:
     """Displacements (n, 3) [m] from the flat sheet to the free dome.
 
-    The way there is followed on a coarse mesh; the fine one begins from its dome, or goes the whole way itself where
-    that does not lead to it.
+    The branch is followed on a coarse mesh, whose dome is the guess for the fine one. Where that does not converge, the
+    branch is followed on the fine mesh.
     """
     fine = flat_mesh(spec)
     own = sheet(spec, *fine)
@@ -170,8 +171,8 @@ def inflate(spec: Bubble, where: str) -> np.ndarray:
 
 
 def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix:
-    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to places ``at`` (k, 2) [m]; outside, the
-    nearest triangle is drawn on."""
+    """Interpolation (k, n) from nodes ``flat`` (n, 2) [m] of a plane mesh to points ``at`` (k, 2) [m]; outside of the
+    mesh, extrapolation from the nearest triangle."""
     from scipy.spatial import cKDTree
 
     corners = flat[faces]
@@ -188,11 +189,11 @@ def locate(flat: np.ndarray, faces: np.ndarray, at: np.ndarray) -> sp.csr_matrix
 
 
 def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> BubbleModel:
-    # the gas plays no part in the inflation: only what does is in the file's name
+    # the file's name holds only what the inflated shape depends on; the gas is not part of it
     content = (spec.semi_axes, spec.young_modulus, spec.thickness, spec.pre_stretch, spec.gauge_pressure, spec.nodes,
-               *finer, _RECIPE)
-    stored = (disk_cache.folder() if cache is None
-              else Path(cache)) / f"bubble-{hashlib.sha256(repr(content).encode()).hexdigest()[:32]}.npz"
+               *finer, _VERSION)
+    digest = hashlib.sha256(repr(content).encode()).hexdigest()[:32]
+    stored = (disk_cache.folder() if cache is None else Path(cache)) / f"bubble-{digest}.npz"
     if finer:
         even = build_bubble(spec, where=where, cache=cache)
         flat, faces, rim = membrane_refine.finer(even.flat, even.mesh.faces, even.mesh.rim, spec.semi_axes,
@@ -201,7 +202,7 @@ def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> Bubbl
         flat, faces, rim = flat_mesh(spec)
 
     def inflated() -> np.ndarray:
-        return _between(even, flat, faces, rim, where) if finer else inflate(spec, where)
+        return _refined_dome(even, flat, faces, rim, where) if finer else free_dome(spec, where)
 
     with disk_cache.locked(stored):
         kept = disk_cache.read(stored)
@@ -213,8 +214,8 @@ def _build(spec: Bubble, finer: Wishes, where: str, cache: Path | None) -> Bubbl
     return assemble_bubble(spec, flat, faces.astype(np.int32), rim, points, where, touched=np.array(touched, int))
 
 
-def _between(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, where: str) -> np.ndarray:
-    """Displacements (n, 3) [m] from flat to free dome of a mesh that begins from the dome of the even one."""
+def _refined_dome(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, where: str) -> np.ndarray:
+    """As `free_dome` for a refined mesh, with the dome of the even mesh as the guess."""
     own = sheet(even.spec, flat, faces, rim)
     dome = even.mesh.points - np.column_stack([even.flat, np.zeros(len(even.flat))])
     found = own.at_pressure((locate(even.flat, even.mesh.faces, flat) @ dome).ravel() * own.free,
@@ -225,10 +226,17 @@ def _between(even: BubbleModel, flat: np.ndarray, faces: np.ndarray, rim: np.nda
 
 
 def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, points: np.ndarray, where: str,
-                    *,
-                    touched: np.ndarray | None = None) -> BubbleModel:
-    """The model whose free dome is at ``points`` (n, 3) [m]; ``touched``: the nodes whose elements count as its size,
-    or None for all; other arguments as `sheet` and `build_bubble`."""
+                    *, touched: np.ndarray | None = None) -> BubbleModel:
+    """The model whose free dome is at ``points`` (n, 3) [m].
+
+    Args:
+        flat, faces, rim: the mesh, as `flat_mesh` returns it.
+        touched: nodes whose elements define the element size, None for all.
+        spec, where: as of `build_bubble`.
+
+    Raises:
+        SceneError: the dome holds more than the gas.
+    """
     mesh = TriangleMesh.of(points, faces, rim)
     inside = float(mesh.volume[0])
     dead = spec.gas_volume - inside
@@ -237,16 +245,15 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
                          f"{1e6 * inside:.4g} mL; gas_volume is all of "
                          "the enclosed air, dome and chamber behind it, so give more than that (in m^3).")
     air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma,
-                    ambient=spec.ambient_pressure,
-                    dead_volume=dead, sealed=spec.sealed)
+                    ambient=spec.ambient_pressure, dead_volume=dead, sealed=spec.sealed)
     blocks = (*elastic_blocks(spec, points, flat, faces), air)
     free = _free(len(points), rim)
     factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(),
                                *gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)
     total, edges = membrane_mesh.READ_OUT
-    seen, seen_faces, seen_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
-    read_out = ReadOut(seen_faces.astype(np.int32), seen_rim, seen, locate(flat, faces, seen))
+    read_flat, read_faces, read_rim = membrane_mesh.ellipse(*spec.semi_axes, total, rim=edges)
+    read_out = ReadOut(read_faces.astype(np.int32), read_rim, read_flat, locate(flat, faces, read_flat))
     nothing = Solid(np.zeros((0, 3)), np.zeros((0, 4), np.int64), np.zeros(0, np.int64), ("membrane",))
     return BubbleModel(mesh, blocks, np.array([spec.modulus / edge]), free, np.zeros(points.size),
                        spec.modulus / np.sqrt(2.0 * mesh.face_area()), nothing,

@@ -1,4 +1,4 @@
-"""The shape of a free dome: stretches of the membrane, and how far its height map is from a real Punyo's."""
+"""The shape of a free dome: stretches of the membrane, and the difference of its height map from a real Punyo's."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from vsfsim.physics.bubble.sensor import BubbleModel
 
-# measured from 150 frames of a real sensor: h = HEIGHT (1 - rho^2)^POWER, rho the elliptical radius, 0.5 mm rms from
-# its own frames
+# Height of a real sensor, h = HEIGHT (1 - rho^2)^POWER [m] with the elliptical radius rho, fitted to 150 of its frames
+# (rms residual 0.5 mm).
 HEIGHT, POWER = 30.89e-3, 0.763
 
 
 def stretches(model: BubbleModel, points: np.ndarray | None = None) -> np.ndarray:
-    """Principal stretches of every triangle against the unstretched rubber (f, 2) [-], the larger first; at ``points``
-    (n, 3) [m], or of the free dome."""
+    """Principal stretches of every triangle relative to the unstretched rubber (f, 2) [-], the larger first, with the
+    nodes at ``points`` (n, 3) [m], or of the free dome."""
     block = model.blocks[0]
     x = (model.mesh.points if points is None else points)[block.nodes]
     deformation = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ block.parameters["inverse"]
@@ -21,14 +21,13 @@ def stretches(model: BubbleModel, points: np.ndarray | None = None) -> np.ndarra
 
 
 def punyo_rms(model: BubbleModel) -> float:
-    """Root mean square difference [m] of the dome's height from the measured map over the rim plane, by projected
-    area."""
+    """Root mean square difference of the dome's height from the measured map [m], averaged over the rim's plane."""
     a, b = model.spec.semi_axes
     corners = model.mesh.points[model.mesh.faces]
     edge, other = corners[:, 1, :2] - corners[:, 0, :2], corners[:, 2, :2] - corners[:, 0, :2]
     area = 0.5 * np.abs(edge[:, 0] * other[:, 1] - edge[:, 1] * other[:, 0])
     total = 0.0
-    # the middles of the edges integrate squares of linear functions exactly
+    # the edge midpoints integrate squares of linear functions exactly
     for k in range(3):
         x, y, z = (0.5 * (corners[:, k] + corners[:, (k + 1) % 3])).T
         measured = HEIGHT * np.clip(1.0 - (x / a) ** 2 - (y / b) ** 2, 0.0, None) ** POWER

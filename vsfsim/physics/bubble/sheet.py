@@ -1,10 +1,9 @@
-"""A clamped sheet or closed skin under the pressure of a gas, by Newton's method with a sparse factor of every state's
-own tangent.
+"""A clamped sheet or a closed skin under gas pressure, by Newton's method with a sparse factor of every tangent.
 
-    f(x) - p grad V(x) = 0       with the pressure p given, or the volume V (then p is an unknown too, and a limit point
-    of the pressure is no obstacle)
+    f(x) - p grad V(x) = 0       with the pressure p given, or with the volume V given and p unknown
 
-It serves the inflation of a sensor from its flat state and the closed forms; touches go through `Solver`.
+With the volume given the method passes limit points of the pressure. The module serves the inflation of a sensor and
+the closed forms; touches are solved by `Solver`.
 """
 
 from __future__ import annotations
@@ -22,29 +21,33 @@ from vsfsim.physics.elements.block import Block
 from vsfsim.physics.solve.elasticity import Elasticity
 
 _ITERATIONS = 60
-_TIGHT = 1e-11  # unbalanced over acting force: two digits above the rounding of sums of thousands of nodes
-# what counts as balanced where rounding lets no step lower the residual: flat sheets under next to no pressure
+_TIGHT = 1e-11  # tolerance of unbalanced over acting force: 100 times the rounding error of sums over all nodes
+# tolerance where rounding prevents a further decrease, as of flat sheets at almost no pressure
 _GOOD = 1e-6
 
 
 @dataclasses.dataclass(frozen=True)
 class Balanced:
-    """An equilibrium. displacement: (3 n,) [m]. pressure: gauge [Pa]. volume: inside the surface [m^3]. residual:
-    unbalanced over acting force [-]."""
+    """An equilibrium."""
 
     displacement: np.ndarray
+    """Displacements of the nodes (3 n,) [m]."""
     pressure: float
+    """Gauge pressure [Pa]."""
     volume: float
+    """Volume inside the surface [m^3]."""
     residual: float
+    """Unbalanced over acting force [-]."""
 
 
 class Sheet:
-    """Elements of a surface and the volume that it closes.
+    """The elements of a surface, and the volume that it encloses.
 
     Args:
-        points: positions at u = 0 (n, 3) [m]. blocks: elastic elements. closed: faces of the closed surface (m, 3), a
-        cap over the rim among them.
-        free: 1 where a degree of freedom may move (3 n,).
+        points: positions at u = 0 (n, 3) [m].
+        blocks: elastic elements.
+        closed: faces of the closed surface (m, 3), a cap over the rim included.
+        free: 1 for the degrees of freedom that may move, else 0 (3 n,).
     """
 
     def __init__(self, points: np.ndarray, blocks: tuple[Block, ...], closed: np.ndarray, free: np.ndarray):
@@ -75,11 +78,11 @@ class Sheet:
         return float(self._elastic.energy.numpy()[0])
 
     def volume(self, u: np.ndarray) -> float:
-        """Inside the surface [m^3]."""
+        """Volume inside the surface at u (3 n,) [m^3]."""
         return gas.volume(self.points + u.reshape(-1, 3), self.closed)
 
     def tangent(self, u: np.ndarray, pressure: float, *, projected: bool = False) -> sp.csr_matrix:
-        """Derivative of f - p grad V by the displacements, supports not held (3 n, 3 n) [N/m]."""
+        """Derivative of f - p grad V by the displacements, without supports (3 n, 3 n) [N/m]."""
         self._elastic.tangent(self._index, self._at(u), projected=projected)
         parts = [block.element.matrices(block, self._elastic.remembered(i)[:, :, 0]) if constant is None else constant
                  for i, (block, constant) in enumerate(zip(self.blocks, self._constant, strict=True))]
@@ -88,7 +91,7 @@ class Sheet:
         return sp.coo_matrix((values, (self._rows, self._columns)), shape=(len(u), len(u))).tocsr()
 
     def _state(self, u: np.ndarray, pressure: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """Residual on what may move, grad V there, and unbalanced over acting force."""
+        """Residual of the free degrees of freedom, grad V there, and unbalanced over acting force."""
         gradient = gas.gradient(self.points + u.reshape(-1, 3), self.closed)
         forces = self.forces(u)
         residual = (pressure * gradient - forces)[self._moves]
@@ -97,8 +100,8 @@ class Sheet:
 
     def at_volume(self, u: np.ndarray, pressure: float, volume: float, *,
                   iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium with this volume [m^3], from the guess u (3 n,) [m] and pressure [Pa]; None if Newton's
-        method finds none."""
+        """The equilibrium with this volume [m^3] from the guess u (3 n,) [m] and pressure [Pa], or None if Newton's
+        method does not converge."""
         u = u.copy()
         inside = self.volume(u)
         residual, gradient, error = self._state(u, pressure)
@@ -111,11 +114,11 @@ class Sheet:
             try:
                 step = splu(whole, permc_spec="MMD_AT_PLUS_A",
                             options={"SymmetricMode": False}).solve(np.append(residual, -short))
-            except RuntimeError:  # singular to the last digit
+            except RuntimeError:  # exactly singular
                 return None
             if not np.isfinite(step).all():
                 return None
-            # one measure for the whole step: the acting force changes with the pressure
+            # one scale for the whole step, as the acting force changes with the pressure
             acting = max(abs(pressure), abs(pressure + step[-1])) * np.abs(gradient).sum()
             missing = np.abs(residual).sum() / acting + abs(short) / volume
             for share in 0.5 ** np.arange(8):
@@ -127,7 +130,7 @@ class Sheet:
                     break
             else:
                 if missing < _GOOD:
-                    break  # rounding's floor
+                    break  # no further decrease because of rounding
             u, pressure, inside = trial, pressure + share * step[-1], now
             residual, gradient, error = new
         if not (error < _GOOD and abs(volume - inside) < 1e-9 * volume):
@@ -135,8 +138,8 @@ class Sheet:
         return Balanced(u, float(pressure), inside, error)
 
     def at_pressure(self, u: np.ndarray, pressure: float, *, iterations: int = _ITERATIONS) -> Balanced | None:
-        """The equilibrium at this gauge pressure [Pa] nearest to the guess u (3 n,) [m]; None if Newton's method finds
-        none."""
+        """The equilibrium at this gauge pressure [Pa] from the guess u (3 n,) [m], or None if Newton's method does not
+        converge."""
         u = u.copy()
         residual, _, error = self._state(u, pressure)
         for _ in range(iterations):
