@@ -6,7 +6,6 @@ TOML becomes a frozen dataclass. Any value may be a distribution, ``{ uniform = 
 
 from __future__ import annotations
 
-import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -17,123 +16,53 @@ import numpy as np
 
 from vsfsim.core.arm_spec import ArmSpec, parse_arm
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
-from vsfsim.core.distribution import ends, sample
 from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.material import MaterialField, parse_material
-from vsfsim.core.rigid import (
-    MAX_BODIES,
-    MAX_FRICTION,
-    PressSpec,
-    RigidBody,
-    beside,
-    parse_obstacles,
-    parse_press,
-    parse_probe,
-)
-from vsfsim.core.shape import Family, MeshFile, ObjectShape, ProbeShape, parse_object_shape
+from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_obstacles, parse_press, parse_probe
+from vsfsim.core.scene_tables.camera import CameraSpec, parse_camera
+from vsfsim.core.scene_tables.dataset import DatasetSpec, TouchSpec, parse_dataset, parse_touches
+from vsfsim.core.scene_tables.distribution import ends, sample
+from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
+from vsfsim.core.shape import MeshFile, ProbeShape
 from vsfsim.core.table import Table
 
-TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine", "rod")
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
-
-
-@dataclass(frozen=True)
-class ObjectSpec:
-    """``[object]``.
-
-    shape: what it is. pose: base centre in the world (3,) [m]; yaw: turn about +z [rad].
-    fixed: "bottom", "none", or a box (x0, y0, z0, x1, y1, z1) [m] in the object's frame whose nodes are held.
-    tier: fidelity, one of `TIERS`. resolution: element size [m] or None for the tier's own.
-    poisson_ratio: [-]. density: [kg/m^3]. friction: Coulomb coefficient against rigid bodies [-].
-    young_modulus: the field E(x) [Pa]. appearance: table for the family or the renderer.
-    """
-
-    shape: ObjectShape
-    pose: tuple[float, float, float]
-    yaw: float
-    fixed: str | tuple[float, ...]
-    tier: str
-    resolution: float | None
-    poisson_ratio: float
-    density: float
-    friction: float
-    young_modulus: MaterialField
-    appearance: Mapping[str, Any]
-
-
-@dataclass(frozen=True)
-class TouchSpec:
-    """``[touches]``: how a dataset's touches are drawn on the visible cloud.
-
-    count: touches a view. depth: how far the probe goes past first contact [m].
-    approach: clearance between the probe and the target point at the start [m].
-    force_limit: the press stops short where the rest state's linear response passes this force [N]; a bubble, where a
-    flat rigid wall would.
-    frames: (free, in, hold, out) readings in each phase. tilt: a bubble comes in along a direction drawn from the cone
-    of this half angle about the normal that is seen [rad], so that its flanks touch, too; 0 for the normal itself.
-    """
-
-    count: int
-    depth: float
-    approach: float
-    force_limit: float
-    frames: tuple[int, int, int, int]
-    tilt: float = 0.0
-
-
-@dataclass(frozen=True)
-class CameraSpec:
-    """``[camera]``: a pinhole camera that looks at the object.
-
-    width, height: [px]. fov: vertical field of view [rad]. distance: to the look-at point [m].
-    azimuth, elevation: direction from the object to the camera [rad].
-    noise: of its depth, "none" or "kinect" (`vsfsim.sensing.kinect`).
-    """
-
-    width: int
-    height: int
-    fov: float
-    distance: float
-    azimuth: float
-    elevation: float
-    noise: str = "none"
-
-
-@dataclass(frozen=True)
-class DatasetSpec:
-    """``[dataset]``: objects: how many. views: of each. splits: number of objects by split name, in order."""
-
-    objects: int
-    views: int
-    splits: Mapping[str, int]
+"""Words that a scene's ``needs`` may hold."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One concrete scene: every distribution fixed.
-
-    name: from the file. needs: what the signal depends on. gravity: (3,) [m/s^2].
-    probe: moves along the path; parts move with it; obstacles stand in the world. source: the file it came from.
-    given: tables and keys at the top of the file. sensor: an air-filled bubble that moves along the path in the probe's
-    place. arm: what touches instead of the probe. The other fields: see their classes; None where the file has no such
-    table. Without an object there are a sensor and obstacles.
-    """
+    """One concrete scene: every distribution is fixed. A scene without an object has a sensor and obstacles."""
 
     name: str
+    """From the file."""
     needs: tuple[str, ...]
+    """What the signal depends on, of `NEEDS`."""
     gravity: tuple[float, float, float]
+    """Acceleration (3,) [m/s^2]."""
     object: ObjectSpec | None
+    """``[object]``, or None without one."""
     probe: ProbeShape
+    """What moves along the path."""
     parts: tuple[RigidBody, ...]
+    """Bodies that move with the probe."""
     obstacles: tuple[RigidBody, ...]
+    """Bodies that stand in the world."""
     press: PressSpec | None
+    """``[press]``, or None without one."""
     touches: TouchSpec | None
+    """``[touches]``, or None without one."""
     camera: CameraSpec
+    """``[camera]``."""
     dataset: DatasetSpec | None
+    """``[dataset]``, or None without one."""
     source: Path
+    """The file."""
     given: frozenset[str] = frozenset()
+    """Tables and keys at the top of the file."""
     sensor: Bubble | None = None
+    """An air-filled bubble that moves along the path in the probe's place."""
     arm: ArmSpec | None = None
+    """The arm that touches instead of the probe."""
     effector: str = "probe"
     """Name of what touches: "arm" with an [arm], the kind of the [sensor], or else "probe"; one of
     `vsfsim.core.shelf.effectors`."""
@@ -192,14 +121,14 @@ class Scene:
 
 @dataclass(frozen=True)
 class SceneFile:
-    """A scene as written, distributions and all.
-
-    path: where it lies. text: its bytes as text (stored in datasets). tree: the parsed TOML.
-    """
+    """A scene as written, with its distributions."""
 
     path: Path
+    """The file."""
     text: str
+    """Its content, which datasets store."""
     tree: Mapping[str, Any]
+    """The parsed TOML."""
 
     @property
     def name(self) -> str:
@@ -215,8 +144,7 @@ class SceneFile:
         Raises:
             SceneError: a value out of its range.
         """
-        rng = np.random.default_rng(seed)
-        return _build(sample(self.tree, rng), self.path)
+        return _build(sample(self.tree, np.random.default_rng(seed)), self.path)
 
 
 def load_scene(path: str | Path) -> SceneFile:
@@ -244,13 +172,10 @@ def parse_scene(text: str, path: str | Path) -> SceneFile:
     except tomllib.TOMLDecodeError as error:
         raise SceneError(f"scene file '{path}' is not valid TOML: {error}.") from error
     scene = SceneFile(path, text, tree)
-    # The ends of every distribution (and each choice) must build; a mid-run surprise is worse than a refusal now.
+    # The ends of every distribution, and each choice, must build: a value out of range is refused before the run.
     for end in ends(tree, str(path)):
         _build(end, path)
     return scene
-
-
-# ---------------------------------------------------------------------------------------------- tables
 
 
 def _build(tree: Mapping[str, Any], path: Path) -> Scene:
@@ -293,14 +218,14 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         name=str(tree.get("name", path.stem)),
         needs=tuple(needs),
         gravity=top.vector("gravity", (0.0, 0.0, 0.0)),
-        object=_object(tree["object"], path) if "object" in tree else None,
+        object=parse_object(tree["object"], path) if "object" in tree else None,
         probe=probe,
         parts=parts,
         obstacles=obstacles,
         press=parse_press(tree["press"], path) if "press" in tree else None,
-        touches=_touches(tree["touches"], path) if "touches" in tree else None,
-        camera=_camera(tree.get("camera", {}), path),
-        dataset=_dataset(tree["dataset"], path) if "dataset" in tree else None,
+        touches=parse_touches(tree["touches"], path) if "touches" in tree else None,
+        camera=parse_camera(tree.get("camera", {}), path),
+        dataset=parse_dataset(tree["dataset"], path) if "dataset" in tree else None,
         source=path,
         given=frozenset(tree),
         sensor=sensor,
@@ -308,73 +233,3 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         effector=effector,
         effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
     )
-
-
-def _object(node: Any, path: Path) -> ObjectSpec:
-    where = f"{path} [object]"
-    t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
-                             "friction", "young_modulus", "appearance"))
-    shape = parse_object_shape(t.table.get("shape"), where)
-    fixed = t.table.get("fixed", "bottom")
-    if isinstance(fixed, str):
-        fixed = t.word("fixed", "bottom", ("bottom", "none"))
-    else:
-        fixed = t.vector("fixed", None, 6)
-    material = parse_material(t.table.get("young_modulus"), where)
-    if material.base is None and not isinstance(shape, Family):
-        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
-                         f"{{ base = 1e5, inclusions = [..] }}.")
-    appearance = t.table.get("appearance", {})
-    if not isinstance(appearance, Mapping):
-        raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
-    friction = t.number("friction", 0.0, 0.0, MAX_FRICTION)
-    shape = beside(shape, path)  # type: ignore[arg-type,assignment]
-    resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
-    return ObjectSpec(
-        shape=shape,
-        pose=t.vector("pose", (0.0, 0.0, 0.0)),
-        yaw=t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"),
-        fixed=fixed,
-        tier=t.word("tier", "auto", TIERS),
-        resolution=resolution,
-        poisson_ratio=t.number("poisson_ratio", 0.45, 0.0, 0.4999),
-        density=t.number("density", 1000.0, 1e-3, 3e4, "kg/m^3"),
-        friction=friction,
-        young_modulus=material,
-        appearance=appearance,
-    )
-
-
-def _touches(node: Any, path: Path) -> TouchSpec:
-    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt"))
-    where = f"{path} [touches] frames"
-    f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
-    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
-              f.count("out", 3, 0, 1000))
-    return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
-                     t.number("approach", 0.01, 1e-4, 0.5, "m"),
-                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"))
-
-
-def _camera(node: Any, path: Path) -> CameraSpec:
-    t = Table(node, f"{path} [camera]", ("width", "height", "fov", "distance", "azimuth", "elevation", "noise"))
-    return CameraSpec(t.count("width", 640, 8, 8192), t.count("height", 480, 8, 8192),
-                      t.number("fov", 0.8, 0.05, 2.8, "rad"), t.number("distance", 0.6, 0.01, 100.0, "m"),
-                      t.number("azimuth", 0.9, -2 * math.pi, 2 * math.pi, "rad"),
-                      t.number("elevation", 0.7, -1.55, 1.55, "rad"),
-                      t.word("noise", "none", ("none", "kinect")))
-
-
-def _dataset(node: Any, path: Path) -> DatasetSpec:
-    where = f"{path} [dataset]"
-    t = Table(node, where, ("objects", "views", "splits"))
-    objects = t.count("objects", 6, 1, 100_000)
-    splits = t.table.get("splits", {"test": objects})
-    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0
-                                              for n in splits.values()):
-        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. "
-                         f"{{ train = 4, test = 2 }}.")
-    if sum(splits.values()) != objects:
-        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make "
-                         f"them equal.")
-    return DatasetSpec(objects, t.count("views", 1, 1, 1000), dict(splits))

@@ -1,0 +1,79 @@
+"""``[touches]`` and ``[dataset]``: how many objects, views and touches a dataset has, and how touches are made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.table import Table
+
+
+@dataclass(frozen=True)
+class TouchSpec:
+    """``[touches]``: how the touches of a dataset are drawn on the visible cloud."""
+
+    count: int
+    """Touches of a view."""
+    depth: float
+    """Travel of the probe past first contact [m]."""
+    approach: float
+    """Clearance between the probe and the target point at the start [m]."""
+    force_limit: float
+    """The press stops before the linear response of the rest state passes this force [N]; that of a bubble, before a
+    flat rigid wall would."""
+    frames: tuple[int, int, int, int]
+    """Readings in each phase: (free, in, hold, out)."""
+    tilt: float = 0.0
+    """Half angle of the cone about the visible normal from which the direction of a bubble is drawn, so that its flanks
+    touch, too [rad]; 0 for the normal itself."""
+
+
+@dataclass(frozen=True)
+class DatasetSpec:
+    """``[dataset]``."""
+
+    objects: int
+    """Number of objects."""
+    views: int
+    """Views of each."""
+    splits: Mapping[str, int]
+    """Number of objects by split name, in order."""
+
+
+def parse_touches(node: Any, path: Path) -> TouchSpec:
+    """The table ``[touches]`` of the scene file ``path``.
+
+    Raises:
+        SceneError: an unknown key, or a value that is not allowed.
+    """
+    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt"))
+    where = f"{path} [touches] frames"
+    f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
+    frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
+              f.count("out", 3, 0, 1000))
+    return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
+                     t.number("approach", 0.01, 1e-4, 0.5, "m"),
+                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"))
+
+
+def parse_dataset(node: Any, path: Path) -> DatasetSpec:
+    """The table ``[dataset]`` of the scene file ``path``.
+
+    Raises:
+        SceneError: an unknown key, a value that is not allowed, or splits that do not add up.
+    """
+    where = f"{path} [dataset]"
+    t = Table(node, where, ("objects", "views", "splits"))
+    objects = t.count("objects", 6, 1, 100_000)
+    splits = t.table.get("splits", {"test": objects})
+    if not isinstance(splits, Mapping) or any(isinstance(n, bool) or not isinstance(n, int) or n < 0
+                                              for n in splits.values()):
+        raise SceneError(f"{where}: splits is {splits!r}; give the number of objects of each, e.g. "
+                         f"{{ train = 4, test = 2 }}.")
+    if sum(splits.values()) != objects:
+        raise SceneError(f"{where}: splits add up to {sum(splits.values())}, but there are {objects} objects; make "
+                         f"them equal.")
+    return DatasetSpec(objects, t.count("views", 1, 1, 1000), dict(splits))

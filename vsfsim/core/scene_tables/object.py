@@ -1,0 +1,86 @@
+"""``[object]``: what is touched, where it stands, and what it is made of."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.material import MaterialField, parse_material
+from vsfsim.core.rigid import MAX_FRICTION, beside
+from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
+from vsfsim.core.table import Table
+
+TIERS = ("auto", "vsf", "spring", "linear", "fem-coarse", "fem", "fem-fine", "rod")
+"""Fidelities that a scene may name."""
+
+
+@dataclass(frozen=True)
+class ObjectSpec:
+    """``[object]``."""
+
+    shape: ObjectShape
+    """Of the object."""
+    pose: tuple[float, float, float]
+    """Base centre in the world (3,) [m]."""
+    yaw: float
+    """Rotation about +z [rad]."""
+    fixed: str | tuple[float, ...]
+    """Either "bottom", "none", or a box (x0, y0, z0, x1, y1, z1) [m] in the object's frame whose nodes are held."""
+    tier: str
+    """Fidelity, one of `TIERS`."""
+    resolution: float | None
+    """Element size [m], or None for the tier's own."""
+    poisson_ratio: float
+    """Of the whole object [-]."""
+    density: float
+    """Of the whole object [kg/m^3]."""
+    friction: float
+    """Coulomb coefficient against rigid bodies [-]."""
+    young_modulus: MaterialField
+    """The field E(x) [Pa]."""
+    appearance: Mapping[str, Any]
+    """Table for the family or the renderer."""
+
+
+def parse_object(node: Any, path: Path) -> ObjectSpec:
+    """The table ``[object]`` of the scene file ``path``.
+
+    Raises:
+        SceneError: an unknown key, or a value that is not allowed.
+    """
+    where = f"{path} [object]"
+    t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
+                             "friction", "young_modulus", "appearance"))
+    shape = parse_object_shape(t.table.get("shape"), where)
+    fixed = t.table.get("fixed", "bottom")
+    if isinstance(fixed, str):
+        fixed = t.word("fixed", "bottom", ("bottom", "none"))
+    else:
+        fixed = t.vector("fixed", None, 6)
+    material = parse_material(t.table.get("young_modulus"), where)
+    if material.base is None and not isinstance(shape, Family):
+        raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
+                         f"{{ base = 1e5, inclusions = [..] }}.")
+    appearance = t.table.get("appearance", {})
+    if not isinstance(appearance, Mapping):
+        raise SceneError(f"{where}: appearance is {appearance!r}; it must be a table.")
+    friction = t.number("friction", 0.0, 0.0, MAX_FRICTION)
+    shape = beside(shape, path)  # type: ignore[arg-type,assignment]
+    resolution = t.number("resolution", 0.0, 1e-5, 1.0, "m") if "resolution" in t.table else None
+    return ObjectSpec(
+        shape=shape,
+        pose=t.vector("pose", (0.0, 0.0, 0.0)),
+        yaw=t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"),
+        fixed=fixed,
+        tier=t.word("tier", "auto", TIERS),
+        resolution=resolution,
+        poisson_ratio=t.number("poisson_ratio", 0.45, 0.0, 0.4999),
+        density=t.number("density", 1000.0, 1e-3, 3e4, "kg/m^3"),
+        friction=friction,
+        young_modulus=material,
+        appearance=appearance,
+    )
