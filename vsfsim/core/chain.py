@@ -1,5 +1,5 @@
-"""An arm as a dataset knows it: a chain of links with capsules. Joint angles in, poses, axes and anchors out; numpy
-alone, so that a method needs no robot simulator."""
+"""An arm as a dataset describes it: a chain of links with capsules, and its kinematics. A method needs no robot simulator
+for it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from vsfsim.core.errors import SceneError, unknown_key
 
@@ -59,7 +60,8 @@ class Chain:
         pose[:, :3] = np.array(self.base)
         for i, joint in enumerate(self.joints):
             step = np.eye(4)
-            step[:3, :3], step[:3, 3] = _rotation(self.quaternions[i]), self.positions[i]
+            step[:3, :3] = Rotation.from_quat(np.roll(self.quaternions[i], -1)).as_matrix()
+            step[:3, 3] = self.positions[i]
             pose = pose @ step
             if joint >= 0:
                 turn = np.tile(np.eye(4), (len(q), 1, 1))
@@ -127,10 +129,3 @@ def read_chain(table: Any, where: str) -> Chain:
         raise SceneError(f"{where}: the chain has {len(positions)} positions, {len(quaternions)} quaternions and "
                          f"{len(joints)} joints; they must be as many, and capsules be on links of them.")
     return Chain(base, positions, quaternions, joints, capsules)
-
-
-def _rotation(quaternion: tuple[float, ...]) -> np.ndarray:
-    w, x, y, z = np.array(quaternion) / np.linalg.norm(quaternion)
-    return np.array([[1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-                     [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-                     [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]])

@@ -60,7 +60,8 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
 
 
 def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0,
-           self_clearance: float = 0.005, table_clearance: float = 0.005, restarts: int = 12, seed: int = 0) -> np.ndarray:
+           self_clearance: float = 0.005, table_clearance: float = 0.005, restarts: int = 12,
+           seed: int = 0) -> np.ndarray:
     """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the
     other.
 

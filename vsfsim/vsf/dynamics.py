@@ -24,6 +24,7 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core import signed_distance
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import VsfError
+from vsfsim.core.rotation import rotation_matrix, rotation_vector
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact import sdf
 from vsfsim.vsf.displacements import Displacements
@@ -199,13 +200,17 @@ def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
         # A plane has no size: what counts is how far from its origin the particles lie.
         reach = max(float(np.linalg.norm(points - pose[:3, 3], axis=1).max()) for pose in poses)
     rotations, origins, ends = [poses[:1, :3, :3]], [poses[:1, :3, 3]], [np.zeros(1, np.int32)]
+    vectors = rotation_vector(poses[:-1, :3, :3].swapaxes(1, 2) @ poses[1:, :3, :3])
     for t, (before, after) in enumerate(itertools.pairwise(poses)):
         shift = after[:3, 3] - before[:3, 3]
-        axis, angle = _axis_angle(before[:3, :3].T @ after[:3, :3])
+        angle = float(np.linalg.norm(vectors[t]))
+        if angle < 1e-12:  # rounding error of equal rotations
+            angle = 0.0
         count = max(1, math.ceil((float(np.linalg.norm(shift)) + angle * reach) / step - 1e-9))
         s = np.arange(1, count + 1) / count
-        turn = before[:3, :3] @ _rotations(axis,
-                                           angle * s) if angle > 0.0 else np.repeat(before[None, :3, :3], count, axis=0)
+        turn = np.repeat(before[None, :3, :3], count, axis=0)
+        if angle > 0.0:
+            turn = turn @ rotation_matrix(s[:, None] * vectors[t])
         turn[-1] = after[:3, :3]
         rotations.append(turn)
         way = before[:3, 3] + s[:, None] * shift
@@ -215,27 +220,6 @@ def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
         end[-1] = t + 1
         ends.append(end)
     return np.concatenate(rotations), np.concatenate(origins), np.concatenate(ends)
-
-
-def _axis_angle(turn: np.ndarray) -> tuple[np.ndarray, float]:
-    """Axis (3,) and angle in [0, pi] of a rotation (3, 3)."""
-    skew = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine, cosine = float(np.linalg.norm(skew)), 0.5 * (float(np.trace(turn)) - 1.0)
-    angle = math.atan2(sine, cosine)
-    if angle < 1e-12:
-        return np.array([0.0, 0.0, 1.0]), 0.0
-    if sine > 1e-6:
-        return skew / sine, angle
-    # Half a turn: the axis is the eigenvector of eigenvalue 1.
-    value, vector = np.linalg.eigh(0.5 * (turn + turn.T))
-    return vector[:, np.argmax(value)], angle
-
-
-def _rotations(axis: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Rotations (S, 3, 3) about a unit ``axis`` (3,) by ``angles`` (S,) [rad] (Rodrigues)."""
-    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
-    s, c = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
-    return np.eye(3) + s * cross + (1.0 - c) * (cross @ cross)
 
 
 def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, precision: str,
