@@ -50,7 +50,8 @@ def test_an_order_that_quadratic_elements_cannot_have_is_not_used():
 def test_what_is_left_out_is_assumed_and_said():
     prepared = prepare(parse_scene(BOX, "s.toml").sample(), PressRequest())
     scene, notes = prepared.scene, prepared.notes
-    assert prepared.tier == "linear" and scene.probe == Sphere(0.006) and "20 % of the object's smallest edge" in notes[0]
+    assert prepared.tier == "linear" and scene.probe == Sphere(0.006)
+    assert "20 % of the object's smallest edge" in notes[0]
     # first contact on the top at its middle, a tenth of the height deep
     assert scene.press.start == pytest.approx((0.0, 0.0, 0.036), abs=2e-6)
     assert scene.press.stop == pytest.approx((0.0, 0.0, 0.033), abs=2e-6)

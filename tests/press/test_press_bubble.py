@@ -66,7 +66,8 @@ def test_force_depth_and_pressure(down):
     # the mount frame is turned over: +z leads downwards
     assert down.more["wrench"][:, 2] == pytest.approx(-down.force[:, 2], rel=1e-9)
     ambient, gamma, gas = 101325.0, 1.4, 150e-6
-    assert (down.more["pressure"] + ambient) * down.more["volume"]**gamma == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
+    constant = (down.more["pressure"] + ambient) * down.more["volume"]**gamma
+    assert constant == pytest.approx((7820.0 + ambient) * gas**gamma, rel=1e-6)
     assert down.more["pressure_change"] == pytest.approx(down.more["pressure"] - 7820.0, abs=1e-9)
 
 

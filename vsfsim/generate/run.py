@@ -66,4 +66,4 @@ def kernels_of(scene: Scene, precision: str) -> list[Any]:
     from vsfsim.sensing import render_warp
     from vsfsim.vsf import particles
 
-    return [*effector_of(scene).kernels(scene, precision), render_warp._cast, particles._behind]
+    return [*effector_of(scene).kernels(scene, precision), render_warp.cast_kernel, particles._behind]

@@ -38,7 +38,7 @@ def cast_inside(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, 
             seen = points[t] - pose[:3, 3]
             corners.assign(seen.astype(np.float32))
             mesh.refit()
-            wp.launch(_inside, dim=(height, width), inputs=[
+            wp.launch(inside_kernel, dim=(height, width), inputs=[
                 mesh.id, faces, flat, sources, wp.mat33d(to_ray), wp.vec3(*axis.tolist()), power, *dots, *albedo,
                 wp.array(seen, dtype=wp.vec3d), wp.array(normals[t].astype(np.float32), dtype=wp.vec3),
             ], outputs=[depth, light])
@@ -65,7 +65,7 @@ def _ink(p: wp.vec2, spacing: float, radius: float, blur: float) -> float:
 
 
 @wp.kernel(enable_backward=False)
-def _inside(
+def inside_kernel(
     # model
     mesh: wp.uint64,
     triangle_in: wp.array2d(dtype=wp.int32),

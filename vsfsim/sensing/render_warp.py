@@ -36,7 +36,7 @@ def cast(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, widt
         mesh = wp.Mesh(points=points, indices=indices)
         depth = wp.zeros((height, width), dtype=wp.float32)
         colour = wp.zeros((height, width), dtype=wp.vec3)
-        wp.launch(_cast, dim=(height, width), inputs=[
+        wp.launch(cast_kernel, dim=(height, width), inputs=[
             mesh.id,
             wp.array(vertices, dtype=wp.vec3d),
             wp.array(surface.triangles, dtype=wp.int32),
@@ -107,7 +107,7 @@ def _lit(albedo: wp.vec3, n: wp.vec3, to_eye: wp.vec3, shading: float) -> wp.vec
 
 
 @wp.kernel(enable_backward=False)
-def _cast(
+def cast_kernel(
     # model
     mesh: wp.uint64,
     vertex_in: wp.array(dtype=wp.vec3d),

@@ -94,7 +94,7 @@ class BubbleEffector:
         """Those of the coupled solver and of the camera inside; its oracle VSF sticks to the dome without a kernel."""
         from vsfsim.sensing import render_bubble
 
-        camera = [render_bubble._inside] if scene.required_sensor.camera else []
+        camera = [render_bubble.inside_kernel] if scene.required_sensor.camera else []
         return [*coupled_kernels(precision, KINDS), *camera]
 
     def make_view(self, job: Job, *, device: str, progress: Callable[[int], None] | None = None) -> ObjectView:

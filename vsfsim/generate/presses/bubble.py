@@ -181,9 +181,9 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         asked = dataclasses.replace(request, keep=request.keep and k == meshes - 1,
                                     progress=of_mesh(request.progress, k, meshes))
         sensor = dataclasses.replace(bubble, contact_edge=edge * 2.0 ** (meshes - 2 - k))
-        solved_ = solve(dataclasses.replace(scene, sensor=sensor), asked)
-        results.append(result_of(solved_, asked))
-        rows += _rows(solved_, results[-1])
+        found = solve(dataclasses.replace(scene, sensor=sensor), asked)
+        results.append(result_of(found, asked))
+        rows += _rows(found, results[-1])
     force, change = ([float(values) for values in column] for column in
                      zip(*((np.linalg.norm(r.force[r.deepest]), r.more["pressure_change"][r.deepest]) for r in results),
                          strict=True))
@@ -205,7 +205,7 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
 
 def _rows(s: Solved, r: PressResult) -> list[dict[str, Any]]:
     """Numbers of one mesh at half and at full depth."""
-    axis = -s.mount[0, :3, :3].T @ direction(s.scene.press)  # way of the bodies into the dome, mount frame
+    axis = -s.mount[0, :3, :3].T @ direction(s.path)  # way of the bodies into the dome, mount frame
     half = int(np.abs(r.depth[:r.deepest + 1] - 0.5 * r.depth[r.deepest]).argmin())
     out = []
     for t in (half, r.deepest):

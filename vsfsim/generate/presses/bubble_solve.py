@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.rigid import PressSpec
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import Scene
 from vsfsim.core.shape import Plane
@@ -39,6 +40,8 @@ class Solved:
     """The frames of a bubble's press; positions and forces in the mount frame unless said."""
 
     scene: Scene
+    path: PressSpec
+    """Of the mount's origin."""
     model: BubbleModel
     mount: np.ndarray
     """Mount to world (T, 4, 4) [m]."""
@@ -74,14 +77,12 @@ class Solved:
     @property
     def full(self) -> int:
         """Number of the frame of full depth."""
-        assert self.scene.press is not None
-        return self.scene.press.inward - 1
+        return self.path.inward - 1
 
     @property
     def way(self) -> np.ndarray:
         """Way of the mount along the first part of its path (T,) [m]."""
-        assert self.scene.press is not None
-        return (self.mount[:, :3, 3] - np.array(self.scene.press.start)) @ direction(self.scene.press)
+        return (self.mount[:, :3, 3] - np.array(self.path.start)) @ direction(self.path)
 
     @property
     def wrench(self) -> np.ndarray:
@@ -119,7 +120,7 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
     model = build_bubble(sensor, where=where, cache=request.cache)
     mount = press_path(spec, Plane())  # a plane's +z leads, as a sensor's does
     if scene.object is not None:
-        return _on_object(scene, model, mount, request, time.perf_counter() - began)
+        return _on_object(scene, spec, model, mount, request, time.perf_counter() - began)
     poses = in_mount(scene, mount)
     notes: tuple[str, ...] = ()
     finer = wishes(model.mesh.points, model.element_size, RigidBodies(scene.bodies), poses, sensor.contact_edge)
@@ -127,17 +128,16 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
         model = build_bubble(sensor, finer=finer, where=where, cache=request.cache)
         notes = (f"{sensor.nodes} nodes became {len(model.mesh.points)}: triangles are smaller where bodies touch; "
                  f"contact_edge in [sensor] says how small.",)
-    return _on_obstacles(scene, model, mount, poses, request, time.perf_counter() - began, notes)
+    return _on_obstacles(scene, spec, model, mount, poses, request, time.perf_counter() - began, notes)
 
 
-def _on_obstacles(scene: Scene, model: BubbleModel, mount: np.ndarray, poses: np.ndarray, request: PressRequest,
-                  built: float, notes: tuple[str, ...]) -> Solved:
-    assert scene.press is not None
+def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, poses: np.ndarray,
+                  request: PressRequest, built: float, notes: tuple[str, ...]) -> Solved:
     compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
                     progress=request.progress)
     first = np.eye(4)
-    first[:3, :3], first[:3, 3] = mount[0, :3, :3], scene.press.start
-    axis = direction(scene.press)
+    first[:3, :3], first[:3, 3] = mount[0, :3, :3], path.start
+    axis = direction(path)
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
               for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
@@ -156,7 +156,7 @@ def _on_obstacles(scene: Scene, model: BubbleModel, mount: np.ndarray, poses: np
     def world(force: np.ndarray) -> np.ndarray:
         return np.einsum("tij,t...j->t...i", mount[:, :3, :3], force)
 
-    return Solved(scene, model, mount, frames, gap,
+    return Solved(scene, path, model, mount, frames, gap,
                   model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history]),
                   np.stack([f[..., 0] for f in solver.surface_force]), np.array(pressure), np.array(volume),
                   world(frames.reaction[:, 0]), world(frames.body_force[:, 0]),
@@ -164,7 +164,8 @@ def _on_obstacles(scene: Scene, model: BubbleModel, mount: np.ndarray, poses: np
                   notes, build_seconds=built)
 
 
-def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: PressRequest, built: float) -> Solved:
+def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, request: PressRequest,
+               built: float) -> Solved:
     friction = scene.required_sensor.friction
     chosen = tiers.choose(scene, request.tier)
     if not tiers.TIERS[chosen].nonlinear or chosen == "spring":
@@ -176,10 +177,10 @@ def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: Pre
     compile_kernels(coupled_kernels(request.precision, [block.kind for block in (*body.blocks, *model.blocks)]),
                     request.device, progress=request.progress)
     first = mount[0].copy()
-    first[:3, 3] = scene.press.start
+    first[:3, 3] = path.start
     options = tiers.options(chosen)
-    solver = CoupledSolver(body, model, friction=friction, device=request.device,
-                           precision=request.precision, options=options)
+    solver = CoupledSolver(body, model, friction=friction, device=request.device, precision=request.precision,
+                           options=options)
     frames = solver.run(mount[:, None], keep=True, progress=None if request.progress is None
                         else lambda t: request.progress(t, len(mount), "frames"))
     turn, at = mount[:, :3, :3], mount[:, None, :3, 3]
@@ -188,9 +189,9 @@ def _on_object(scene: Scene, model: BubbleModel, mount: np.ndarray, request: Pre
     notes = (*body.solid.notes, f"object at tier {chosen}: {len(body.mesh.tets)} tetrahedra; force and balance are the "
                                 f"object's")
     # The mount holds against what holds the object.
-    return Solved(scene, model, mount, frames, free_way(body, model, first, direction(scene.press)), position, push,
-                  np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], -frames.reaction[:, 0], -frames.force,
-                  ("object",), (friction,), options.tolerance, notes, body,
+    return Solved(scene, path, model, mount, frames, free_way(body, model, first, direction(path)), position, push,
+                  np.stack(solver.pressure)[:, 0], np.stack(solver.volume)[:, 0], -frames.reaction[:, 0],
+                  -frames.force, ("object",), (friction,), options.tolerance, notes, body,
                   np.stack([u[:3 * len(body.mesh.points), 0].reshape(-1, 3) for u in solver.history]), built)
 
 
