@@ -37,8 +37,7 @@ def measure(*, device: str = "cpu", scene: str = "plants-mini", touches: int = 6
         progress: called with what is going on.
     """
     loaded = load_scene(find_scene(scene))
-    recipe = make_recipe(loaded, seed=0, objects=1, views=1, touches=touches, tier=None, device=device,
-                         precision="float64", renderer="warp")
+    recipe = make_recipe(loaded, objects=1, views=1, touches=touches, device=device)
     job = jobs_of(recipe, loaded.path, Path("."), None)[0]
     progress("compiling kernels, or finding them")
     compile_kernels(kernels_of(loaded.sample(0), "float64"), device)

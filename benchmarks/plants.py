@@ -57,8 +57,7 @@ def measure(*, device: str = "cpu", scene: str = "plants", objects: int | None =
     if device == "cpu":
         objects, views, touches = objects or 3, views or 1, touches or 6
     loaded = load_scene(find_scene(scene))
-    recipe = make_recipe(loaded, seed=0, objects=objects, views=views, touches=touches, tier=None, device=device,
-                         precision="float64", renderer="warp")
+    recipe = make_recipe(loaded, objects=objects, views=views, touches=touches, device=device)
     jobs = jobs_of(recipe, loaded.path, Path("."), None)
     began = time.perf_counter()
     progress("compiling kernels, or finding them")

@@ -38,8 +38,7 @@ def test_the_scene_as_shipped_makes_the_dataset_that_the_task_wants(name):
     longer command that the error prints makes the same."""
     wanted = load_task(name).dataset
     scene = load_scene(shelf.find_scene(wanted.scene))
-    recipe = make_recipe(scene, seed=wanted.seed, objects=None, views=None, touches=None, tier=None, device="cpu",
-                         precision="float64", renderer="warp")
+    recipe = make_recipe(scene, seed=wanted.seed)
     assert (recipe.scene, recipe.seed, recipe.objects, recipe.views, recipe.touches, recipe.tier) == \
         (wanted.scene, wanted.seed, wanted.objects, wanted.views, wanted.touches, wanted.tier)
 

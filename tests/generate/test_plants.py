@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 
 import mujoco
 import numpy as np
@@ -14,12 +13,9 @@ from stems import touch as push
 from benchmarks import arm as arm_modes
 from benchmarks import plants as plant_touches
 from vsfsim.bench.protocol import record
-from vsfsim.bench.reached_points import reached
 from vsfsim.bench.task import load_task
-from vsfsim.core.chain import read_chain
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
-from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.core.shelf import find_scene
 from vsfsim.data.hdf5 import read_view, write_view
 from vsfsim.data.summary import summary
@@ -30,13 +26,8 @@ from vsfsim.generate.plants.prepare import prepare_job
 from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.plants.truth import nearest_material_points
 from vsfsim.generate.recipe import make_recipe
-from vsfsim.robot.arm import load_arm
-from vsfsim.robot.chain import chain_of
-from vsfsim.robot.joint_torque import body_torque, contact_rows
-from vsfsim.scenes._plant_species import SPECIES
 from vsfsim.scenes.plant import grow
 from vsfsim.sensing.kinect import kinect_depth
-from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows, arm_torque_rows_each
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +44,7 @@ def scene_file():
 @pytest.fixture(scope="module")
 def made(scene_file, tmp_path_factory):
     """One object view of three touches, through the file, and its job."""
-    recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2, tier=None, device="cpu",
-                         precision="float64", renderer="warp")
+    recipe = make_recipe(scene_file, seed=2, objects=2, views=2, touches=2)
     job = jobs_of(recipe, scene_file.path, tmp_path_factory.mktemp("plants"), None)[1]
     view = make_views([job], device="cpu")[0]
     write_view(job.file, view)
@@ -80,8 +70,7 @@ def test_a_guarded_touch_keeps_its_readings_on_the_straight_line(scene_file, tmp
     text = scene_file.text.replace('mode = "kinematic"',
                                    'mode = "kinematic"\nat_limit = "return"').replace("force_limit = 40.0",
                                                                                       "force_limit = 3.0")
-    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3, tier=None,
-                         device="cpu", precision="float64", renderer="warp")
+    recipe = make_recipe(parse_scene(text, scene_file.path), seed=2, objects=1, views=1, touches=3)
     job = jobs_of(recipe, scene_file.path, tmp_path, None)[0]
     touches, aims = make_views([job], device="cpu")[0].touches, prepare_job(job, device="cpu").aims
     turned = 0
@@ -183,113 +172,6 @@ def test_a_task_reads_torques_with_the_noise_of_their_sensors(made):
         record(bare, task)
 
 
-@pytest.mark.parametrize("punyo", [False, True])
-def test_the_chain_of_a_dataset_is_the_arm(punyo):
-    base = np.eye(4)
-    base[:3, :3], base[:3, 3] = [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], [-0.6, 0.1, 0.02]
-    arm = load_arm("gen3", punyo=punyo, base=base)
-    chain = chain_of(arm)
-    assert parse_probe_shape(json.loads(json.dumps(probe_table(chain))), "test") == chain
-    q = np.random.default_rng(0).uniform(-2.0, 2.0, (5, 7))
-    at, links = arm.postures(q), chain.links(q)
-    assert np.abs(links - at.links).max() < 1e-12
-    assert np.abs(chain.capsule_poses(links)[..., :3, 3] - arm.capsule_poses(at)[..., :3, 3]).max() < 1e-12
-    axes, anchors = chain.joint_axes(links)
-    assert np.abs(axes - at.axes).max() < 1e-12 and np.abs(np.cross(anchors - at.anchors, axes)).max() < 1e-12
-    with pytest.raises(SceneError, match="chain"):
-        read_chain({"base": []}, "test")
-    with pytest.raises(SceneError, match=r"write \[arm\]"):
-        parse_scene('[object]\nshape = { box = [0.1, 0.1, 0.1] }\nyoung_modulus = 1e5\n[probe]\nshape = '
-                    '{ chain = {} }\n', "x.toml")
-
-
-def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
-    """SBML eq. 7 in two ways: rows times stiffness, and the Jacobians of the arm's own module on forces -K u; every
-    particle moves no more than the arm reaches."""
-    arm = load_arm("gen3")
-    chain = chain_of(arm)
-    rng = np.random.default_rng(1)
-    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
-    q = q0 + np.linspace(0.0, 1.0, 7)[:, None] * np.array([0.15, 0.05, 0.0, 0.1, 0.0, -0.05, 0.2])
-    centre = chain.capsule_poses(chain.links(q))[-1, :, :3, 3]
-    particles = (centre[rng.integers(5, len(centre), 400)] + rng.normal(0.0, 0.04, (400, 3)))
-    stiffness = rng.uniform(1.0, 50.0, 400)
-    w = arm_torque_rows(particles, chain, q, friction=0.4)
-    found = arm_displacements(particles, chain, q, friction=0.4)
-    assert len(found) > 2  # several links hold particles
-    expected = np.zeros((7, 7))
-    for link, moved in found:
-        for t in range(7):
-            index, u = moved.frame(t)
-            rows = contact_rows(arm, q[t:t + 1], np.full(len(index), link), (particles[index] + u)[None],
-                                (-stiffness[index, None] * u)[None])
-            expected[t] += rows[0].sum(axis=0)
-    assert np.abs((w @ stiffness).reshape(7, 7) - expected).max() < 1e-9 * np.abs(expected).max()
-    seen = [set(moved.frame(6)[0]) for _, moved in found]
-    assert sum(map(len, seen)) == len(set().union(*seen))  # one holder a particle
-    held = np.zeros(400, bool)
-    held[list(set().union(*seen))] = True
-    assert (reached(particles, chain, np.zeros((0, 4, 4)), q=q) | ~held).all()
-    assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)),
-                              moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
-
-
-def test_rows_of_several_touches_are_those_of_each_alone(device):
-    """On a GPU the launches of all are in flight together; particles begin each touch at rest."""
-    arm = load_arm("gen3")
-    chain = chain_of(arm)
-    rng = np.random.default_rng(2)
-    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
-    touches = [q0 + np.linspace(0.0, 1.0, n)[:, None] * rng.normal(0.0, 0.15, 7) for n in (5, 1, 9)]
-    centre = chain.capsule_poses(chain.links(touches[0]))[-1, :, :3, 3]
-    particles = centre[rng.integers(4, len(centre), 300)] + rng.normal(0.0, 0.04, (300, 3))
-    together = arm_torque_rows_each(particles, chain, touches, friction=0.4, device=device)
-    assert [w.shape for w in together] == [(7 * len(q), 300) for q in touches] and all(w.nnz > 0 for w in together)
-    for w, q in zip(together, touches, strict=True):
-        assert (w != arm_torque_rows(particles, chain, q, friction=0.4, device=device)).nnz == 0
-
-
-def test_every_species_grows_and_they_differ():
-    sizes, soft = {}, {}
-    for name in SPECIES:
-        plants = [grow({"species": name}, np.random.default_rng(k), where="test") for k in range(2)]
-        for p in plants:
-            assert 50 <= len(p.nodes) - 1 <= 500, name
-            assert p.nodes[:, 2].min() >= 0.02 - 1e-9 and p.pot is not None
-            assert len(p.appearance.texture) == p.look.max() + 1
-            petiole = p.young_modulus[1:][p.region[1:] == 2]
-            branch = p.young_modulus[1:][p.region[1:] == 1]
-            # the issue's ranges, and three standard deviations of what an axis varies along itself
-            assert not len(petiole) or (petiole.min() > 0.5e6 and petiole.max() < 4e8)
-            assert not len(branch) or (branch.min() > 0.5e8 and branch.max() < 2e10)
-        assert not np.array_equal(plants[0].young_modulus, plants[1].young_modulus)
-        sizes[name], soft[name] = (len(plants[0].nodes), plants[0].nodes[:,
-                                                                         2].max()), np.median(plants[0].young_modulus)
-    assert len(SPECIES) == 12 and len(set(sizes.values())) == 12 and max(soft.values()) > 10 * min(soft.values())
-    again = grow({"species": "olive"}, np.random.default_rng(0), where="test")
-    assert (again.nodes == grow({"species": "olive"}, np.random.default_rng(0), where="test").nodes).all()
-    order = [grow({"species": "by-object"}, np.random.default_rng(0), where="test", number=k).notes[0].split(":")[0]
-             for k in range(12)]
-    assert order == list(SPECIES)
-
-
-def test_looks_tell_of_stiffness_but_not_surely():
-    """Brightness and ln E of branches of many plants correlate, and less so where the scene says that looks tell
-    less."""
-    def correlation(informative):
-        light, stiff = [], []
-        for k in range(12):
-            p = grow({"species": "olive", "appearance_informative": informative, "leaves": False},
-                     np.random.default_rng(k), where="test")
-            axes, first = np.unique(p.look[1:], return_index=True)
-            branch = p.region[1:][first] == 1
-            light += list(np.log(p.appearance.albedo[axes[branch]].mean(axis=1)))
-            stiff += list(np.log(p.young_modulus[1:][first][branch]))
-        return np.corrcoef(light, stiff)[0, 1]
-
-    assert -0.95 < correlation(0.8) < -0.4 and abs(correlation(0.0)) < 0.25
-
-
 def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
     view = made[0].view
     flat = dataclasses.replace(view, depth=np.full((60, 80), 2.0, np.float32), mask=np.pad(np.ones((40, 60), bool), 10))
@@ -315,18 +197,6 @@ def test_the_measurement_of_plants_counts_readings_and_stages(scene_file, tmp_pa
         assert "NOT ALL" in plant_touches.report({}, {**measured.numbers, **less}).text()
 
 
-def test_the_full_scene_has_the_papers_size():
-    """SBML appendix B.1: 12 plants, 4 views by turning them, 50 to 70 touches of each, up to about 250 readings, a
-    depth camera's noise; 3,255 touches and 807,103 readings in all."""
-    scene = load_scene(find_scene("plants")).sample(0)
-    assert (scene.dataset.objects == 12 and scene.dataset.views == 4 and 50 <= scene.touches.count <= 70
-            and scene.arm.at_limit == "return")
-    touches = 12 * 4 * scene.touches.count
-    assert abs(touches / 3255 - 1) < 0.01 and abs(touches * sum(scene.touches.frames) / 807_103
-                                                  - 1) < 0.01 and scene.camera.noise == "kinect" and scene.camera.width == 640
-    assert scene.object.shape.parameters["species"] == "by-object"
-
-
 @pytest.mark.parametrize(("old", "new", "word"), [
     ('mode = "kinematic"', 'mode = "quick"', "mode"), ('mode = "kinematic"', 'mode = "kinematic"\nat_limit = "stop"',
                                                        "at_limit"), ('family = "plant"', 'family = "shoe"',
@@ -338,20 +208,17 @@ def test_an_arm_scene_that_cannot_be_made_says_why(old, new, word):
     with pytest.raises(SceneError, match=word):
         scene = parse_scene(text.replace(old, new).replace("species", "style" if "shoe" in new else "species"),
                             "x.toml")
-        recipe = make_recipe(scene, seed=0, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
-                             renderer="warp")
+        recipe = make_recipe(scene, objects=1, views=1, touches=1)
         prepare_job(jobs_of(recipe, scene.path, scene.path.parent, None)[0], device="cpu")
     with pytest.raises(SceneError, match="no \\[arm\\]"):
-        make_recipe(load_scene(find_scene("shoes-mini")), seed=0, objects=1, views=1, touches=1, tier=None,
-                    device="cpu", precision="float64", renderer="warp", arm="gen3")
+        make_recipe(load_scene(find_scene("shoes-mini")), objects=1, views=1, touches=1, arm="gen3")
 
 
 @pytest.mark.slow
 def test_views_solved_together_by_many_processes_are_the_same_bits(scene_file, tmp_path, device):
     """The way of a GPU: prepared and finished by other processes, each touch of a view by another one, solved in one
     batch."""
-    recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, tier=None, device=device,
-                         precision="float64", renderer="warp")
+    recipe = make_recipe(scene_file, seed=2, objects=2, views=1, touches=2, device=device)
     jobs = jobs_of(recipe, scene_file.path, tmp_path, None)
     assert sum(frames for frames, _ in make_together(jobs, device=device, workers=2, part=1)) > 0
     for job in jobs:
@@ -367,8 +234,7 @@ def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_
     made = {}
     for mode in ("kinematic", "dynamic"):
         scene = parse_scene(scene_file.text.replace('mode = "kinematic"', f'mode = "{mode}"'), scene_file.path)
-        recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1, tier=None, device="cpu", precision="float64",
-                             renderer="warp")
+        recipe = make_recipe(scene, seed=2, objects=1, views=1, touches=1)
         made[mode] = make_views(jobs_of(recipe, scene.path, tmp_path, None), device="cpu")[0].touches[0]
     a, b = made["kinematic"], made["dynamic"]
     assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05

@@ -55,7 +55,8 @@ class Job:
     def scene(self) -> Scene:
         """The scene of this object, with the recipe's own number of touches."""
         scene = parse_scene(self.recipe.scene_text, self.path).sample(self.stream(Stream.SCENE))
-        return dataclasses.replace(scene, touches=dataclasses.replace(scene.required_touches, count=self.recipe.touches))
+        touches = dataclasses.replace(scene.required_touches, count=self.recipe.touches)
+        return dataclasses.replace(scene, touches=touches)
 
     def stream(self, kind: Stream, touch: int | None = None) -> np.random.SeedSequence:
         """The random stream of a kind for this object, view, or touch of it."""

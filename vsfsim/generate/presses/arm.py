@@ -51,7 +51,7 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     """
     began = time.perf_counter()
     recipe = make_recipe(loaded, seed=request.seed, objects=1, views=1, touches=1, tier=request.tier,
-                         device=request.device, precision=request.precision, renderer="warp")
+                         device=request.device, precision=request.precision)
     job = jobs_of(recipe, loaded.path, Path("."), None)[0]
     compile_kernels(kernels_of(loaded.sample(request.seed), request.precision), request.device,
                     progress=request.progress)

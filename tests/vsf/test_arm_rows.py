@@ -1,0 +1,55 @@
+"""Rows of joint torques: against the Jacobians of the robot's own module, and of several touches at once."""
+
+import numpy as np
+
+from vsfsim.bench.reached_points import reached
+from vsfsim.robot.arm import load_arm
+from vsfsim.robot.chain import chain_of
+from vsfsim.robot.joint_torque import body_torque, contact_rows
+from vsfsim.vsf.arm_rows import arm_displacements, arm_torque_rows, arm_torque_rows_each
+
+
+def test_rows_of_the_particle_model_are_j_transpose_of_the_springs_forces():
+    """SBML eq. 7 in two ways: rows times stiffness, and the Jacobians of the arm's own module on forces -K u; every
+    particle moves no more than the arm reaches."""
+    arm = load_arm("gen3")
+    chain = chain_of(arm)
+    rng = np.random.default_rng(1)
+    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
+    q = q0 + np.linspace(0.0, 1.0, 7)[:, None] * np.array([0.15, 0.05, 0.0, 0.1, 0.0, -0.05, 0.2])
+    centre = chain.capsule_poses(chain.links(q))[-1, :, :3, 3]
+    particles = (centre[rng.integers(5, len(centre), 400)] + rng.normal(0.0, 0.04, (400, 3)))
+    stiffness = rng.uniform(1.0, 50.0, 400)
+    w = arm_torque_rows(particles, chain, q, friction=0.4)
+    found = arm_displacements(particles, chain, q, friction=0.4)
+    assert len(found) > 2  # several links hold particles
+    expected = np.zeros((7, 7))
+    for link, moved in found:
+        for t in range(7):
+            index, u = moved.frame(t)
+            rows = contact_rows(arm, q[t:t + 1], np.full(len(index), link), (particles[index] + u)[None],
+                                (-stiffness[index, None] * u)[None])
+            expected[t] += rows[0].sum(axis=0)
+    assert np.abs((w @ stiffness).reshape(7, 7) - expected).max() < 1e-9 * np.abs(expected).max()
+    seen = [set(moved.frame(6)[0]) for _, moved in found]
+    assert sum(map(len, seen)) == len(set().union(*seen))  # one holder a particle
+    held = np.zeros(400, bool)
+    held[list(set().union(*seen))] = True
+    assert (reached(particles, chain, np.zeros((0, 4, 4)), q=q) | ~held).all()
+    assert np.abs(body_torque(arm, q, np.zeros((7, len(arm.shapes), 3)),
+                              moment=np.zeros((7, len(arm.shapes), 3)))).max() == 0.0
+
+
+def test_rows_of_several_touches_are_those_of_each_alone(device):
+    """On a GPU the launches of all are in flight together; particles begin each touch at rest."""
+    arm = load_arm("gen3")
+    chain = chain_of(arm)
+    rng = np.random.default_rng(2)
+    q0 = np.array([0.3, 0.6, 3.0, -2.0, 0.2, 0.9, 1.0])
+    touches = [q0 + np.linspace(0.0, 1.0, n)[:, None] * rng.normal(0.0, 0.15, 7) for n in (5, 1, 9)]
+    centre = chain.capsule_poses(chain.links(touches[0]))[-1, :, :3, 3]
+    particles = centre[rng.integers(4, len(centre), 300)] + rng.normal(0.0, 0.04, (300, 3))
+    together = arm_torque_rows_each(particles, chain, touches, friction=0.4, device=device)
+    assert [w.shape for w in together] == [(7 * len(q), 300) for q in touches] and all(w.nnz > 0 for w in together)
+    for w, q in zip(together, touches, strict=True):
+        assert (w != arm_torque_rows(particles, chain, q, friction=0.4, device=device)).nnz == 0
