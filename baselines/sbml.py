@@ -134,11 +134,12 @@ class Sbml:
         return self._posterior.locate(vertices, triangles, self._view, seed=self.seed)
 
     def save(self, folder: Path) -> None:
-        """Keep the prior: prior.json, and prior.npz with the weights."""
+        """Keep the prior in a folder, made if it is not there: prior.json, and prior.npz with the weights."""
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
         table = {"structure": self.structure, "features": self.features, "output": self.output,
                  "size": len(self._normaliser.mean), "unit": self._network.unit}
+        folder.mkdir(parents=True, exist_ok=True)
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
         np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std,
                  **{f"net.{name}": value.cpu().numpy() for name, value in self._network.state_dict().items()})

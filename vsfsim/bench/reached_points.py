@@ -7,7 +7,7 @@ import numpy as np
 from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
 from vsfsim.core.dome import Dome
-from vsfsim.core.shape import Capsule, ProbeShape
+from vsfsim.core.shape import Capsule, MeshFile, ProbeShape
 
 REACH = 0.005
 """A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
@@ -38,7 +38,10 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
 
 def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
-    return _from_dome(local, probe) if isinstance(probe, Dome) else signed_distance.distance(probe, local)
+    if isinstance(probe, Dome):
+        return _from_dome(local, probe)
+    assert not isinstance(probe, MeshFile | Chain), "touches of a dataset have a simple probe"
+    return signed_distance.distance(probe, local)
 
 
 def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:

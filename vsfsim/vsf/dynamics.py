@@ -160,8 +160,10 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
             thin = min(radius, 0.5 * height)
         case Box(size):
             thin = 0.5 * min(size)
-        case _:
+        case Plane():
             thin = math.inf
+        case _:
+            raise VsfError("the particle model moves particles with a probe of simple shape, a bubble's dome or an arm.")
     return signed_distance.reach(probe), thin
 
 

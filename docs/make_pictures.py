@@ -1,0 +1,42 @@
+"""Makes the pictures of the README: `python docs/make_pictures.py [NAME ...]`, five minutes on two CPU cores.
+
+Each picture is written by the command that stands beside its name, then brought to 256 colours and `WIDTH` pixels.
+"""
+
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from PIL import Image
+
+FOLDER = Path(__file__).parent / "pictures"
+WIDTH = 1000  # px: what a page shows
+PICTURES = {
+    "shoe": [["inspect", "shoes-mini", "--seed", "3", "--out", "OUT"]],
+    "bubble": [["press", "punyo", "--picture", "OUT"]],
+    "plant": [["press", "plants-mini", "--seed", "1", "--picture", "OUT"]],
+    "contact-sheet": [["generate", "shoes-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out", "DATASET"],
+                      ["inspect", "DATASET", "--out", "OUT"]],
+}
+"""Words after `vsfsim` by picture; OUT and DATASET are places in a temporary folder."""
+
+
+def make(name: str) -> None:
+    """Write ``pictures/NAME.png``."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.png"
+        for words in PICTURES[name]:
+            places = {"OUT": str(out), "DATASET": str(Path(folder) / "dataset")}
+            subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()",
+                            *(places.get(word, word) for word in words)], check=True)
+        image = Image.open(out).convert("RGB")
+        if image.width > WIDTH:
+            image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
+        palette = image.quantize(256)
+        image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(FOLDER / f"{name}.png", optimize=True)
+
+
+if __name__ == "__main__":
+    for wanted in sys.argv[1:] or PICTURES:
+        make(wanted)

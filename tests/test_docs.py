@@ -1,0 +1,124 @@
+"""Every page: its Python runs, its scenes parse, its commands and links exist, its tables are those of the commands."""
+
+import importlib.util
+import re
+import shlex
+import subprocess
+import sys
+
+import pytest
+from pages import PAGES, README, ROOT, blocks
+
+MOCK = """
+from vsfsim.bench.mock import mock_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=1, views=1, touches=2, splits={"test": 1},
+                device="cpu", tier="vsf", precision="float64", renderer="warp")
+view = mock_view(0, touches=2)
+with DatasetWriter("datasets/try", recipe, [view.name]) as writer:
+    writer.add(view)
+    writer.finish()
+"""
+BUBBLE = """
+from pathlib import Path
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.run import generate
+if __name__ == "__main__":
+    generate(load_scene(find_scene("shoes-punyo-mini")), Path("datasets/shoes-punyo-mini-v1"), objects=1, touches=1,
+             workers=1)
+"""
+DATASETS = {"datasets/try": MOCK, "datasets/shoes-punyo-mini-v1": BUBBLE}
+"""What a block opens, and the code that makes a small dataset in its place."""
+
+BLOCKS = [(page.name, code) for page in PAGES for code in blocks(page.read_text(), "python")]
+
+
+def commands(text):
+    """Every `vsfsim ...` of the bash blocks, as words."""
+    lines = "\n".join(blocks(text, "bash")).replace("\\\n", " ").splitlines()
+    parts = [part.split("#")[0].strip() for line in lines for part in line.split("&&")]
+    return [shlex.split(part)[1:] for part in parts if part.startswith("vsfsim ")]
+
+
+@pytest.mark.parametrize("code", [
+    pytest.param(code, id=f"{name}-{k}", marks=[pytest.mark.slow] * ("shoes-punyo" in code))
+    for k, (name, code) in enumerate(BLOCKS)])
+def test_the_python_blocks_run(code, tmp_path):
+    for part in (*(made for folder, made in DATASETS.items() if folder in code), code):
+        (tmp_path / "block.py").write_text(part)
+        out = subprocess.run([sys.executable, "block.py"], capture_output=True, text=True, cwd=tmp_path)
+        assert out.returncode == 0, out.stderr
+
+
+def test_the_scenes_of_the_pages_parse(tmp_path):
+    from vsfsim.core.scene import parse_scene
+
+    scenes = [text for page in PAGES for text in blocks(page.read_text(), "toml") if "[object]" in text]
+    assert len(scenes) >= 3
+    for text in scenes:
+        parse_scene(text, tmp_path / "s.toml").sample(0)
+    (slide,) = [text for text in scenes if "obstacles" in text]
+    scene = parse_scene(slide, tmp_path / "s.toml").sample(0)
+    assert len(scene.bodies) == 3 and scene.frictions == (0.5, 0.5, 0.5) and scene.press.frames == (5, 10)
+
+
+def test_every_command_and_option_exists():
+    """Names in capitals are the reader's; options are looked up in the command's own help."""
+    from typer.main import get_command
+
+    from vsfsim.cli.main import app
+    from vsfsim.core import shelf
+
+    found = [(page.name, words) for page in PAGES for words in commands(page.read_text())]
+    assert len(found) > 40
+    for page, given in found:
+        command, words = get_command(app), list(given)
+        while words and words[0] in getattr(command, "commands", {}):
+            command = command.commands[words.pop(0)]
+        parameters = {option for p in command.params for option in (*p.opts, *p.secondary_opts)}
+        assert {w for w in words if w.startswith("--")} <= parameters | {"--help"}, (page, given)
+        for key, shelved in (("--task", shelf.tasks()), ("--method", shelf.methods())):
+            if key in words:
+                name = words[words.index(key) + 1]
+                assert name in shelved or ":" in name or name.isupper() or name == "NAME-v1", (page, given)
+
+
+def test_links_and_paths_lead_somewhere():
+    for page in PAGES:
+        text = page.read_text()
+        for target in re.findall(r"\]\(([^)#]+?)(?:#[^)]*)?\)", text):
+            assert target.startswith("https://") or (page.parent / target).exists(), (page.name, target)
+        for path in re.findall(r"`((?:scenes|tasks|tests|docs|vsfsim|baselines|benchmarks|references)/[\w./-]+)", text):
+            made = "NAME" in path or page.name == "CHANGELOG.md"
+            assert made or (ROOT / path).exists(), (page.name, path)
+
+
+def test_no_page_has_a_conflict_left_by_a_merge():
+    for page in PAGES:
+        assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(), re.MULTILINE), page.name
+
+
+def test_the_tiers_of_the_physics_page_are_those_of_the_code():
+    from vsfsim.physics.tiers import TIERS
+
+    table = (ROOT / "docs" / "physics.md").read_text().split("## Tiers")[1].split("\n\n| tier | element size")[0]
+    assert re.findall(r"^\| `([\w-]+)` \|", table, re.MULTILINE) == list(TIERS)
+
+
+def test_the_reasons_of_the_physics_page_are_those_of_the_code():
+    from vsfsim.physics.solve.frames import Reason
+
+    table = (ROOT / "docs" / "physics.md").read_text().split("| reason | meaning |")[1].split("\n\n")[0]
+    assert re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE) == [r.name for r in Reason if r.value]
+
+
+def test_the_leaderboards_of_the_pages_are_those_that_ship():
+    """`python docs/make_measured.py` renews them."""
+    spec = importlib.util.spec_from_file_location("make_measured", ROOT / "docs" / "make_measured.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for task in module.TASKS:
+        assert (module.FOLDER / f"leaderboard-{task}.md").read_text() == module.leaderboard(task)
+    assert module.readme(README) == README
