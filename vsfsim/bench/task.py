@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -13,8 +12,9 @@ from typing import Any
 from vsfsim.bench.metrics import METRICS, Metric
 from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
 from vsfsim.bench.observations import Observation, observation
-from vsfsim.core.errors import DatasetError, TaskError, did_you_mean, unknown_key
+from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
 from vsfsim.core.shelf import find_task
+from vsfsim.core.table import Table, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
 
@@ -137,33 +137,26 @@ def load_task(given: str | Path) -> Task:
         TaskError: no such task, not TOML, an unknown or missing key, or a value out of range.
     """
     path = find_task(str(given))
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise TaskError(f"task file '{path}' cannot be read: {error}.") from error
-    return parse_task(text, path)
+    return parse_task(read_text(path, "task", TaskError), path)
 
 
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise TaskError(f"task file '{path}' is not valid TOML: {error}.") from error
-    top = _Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation",
-                                   "noise", "metrics", "paper"))
+    tree = parse_toml(text, Path(path), "task", TaskError)
+    top = Table(tree, str(path), ("name", "description", "superseded_by", "dataset", "protocol", "observation",
+                                  "noise", "metrics", "paper"), error=TaskError)
     name = top.text("name")
     if not re.fullmatch(r"[a-z0-9-]+-v\d+", name):
         raise TaskError(f"{path}: name is {name!r}; a task's name ends in its version, e.g. fewshot-shoes-mini-v1.")
-    d = top.table("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
+    d = top.section("dataset", ("folder", "scene", "scene_sha256", "seed", "objects", "views", "touches", "tier",
                               "sha256"))
-    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""), d.count("seed", 0),
-                           d.count("objects", 1),
-                           d.count("views", 1), d.count("touches", 1), d.text("tier", "auto"), d.text("sha256", ""))
-    protocol = _protocol(top.table("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
-    o = top.table("observation", ("kind",))
-    noise = _noise(top.table("noise", ("kind", *(f.name for f in fields(Noise)))))
-    m = top.table("metrics", ("primary", "ranking_shot"))
+    wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),
+                           d.count("seed", None, 0), d.count("objects", None, 1), d.count("views", None, 1),
+                           d.count("touches", None, 1), d.text("tier", "auto"), d.text("sha256", ""))
+    protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
+    o = top.section("observation", ("kind",))
+    noise = _noise(top.section("noise", ("kind", *(f.name for f in fields(Noise)))))
+    m = top.section("metrics", ("primary", "ranking_shot"))
     primary, ranking = m.text("primary"), str(m.need("ranking_shot"))
     rankable = [name for name, metric in METRICS.items() if metric.ranks]
     if primary not in rankable:
@@ -171,11 +164,8 @@ def parse_task(text: str, path: str | Path) -> Task:
     if ranking not in protocol.labels:
         raise TaskError(f"{m.where}: ranking_shot is {ranking}; it must be one of the shots: "
                         f"{', '.join(protocol.labels)}.")
-    rows = tree.get("paper", [])
-    if not isinstance(rows, list):
-        raise TaskError(f"{path}: paper is {rows!r}; give [[paper]] tables.")
-    paper = tuple(_paper(_Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values")),
-                         protocol) for i, row in enumerate(rows))
+    paper = tuple(_paper(Table(row, f"{path} [[paper]] {i + 1}", ("method", "source", "unit", "comparable", "values"),
+                               error=TaskError), protocol) for i, row in enumerate(top.rows("paper")))
     return Task(name, top.text("description"), top.text("superseded_by", ""), wanted, protocol,
                 observation(o.text("kind"), o.where), noise, primary, ranking, paper,
                 text_sha256(_SUPERSEDED.sub("", text)))
@@ -217,16 +207,16 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
     return dataset
 
 
-def _protocol(t: _Table) -> Protocol:
+def _protocol(t: Table) -> Protocol:
     shots = t.need("shots")
     if not isinstance(shots, list) or not shots or any(isinstance(k, bool) or not isinstance(k, int) or k < 0
                                                        for k in shots) or sorted(set(shots)) != shots:
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
-    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", 1),
-                    t.count("query", 1), t.count("seed", 0))
+    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
+                    t.count("query", None, 1), t.count("seed", None, 0))
 
 
-def _noise(t: _Table) -> Noise:
+def _noise(t: Table) -> Noise:
     kind = t.text("kind", "")
     if kind and kind not in NOISE_KINDS:
         raise TaskError(f"{t.where}: kind is '{kind}'. {did_you_mean(kind, NOISE_KINDS)}")
@@ -234,18 +224,18 @@ def _noise(t: _Table) -> Noise:
     values: dict[str, Any] = {}
     for f in fields(Noise):
         if f.name in ("tare_frames", "seed"):
-            values[f.name] = t.count(f.name, 0)
+            values[f.name] = t.count(f.name, None, 0)
             continue
         # without a kind the force's noise must be said, as ever
         default: Any = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std"
                              else f.default)
-        values[f.name] = t.signed(f.name, default) if f.name in SIGNED else t.number(f.name, default)
+        values[f.name] = t.number(f.name, default, -1e9 if f.name in SIGNED else 0.0, 1e9)
     if not values["relaxation_time"] > 0.0:
         raise TaskError(f"{t.where}: relaxation_time is 0; it must be greater than 0, in seconds.")
     return Noise(**values)
 
 
-def _paper(t: _Table, protocol: Protocol) -> PaperRow:
+def _paper(t: Table, protocol: Protocol) -> PaperRow:
     values = t.need("values")
     out: dict[str, tuple[float, float | None]] = {}
     for label, value in (values.items() if isinstance(values, Mapping) else ()):
@@ -260,47 +250,3 @@ def _paper(t: _Table, protocol: Protocol) -> PaperRow:
         raise TaskError(f"{t.where}: comparable must be true or false and values a table, e.g. "
                         f"{{ 0 = [8.27, 0.00], all = 4.10 }}.")
     return PaperRow(t.text("method"), t.text("source"), t.text("unit"), comparable, out)
-
-
-class _Table:
-    """A TOML table that knows where it stands and refuses keys nobody asked for."""
-
-    def __init__(self, table: Any, where: str, allowed: tuple[str, ...]):
-        if not isinstance(table, Mapping):
-            raise TaskError(f"{where} is {table!r}; it must be a table.")
-        for key in table:
-            if key not in allowed:
-                raise TaskError(unknown_key(where, key, allowed))
-        self._table, self.where = table, where
-
-    def need(self, key: str) -> Any:
-        if key not in self._table:
-            raise TaskError(f"{self.where}: '{key}' is missing.")
-        return self._table[key]
-
-    def table(self, key: str, allowed: tuple[str, ...]) -> _Table:
-        return _Table(self.need(key), f"{self.where} [{key}]", allowed)
-
-    def text(self, key: str, default: str | None = None) -> str:
-        value = self.need(key) if default is None else self._table.get(key, default)
-        if not isinstance(value, str):
-            raise TaskError(f"{self.where}: {key} is {value!r}; it must be text.")
-        return value
-
-    def count(self, key: str, low: int) -> int:
-        value = self.need(key)
-        if isinstance(value, bool) or not isinstance(value, int) or value < low:
-            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a whole number of at least {low}.")
-        return value
-
-    def signed(self, key: str, default: float) -> float:
-        value = self._table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e9:
-            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a finite number.")
-        return float(value)
-
-    def number(self, key: str, default: float | None = None) -> float:
-        value = self.need(key) if default is None else self._table.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < 1e9:
-            raise TaskError(f"{self.where}: {key} is {value!r}; it must be a number of at least 0.")
-        return float(value)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.table import Table
 
 ARM_MODELS = ("gen3", "menagerie")
@@ -46,10 +45,7 @@ def parse_arm(node: Any, path: Path) -> ArmSpec:
         SceneError: an unknown key, or a value out of its range.
     """
     t = Table(node, f"{path} [arm]", ("model", "punyo", "base", "yaw", "mode", "drive", "clearance", "at_limit"))
-    punyo = t.table.get("punyo", False)
-    if not isinstance(punyo, bool):
-        raise SceneError(f"{t.where}: punyo is {punyo!r}; it must be true or false.")
-    return ArmSpec(t.word("model", "gen3", ARM_MODELS), punyo, t.vector("base", (-0.65, 0.0, 0.0)),
+    return ArmSpec(t.word("model", "gen3", ARM_MODELS), t.flag("punyo", False), t.vector("base", (-0.65, 0.0, 0.0)),
                    t.number("yaw", 0.0, -2 * math.pi, 2 * math.pi, "rad"), t.word("mode", "kinematic", ARM_MODES),
                    t.word("drive", "position", ARM_DRIVES),
                    t.number("clearance", 0.01, 0.0, 0.2, "m"), t.word("at_limit", "end", AT_LIMIT))

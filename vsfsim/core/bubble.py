@@ -96,14 +96,6 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
     if not 1e-3 <= short <= long <= 1.0 or long > 10.0 * short:
         raise SceneError(f"{where}: semi_axes is {[long, short]}; give [long, short] in metres, from 0.001 to 1, the "
                          f"first not the smaller, and at most ten times the second.")
-    sealed = t.table.get("sealed", real.sealed)
-    if not isinstance(sealed, bool):
-        raise SceneError(f"{where}: sealed is {sealed!r}; it must be true (the air is shut in) or false (a supply "
-                         f"keeps the pressure).")
-    fine = t.table.get("fine", real.fine)
-    if not isinstance(fine, bool):
-        raise SceneError(f"{where}: fine is {fine!r}; it must be true (a dataset also keeps the mesh that was solved) "
-                         f"or false (the read-out mesh alone).")
     return Bubble(
         semi_axes=(long, short),
         young_modulus=t.number("young_modulus", real.young_modulus, 1e3, 1e10, "Pa"),
@@ -113,11 +105,11 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
         gas_volume=t.number("gas_volume", real.gas_volume, 1e-12, 10.0, "m^3"),
         gamma=t.number("gamma", real.gamma, 1.0, 1.67),
         ambient_pressure=t.number("ambient_pressure", real.ambient_pressure, 0.0, 1e8, "Pa"),
-        sealed=sealed,
+        sealed=t.flag("sealed", real.sealed),
         nodes=t.count("nodes", real.nodes, 100, 20_000),
         contact_edge=t.number("contact_edge", 0.0, 1e-4, 0.1, "m") if "contact_edge" in t.table else None,
         friction=t.number("friction", real.friction, 0.0, MAX_FRICTION),
-        fine=fine,
+        fine=t.flag("fine", real.fine),
         camera=_camera(t.table.get("camera", False), where),
     )
 

@@ -6,7 +6,6 @@ TOML becomes a frozen dataclass. Any value may be a distribution, ``{ uniform = 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,7 +22,7 @@ from vsfsim.core.scene_tables.dataset import DatasetSpec, TouchSpec, parse_datas
 from vsfsim.core.scene_tables.distribution import ends, sample
 from vsfsim.core.scene_tables.object import ObjectSpec, parse_object
 from vsfsim.core.shape import MeshFile, ProbeShape
-from vsfsim.core.table import Table
+from vsfsim.core.table import Table, parse_toml, read_text
 
 NEEDS = ("normal-force", "bulging", "large-deformation", "appearance", "contact", "coupling")
 """Words that a scene's ``needs`` may hold."""
@@ -157,20 +156,13 @@ def load_scene(path: str | Path) -> SceneFile:
         SceneError: not readable, not TOML, an unknown key, or a value (or an end of a distribution) out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise SceneError(f"scene file '{path}' cannot be read: {error}. Give the path of a TOML text file.") from error
-    return parse_scene(text, path)
+    return parse_scene(read_text(path, "scene", SceneError), path)
 
 
 def parse_scene(text: str, path: str | Path) -> SceneFile:
     """Like `load_scene`, from text; ``path`` names it in messages and anchors relative mesh paths."""
     path = Path(path)
-    try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"scene file '{path}' is not valid TOML: {error}.") from error
+    tree = parse_toml(text, path, "scene", SceneError)
     scene = SceneFile(path, text, tree)
     # The ends of every distribution, and each choice, must build: a value out of range is refused before the run.
     for end in ends(tree, str(path)):

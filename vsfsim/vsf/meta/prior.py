@@ -139,7 +139,7 @@ class Training:
     train: tuple[float, ...]
     """NLL of a reading in nats [-] by epoch, on the training objects; epoch 0 is before any step."""
     validation: tuple[float, ...]
-    """The same on the validation objects."""
+    """The same on the validation objects [-]."""
 
 
 def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[MetaTask], *, rate: float = 1e-4,
