@@ -18,9 +18,9 @@ import numpy as np
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.scene import Scene, TouchSpec, load_scene
 from vsfsim.core.shelf import find_scene
+from vsfsim.data.streams import Stream, stream
 from vsfsim.generate.aim import Aim
 from vsfsim.generate.effectors import bubble as touch_bubble
-from vsfsim.generate.job import Stream, stream
 from vsfsim.generate.solid import surface_of
 from vsfsim.physics import clock, tiers
 from vsfsim.physics.bubble.sensor import BubbleModel, build_bubble

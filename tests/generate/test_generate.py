@@ -16,9 +16,9 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
+from vsfsim.data.streams import Stream, stream
 from vsfsim.data.verify import verify
 from vsfsim.generate.effector import find_effector
-from vsfsim.generate.job import Stream, stream
 from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.recipe import splits_for
 from vsfsim.generate.run import generate

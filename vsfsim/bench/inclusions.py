@@ -27,6 +27,7 @@ from vsfsim.core.rotation import pose_errors
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
+from vsfsim.data.streams import Stream, stream
 
 PIXEL = 0.003
 """Edge of a pixel of the mask [m]."""
@@ -35,7 +36,6 @@ STEP = 0.001
 DEPTH = 0.015
 """How deep a column of the mask reaches [m]."""
 
-_SCENE = 0  # first key of the stream that a scene's distributions are drawn from, see vsfsim.generate.run
 _SECTORS = 12  # of a capsule's mesh
 
 
@@ -57,10 +57,8 @@ class Inclusions:
         Raises:
             TaskError: the scene has no inclusions.
         """
-        scene = parse_scene(recipe.scene_text,
-                            f"{recipe.scene}.toml").sample(np.random.SeedSequence(recipe.seed,
-                                                                                  spawn_key=(_SCENE,
-                                                                                             view.object_index)))
+        seed = stream(recipe.seed, Stream.SCENE, view.object_index)
+        scene = parse_scene(recipe.scene_text, f"{recipe.scene}.toml").sample(seed)
         assert scene.object is not None
         parts = scene.object.young_modulus.inclusions
         if not parts:

@@ -32,8 +32,8 @@ def _dataset(folder: Path, out: Path | None) -> list[str]:
 def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
+    from vsfsim.data.streams import Stream, stream
     from vsfsim.generate.effector import effector_of
-    from vsfsim.generate.job import Stream, stream
     from vsfsim.sensing.turntable import turntable
 
     loaded = load_scene(find_scene(name))

@@ -1,34 +1,16 @@
-"""One object view to make, and the random streams behind it."""
+"""One object view to make."""
 
 from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
 
 from vsfsim.core.scene import Scene, parse_scene
 from vsfsim.data.recipe import Recipe
-
-
-class Stream(IntEnum):
-    """First key of a dataset's random streams, whose keys are (kind, object, view, touch)."""
-
-    SCENE = 0
-    """The scene's distributions, of an object."""
-    BODY = 1
-    """What a family of objects draws, of an object."""
-    AIM = 2
-    """The target of a touch."""
-    DEPTH = 3
-    """The depth camera's noise, of a view."""
-
-
-def stream(seed: int, *key: int) -> np.random.SeedSequence:
-    """The random stream ``key`` = (kind, object, view, touch) of a dataset; `Stream` lists the kinds."""
-    return np.random.SeedSequence(seed, spawn_key=tuple(int(k) for k in key))
+from vsfsim.data.streams import Stream, stream
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from vsfsim.core.scene import Scene
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.data.streams import Stream
 from vsfsim.generate.effector import Drawing
-from vsfsim.generate.job import Job, Stream
+from vsfsim.generate.job import Job
 from vsfsim.physics import tiers
 from vsfsim.physics.model import Model
 from vsfsim.sensing.camera import look_at, render

@@ -14,7 +14,8 @@ from vsfsim.core.plant import Plant
 from vsfsim.core.scene import CameraSpec, Scene
 from vsfsim.core.shape import Family
 from vsfsim.data.records import View
-from vsfsim.generate.job import Job, Stream
+from vsfsim.data.streams import Stream
+from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
 from vsfsim.generate.plants.surface import plant_view
 from vsfsim.physics.rods.family import grow as grow_family
