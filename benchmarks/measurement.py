@@ -8,6 +8,7 @@ import os
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Any
 
 import vsfsim
@@ -36,6 +37,10 @@ class Column:
     """Unit that it is printed in; empty: the stored one."""
     form: str = ""
     """Format specification of the printed number."""
+
+    def is_text(self) -> bool:
+        """Whether it holds text instead of numbers."""
+        return not self.unit and not self.form
 
     def title(self) -> str:
         """Heading and unit."""
@@ -75,11 +80,9 @@ class Table:
             row = self.rows[0]
             width = max(len(c.title()) for c in self.columns)
             return "\n".join([f"{self.title}:", *(f"  {c.title():<{width}}  {c.cell(row)}" for c in self.columns)])
-        cells = [[c.cell(row) for c in self.columns] for row in self.rows]
-        first = max(len(line[0]) for line in [[self.columns[0].title()], *cells])
-        return f"{self.title}:\n" + text_table(
-            [self.columns[0].title().ljust(first), *(c.title() for c in self.columns[1:])],
-            [[line[0].ljust(first), *line[1:]] for line in cells], right=True)
+        return f"{self.title}:\n" + text_table([c.title() for c in self.columns],
+                                               [[c.cell(row) for c in self.columns] for row in self.rows],
+                                               right=True, left=len(list(takewhile(Column.is_text, self.columns))))
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,8 @@ def pressure_rows(displacements: Displacements, particles: int, axes: np.ndarray
     Args:
         displacements: of one touch. particles: how many particles the VSF has, n.
         axes: unit vector out of the sensor in every frame, world (T, 3) [-].
-        area: of the base [m^2]; openvsf takes 0.0066019 for the Punyo.
+        area: of the base [m^2]. openvsf's is 7.1827e-3 for its mesh of the Punyo alone, 6.6019e-3 for its mesh on the
+            arm, whose frame is tilted (references/openvsf_base_area.json).
 
     Returns:
         W (T, n) [1/m]: times stiffnesses [N/m] it gives the pressure above that without contact [Pa].
