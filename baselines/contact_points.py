@@ -1,7 +1,8 @@
-"""`contact-points`: what touches say without a stiffness (the contact-only baseline of Neural VSF section IV-C).
+"""`contact-points`: pose from contacts alone, without a stiffness (the contact-only baseline of Neural VSF section
+IV-C).
 
-A known object's outline is laid on the points where the force passed a limit. Asked for forces, it answers with those
-of the nearest touch.
+A known object's outline is fitted to the points where the force exceeded a limit. Forces are predicted as those of the
+nearest touch.
 """
 
 from __future__ import annotations
@@ -10,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vsfsim.baselines.locating import Locating, locate
-from vsfsim.bench.method import Action, Reading, Specimen
+from vsfsim.baselines.known_object import PoseSearch, locate
+from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
@@ -22,8 +23,9 @@ class ContactPoints:
     """Learns nothing from training objects.
 
     Args:
-        share: of the support's largest force that makes a contact point [-]; one limit for all touches, as in the
-        paper. seed: of the search.
+        share: fraction of the support's largest force above which a point counts as a contact [-]; one limit for all
+            touches, as in the paper.
+        seed: of the search.
     """
 
     def __init__(self, *, share: float = 0.5, seed: int = 0):
@@ -41,42 +43,39 @@ class ContactPoints:
             MethodError: a reading marked valid is not finite.
         """
         self._view, self._support = view, list(support)
-        for index, reading in enumerate(support):
-            if not np.isfinite(reading.value[reading.valid]).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
-                                  f"marked valid.")
+        check_support(support)
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, d) of the nearest touch of the support, at the same way past its start; 0 without touches."""
+        """Readings (T, d) of the nearest touch of the support at the same distance past its start; 0 without any."""
         usable = [r for r in self._support if r.valid.any()]
         if not usable:
             return [np.zeros((len(action.time), action.size)) for action in touches]
-        ends = np.stack([r.action.poses[np.argmax(_way(r.action)), :3, 3] for r in usable])
+        ends = np.stack([r.action.poses[np.argmax(_progress(r.action)), :3, 3] for r in usable])
         out = []
         for action in touches:
-            way = _way(action)
-            near = usable[int(np.argmin(np.linalg.norm(ends - action.poses[np.argmax(way), :3, 3], axis=1)))]
-            order = np.argsort(_way(near.action)[near.valid], kind="stable")
-            known, value = _way(near.action)[near.valid][order], near.value[near.valid][order]
-            out.append(np.stack([np.interp(way, known, value[:, k]) for k in range(action.size)], axis=1))
+            along = _progress(action)
+            near = usable[int(np.argmin(np.linalg.norm(ends - action.poses[np.argmax(along), :3, 3], axis=1)))]
+            order = np.argsort(_progress(near.action)[near.valid], kind="stable")
+            known, value = _progress(near.action)[near.valid][order], near.value[near.valid][order]
+            out.append(np.stack([np.interp(along, known, value[:, k]) for k in range(action.size)], axis=1))
         return out
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Object-to-world transform (4, 4) of an object of known shape: its outline laid on the contact points.
+        """Object-to-world transform (4, 4) of an object of known shape, its outline fitted to the contact points.
 
         Raises:
             MethodError: the readings are not forces, or the view shows no object.
         """
         forces = [name for name, row in OBSERVATIONS.items() if row.unit == "N"]
-        strange = next((r.action.observation for r in self._support
+        other = next((r.action.observation for r in self._support
                         if r.surface is None and r.action.observation not in forces), None)
-        if strange is not None:
+        if other is not None:
             raise MethodError(f"contact-points: a contact is where the force passes a limit, and the readings are "
-                              f"'{strange}'; it knows {', '.join(forces)}, or a sensor's surface.")
+                              f"'{other}'; it knows {', '.join(forces)}, or a sensor's surface.")
         points, size = self._contacts()
         hard = size > self.share * size.max(initial=0.0)
-        # Contact or not is all that is told, as in the paper.
-        return locate(vertices, triangles, points, hard.astype(float), self._view, Locating(seed=self.seed))
+        # Only contact or no contact is used, as in the paper.
+        return locate(vertices, triangles, points, hard.astype(float), self._view, PoseSearch(seed=self.seed))
 
     def _contacts(self) -> tuple[np.ndarray, np.ndarray]:
         """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and
@@ -97,7 +96,7 @@ class ContactPoints:
         return np.concatenate(points), np.concatenate(size)
 
 
-def _way(action: Action) -> np.ndarray:
-    """How far the probe has come along the press since frame 0 (T,) [m]."""
+def _progress(action: Action) -> np.ndarray:
+    """Distance of the probe along the press since frame 0 (T,) [m]."""
     return (action.poses[:, :3, 3] - action.poses[0, :3, 3]) @ action.axis
 

@@ -1,9 +1,8 @@
 """`neural-vsf` and `grid-vsf`: the continuous VSF, fitted to one object's touches (Neural VSF section III-D).
 
-Where the sensor has a surface the observations are the contact forces on its vertices (eq. 5 and 6). A rigid probe
-tells its total force only: its surface is then the sensor's, and the sum over it along the press is the observation, as
-in the papers' pressure-only baseline.
-`neural-vsf` is the papers' network, `grid-vsf` our fast field.
+Where the sensor has a surface, the observations are the contact forces on its vertices (eq. 5 and 6). A rigid probe
+measures its total force only. Its own surface is then used, and the observation is the sum over it along the press, as
+in the papers' pressure-only baseline. `neural-vsf` is the papers' network, `grid-vsf` our fast field.
 """
 
 from __future__ import annotations
@@ -12,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from vsfsim.baselines.locating import Locating, locate, touched_points
-from vsfsim.baselines.seen import seen_cloud
-from vsfsim.baselines.skin import skin_touch
-from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.baselines.known_object import PoseSearch, locate, touched_points
+from vsfsim.baselines.sensor_surface import dense_touch
+from vsfsim.baselines.visible_cloud import visible_cloud
+from vsfsim.bench.method import Action, Estimate, Reading, Specimen, check_support
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError, NoStiffnessError, VsfError
@@ -23,32 +22,31 @@ from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
 
 _RINGS = 4  # of the mesh of a ball's front: 61 vertices
-_SILENT = 1e-9  # readings under this, in the task's unit, are all zero
+_ZERO = 1e-9  # readings below this, in the task's unit, count as zero
 
 
 class NeuralVsf:
     """The papers' 8-layer network.
 
     Args:
-        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`;
-        iterations, batch 1,000, samples 100 and rate 2e-4 are
-            the paper's, which take minutes an object on a CPU.
-        octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not say how
-        many; 6 of ours. Where a frame has
-            one force alone, 2 find buried ropes far better (docs/studies.md).
-        margin: by which the box of the field is wider than the visible cloud [m]. table_height: z of the table [m].
-        depth: of the points that are asked where a hidden object lies [m]. seed: of weights and batches.
-        skin: fit the forces on a sensor's vertices where they were read; False: the total only, the pressure-only
-        baseline.
+        iterations, batch, samples, rate, free_space: of the training, see `vsfsim.vsf.fields.neural.Fitting`. The
+            paper's iterations, batch 1,000, samples 100 and rate 2e-4 take minutes an object on a CPU.
+        octaves: of the encoding, whose finest wave is 2^(1 - octaves) of the box's edge. The papers do not give the
+            number; 6 is ours. Where a frame has only one force, 2 find buried ropes far better (docs/studies.md).
+        margin: by which the box of the field is wider than the visible cloud [m].
+        table_height: z of the table [m].
+        depth: greatest depth of the points at which `locate` evaluates the field [m].
+        seed: of weights and batches.
+        skin: fit the forces on a sensor's vertices where there are readings of them; False: the total only, the
+            pressure-only baseline.
         device: torch device.
     """
 
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4,
-                 free_space: float = 1e-2,
-                 octaves: int = 6, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012, seed: int = 0,
-                 skin: bool = True, device: str = "cpu"):
+                 free_space: float = 1e-2, octaves: int = 6, margin: float = 0.01, table_height: float = 0.0,
+                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
         from vsfsim.vsf.fields.neural import Fitting
 
         if min(iterations, batch, samples, octaves) < 1 or not rate > 0.0:
@@ -56,7 +54,8 @@ class NeuralVsf:
                               f"{octaves} must be at least 1 and rate {rate} greater than 0.")
         self._fitting = Fitting(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
                                 seed=seed)
-        self.margin, self.table_height, self.depth, self.seed, self.skin, self.device = margin, table_height, depth, seed, skin, device
+        self.margin, self.table_height, self.depth = margin, table_height, depth
+        self.seed, self.skin, self.device = seed, skin, device
         self._field: dict[str, float] = {"octaves": octaves}
         self._model = None
 
@@ -64,26 +63,23 @@ class NeuralVsf:
         """Nothing to learn."""
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
-        """Fit the field. Without touches, or where all readings are zero, there is no stiffness anywhere.
+        """Fit the field. It is zero everywhere without touches, and where all readings are zero.
 
         Raises:
-            MethodError: a reading marked valid is not finite, the view is empty, or the probe is not a ball and no
-            surface was read.
+            MethodError: a reading marked valid is not finite, the view is empty, or there is no surface and the probe
+                is not a ball.
         """
         from vsfsim.vsf.fields.neural import fit
 
-        cloud = seen_cloud(view)
+        cloud = visible_cloud(view)
         bounds = np.stack([cloud.min(axis=0) - self.margin, cloud.max(axis=0) + self.margin])
         bounds[0, 2], bounds[1, 2] = min(self.table_height, cloud[:, 2].min()), cloud[:, 2].max()
         self._view, self._support, self._model = view, list(support), None
-        for index, reading in enumerate(support):
-            if not np.isfinite(reading.value[reading.valid]).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
-                                  f"marked valid.")
-        if not any((np.abs(r.value[r.valid]) > _SILENT).any() for r in support):
+        check_support(support)
+        if not any((np.abs(r.value[r.valid]) > _ZERO).any() for r in support):
             return
         dense = self.skin and all(r.surface is not None for r in support)
-        found = [skin_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
+        found = [dense_touch(r) if dense else _total(r) for r in support if r.valid[1:].any()]
         touches = [touch for touch in found if touch is not None]
         if not touches:
             return
@@ -120,24 +116,25 @@ class NeuralVsf:
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
         points = touched_points(self._view, self._support, depth=self.depth)
-        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, Locating(seed=self.seed))
+        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, PoseSearch(seed=self.seed))
 
 
 class GridVsf(NeuralVsf):
-    """Ours: a sum of trilinear grids, a few hundred steps at a higher rate. Arguments as `NeuralVsf`, but for the
-    octaves; cell: edge of the finest grid's cells [m]."""
+    """Our field: a sum of trilinear grids, fitted in a few hundred steps at a higher rate.
+
+    Args:
+        cell: edge of the finest grid's cells [m]; the others as of `NeuralVsf`, which has octaves instead.
+    """
 
     _kind = "grid"
 
     def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1,
-                 free_space: float = 1e-2,
-                 cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0, depth: float = 0.012,
-                 seed: int = 0, skin: bool = True, device: str = "cpu"):
+                 free_space: float = 1e-2, cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0,
+                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
-                         margin=margin, table_height=table_height,
-                         depth=depth, seed=seed, skin=skin, device=device)
+                         margin=margin, table_height=table_height, depth=depth, seed=seed, skin=skin, device=device)
         self._field = {"cell": cell}
 
 
@@ -149,7 +146,7 @@ def _total(reading: Reading):
 
 
 def _surface_of(action: Action, force: np.ndarray):
-    """The front half of a ball, or the undented dome of a bubble, on its way; ``force``: the readings (T,) in their
+    """The front half of a ball, or the free dome of a bubble, along its path; ``force``: the readings (T,) in their
     unit."""
     from vsfsim.vsf.fields.palpation import dome
     from vsfsim.vsf.fields.swept import TotalTouch
@@ -169,6 +166,6 @@ def _surface_of(action: Action, force: np.ndarray):
     shape = shape - [0.0, 0.0, action.probe.radius]
     side = np.cross(action.axis, np.eye(3)[int(np.argmin(np.abs(action.axis)))])
     side /= np.linalg.norm(side)
-    # Its apex, at -z, points along the press.
+    # The apex of the shape, at -z, points along the press.
     turn = np.stack([side, np.cross(-action.axis, side), -action.axis], axis=1)
     return TotalTouch(shape @ turn.T + action.poses[:, None, :3, 3], triangles, np.asarray(action.axis), force)

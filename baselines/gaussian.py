@@ -1,10 +1,9 @@
 """`gaussian` and `gaussian-zero`: the vanilla VSF with a naive Gaussian prior (SBML section 4.2 and appendix C.1).
 
 Vision gives the particles but not the prior: all particles of all objects share one mean and one variance. Both come
-from the
-training objects: each is fitted with all of its touches and no informed prior (as `point-vsf` does), and the spring
-constants of the touched particles of all of them are pooled. Since the mean is pulled up by the stiff ones and tends to
-overestimate, the paper has a second variant that sets the mean to zero and keeps the variance.
+from the training objects: each is fitted with all of its touches and an uninformed prior (as `point-vsf` does), and the
+spring constants of the touched particles of all of them are pooled. The stiff particles raise the mean, which tends to
+overestimate. The paper therefore has a second variant that sets the mean to zero and keeps the variance.
 """
 
 from __future__ import annotations
@@ -15,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
-from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
+from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
+from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
-class GaussianAverage:
+class GaussianAverage(PosteriorAnswers):
     """Prior mean: the average spring constant of the training objects' touched particles.
 
     Args:
         spacing: distance of the particles [m] (SBML appendix B.2: 5 mm for shoes).
         friction: Coulomb coefficient of the stick-slip motion [-]; 0 fits scenes without friction.
-        noise_std: of a reading [N]: what the particle model cannot explain, which is more than the sensor's 0.15 N.
-        With 0.15 the
-            Gaussian prior's error on fewshot-shoes-mini-v1 no longer falls with every touch.
+        noise_std: of a reading [N]. It includes what the particle model cannot explain, which is more than the sensor's
+            0.15 N: with 0.15 N the Gaussian prior's error on fewshot-shoes-mini-v1 no longer falls with every touch.
         fit_std: prior standard deviation of a spring constant in the fits of the training objects [N/m]; large, so that
             their touches decide.
         margin: widening of the box around the visible cloud [m].
@@ -40,8 +39,7 @@ class GaussianAverage:
     _zero_mean = False
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
-                 fit_std: float = 1000.0,
-                 margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+                 fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
         self.fit_std = fit_std
         self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
         self._shelf = ObjectShelf(self._settings)
@@ -51,12 +49,12 @@ class GaussianAverage:
         """Estimate the prior's mean [N/m] and variance [(N/m)^2].
 
         Raises:
-            MethodError: no training object, or none of their touches reached a particle.
+            MethodError: there is no training object, or none of their touches reached a particle.
         """
         pooled = [np.zeros(0)]
         for specimen in specimens:
-            posterior = Posterior.of(VsfObject.behind(specimen.view, self._settings), specimen.touches, prior_mean=0.0,
-                                     prior_var=self.fit_std**2)
+            model = ParticleModel.behind(specimen.view, self._settings)
+            posterior = Posterior.of(model, specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
             pooled.append(posterior.stiffness[posterior.touched()])
         values = np.concatenate(pooled)
         if values.size == 0 or values.var() == 0.0:
@@ -72,29 +70,13 @@ class GaussianAverage:
         self._view = view
         self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=mean, prior_var=variance)
 
-    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, 1) of touches not made yet."""
-        return self._posterior.predict(touches)
-
-    def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Standard deviations (T, 1) of those readings."""
-        return self._posterior.predict_std(touches)
-
-    def stiffness(self, points: np.ndarray) -> Estimate:
-        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
-        return self._posterior.density(points)
-
-    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Object-to-world transform (4, 4) of a stiff object of known shape."""
-        return self._posterior.locate(vertices, triangles, self._view)
-
     def save(self, folder: Path) -> None:
-        """Keep the prior."""
+        """Write the prior."""
         (folder / "prior.json").write_text(json.dumps({"mean": self._prior[0], "variance": self._prior[1]}
                                                       if self._prior else None))
 
     def load(self, folder: Path) -> None:
-        """Take up a prior that `save` kept."""
+        """Read a prior that `save` wrote."""
         table = json.loads((folder / "prior.json").read_text())
         self._prior = None if table is None else (table["mean"], table["variance"])
 

@@ -1,9 +1,9 @@
 """`imaml` and `imaml-vision`: non-structured meta-learning (SBML section 4.2 and appendix B.4).
 
-A perceptron maps the robot's action to the reading, with no object in between; a touched object moves its weights by a
-few steps of gradient descent from the meta-learned start. `imaml-vision` also sees one vector of the whole view. The
-network, the inner and the outer loop have the paper's sizes and rates. The paper's action is 7 joint angles; without an
-arm it is 7 numbers here too: the probe's position, its press direction, and how far it has come along it.
+A perceptron maps the robot's action to the reading without a model of the object. The touches of an object adapt its
+weights by a few steps of gradient descent from the meta-learned start. `imaml-vision` also receives one vector of the
+whole view. The network, the inner and the outer loop have the paper's sizes and rates. The paper's action is 7 joint
+angles. Without an arm it is 7 numbers here too: the probe's position, its press direction, and its distance along it.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.vsf_object import digest
-from vsfsim.bench.method import Action, Reading, Specimen
+from vsfsim.baselines.particle_model import digest
+from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.registry import NAMES, view_token
@@ -29,33 +29,35 @@ class Imaml:
 
     Args:
         seed: of the initial weights and of the division of training objects into support and query.
-        epochs: outer steps, each over all training objects. outer_rate: of Adam.
-        inner_rate, inner_steps: gradient descent on the support touches.
-        regularisation: lambda. cg_damping, cg_steps: of the implicit gradient.
+        epochs: outer steps, each over all training objects.
+        outer_rate: of Adam.
+        inner_rate, inner_steps: of the gradient descent on the support touches.
+        regularisation: lambda.
+        cg_damping, cg_steps: of the implicit gradient.
         features: of the view's vector, for `imaml-vision`. weights: file of pretrained weights for the DINOv2 features.
-        device: torch device of the network and of the DINOv2 features; the draws are made on the host, the same for
-        every device.
+        device: torch device of the network and of the DINOv2 features. Random numbers are drawn on the host, so that
+            they are the same for every device.
     """
 
     _vision = False
 
     def __init__(self, *, seed: int = 0, epochs: int = 400, outer_rate: float = 1e-3, inner_rate: float = 1e-3,
-                 inner_steps: int = 30,
-                 regularisation: float = 2.0, cg_damping: float = 100.0, cg_steps: int = 10, features: str = "local",
-                 weights: str = "", device: str = "cpu"):
+                 inner_steps: int = 30, regularisation: float = 2.0, cg_damping: float = 100.0, cg_steps: int = 10,
+                 features: str = "local", weights: str = "", device: str = "cpu"):
         if features not in NAMES:
             raise MethodError(f"imaml: features are '{features}'. {did_you_mean(features, NAMES)}")
-        self.seed, self.epochs, self.outer_rate, self.inner_rate, self.inner_steps = seed, epochs, outer_rate, inner_rate, inner_steps
+        self.seed, self.epochs, self.outer_rate = seed, epochs, outer_rate
+        self.inner_rate, self.inner_steps = inner_rate, inner_steps
         self.regularisation, self.cg_damping, self.cg_steps = regularisation, cg_damping, cg_steps
         self.features, self.weights, self.device = features, weights, device
         self._scale: dict[str, np.ndarray] | None = None
-        self._tokens: dict[bytes, np.ndarray] = {}  # by view: a view is met at every shot and seed
+        self._tokens: dict[bytes, np.ndarray] = {}  # by view: every shot and seed has the same views
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the start of all adaptations.
 
         Raises:
-            MethodError: no training object with two touches, or readings that never vary.
+            MethodError: there is no training object with two touches, or the readings never vary.
         """
         import torch
 
@@ -110,15 +112,12 @@ class Imaml:
             raise MethodError("imaml was not trained yet; call meta_fit or load first.")
         from vsfsim.baselines import implicit_maml as im
 
+        check_support(support)
         samples = [_samples(reading) for reading in support]
-        for index, (_, y) in enumerate(samples):
-            if not np.isfinite(y).all():
-                raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
-                                  f"marked valid.")
-        self._seen = self._token(view)
+        self._view_token = self._token(view)
         size = (len(self._scale["x_mean"]), len(self._scale["y_std"]))
         joined = tuple(np.concatenate([np.zeros((0, n)), *(s[k] for s in samples)]) for k, n in enumerate(size))
-        batch = self._batch([joined], [self._seen])
+        batch = self._batch([joined], [self._view_token])
         self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps,
                              regularisation=self.regularisation)
 
@@ -129,21 +128,21 @@ class Imaml:
         out = []
         for action in touches:
             batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))],
-                                [self._seen])
+                                [self._view_token])
             with torch.no_grad():
                 out.append(self._network(self._phi, batch.x, batch.token)[0].cpu().numpy() * self._scale["y_std"])
         return out
 
     def save(self, folder: Path) -> None:
-        """Keep what was learned."""
+        """Write what was learned."""
         if self._scale is None:
             raise MethodError("imaml has nothing to save yet; call meta_fit first.")
         (folder / "imaml.json").write_text(json.dumps({"vision": self._vision, "features": self.features}) + "\n")
-        np.savez(folder / "imaml.npz", **self._scale, **{f"theta{i}": p.cpu().numpy() for i,
-                                                         p in enumerate(self._theta)})
+        theta = {f"theta{i}": p.cpu().numpy() for i, p in enumerate(self._theta)}
+        np.savez(folder / "imaml.npz", **self._scale, **theta)
 
     def load(self, folder: Path) -> None:
-        """Take up what `save` kept.
+        """Read what `save` wrote.
 
         Raises:
             MethodError: nothing there, or it was learned from another kind of input.
@@ -196,23 +195,21 @@ class Imaml:
         x, y = np.zeros((len(parts), count, len(s["x_mean"]))), np.zeros((len(parts), count, len(s["y_std"])))
         weight = np.zeros((len(parts), count))
         for i, (own_x, own_y) in enumerate(parts):
-            x[i, :len(own_x)], y[i,
-                                 :len(own_y)], weight[i,
-                                                      :len(own_x)] = (own_x
-                                                                      - s["x_mean"]) / s["x_std"], own_y / s["y_std"], 1.0
+            x[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"]
+            y[i, :len(own_y)], weight[i, :len(own_x)] = own_y / s["y_std"], 1.0
         token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
         return Batch(*(torch.as_tensor(a, dtype=torch.float64, device=self.device) for a in (x, token, y, weight)))
 
 
 class ImamlVision(Imaml):
-    """iMAML whose network also sees one vector of the view (SBML: DINOv2's class token)."""
+    """iMAML whose network also receives one vector of the view (SBML: DINOv2's class token)."""
 
     _vision = True
 
 
 def _inputs(action: Action) -> np.ndarray:
-    """The action in 7 numbers a frame (T, 7): an arm's joint angles [rad] (SBML appendix B.4); without an arm position
-    [m], press direction, way along it since the first frame [m]."""
+    """The action as 7 numbers a frame (T, 7): an arm's joint angles [rad] (SBML appendix B.4); without an arm the
+    position [m], the press direction, and the distance along it since the first frame [m]."""
     if action.q is not None:
         return action.q
     position = action.poses[:, :3, 3]

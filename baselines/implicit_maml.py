@@ -9,11 +9,11 @@ descent,
 
     dL_query/dtheta = (I + H / lambda)^-1 grad L_query(phi),   H = Hessian of L_support at phi
 
-solved by a few steps of conjugate gradients. The Hessian is divided by lambda + damping, as the authors' code does: far
-from the inner minimum it need not be positive, and damping keeps the system so. All tasks of an outer step are one
-batch: their parameters carry a leading task axis. Gradients and products with the Hessian are written out
-(backpropagation, and Pearlmutter's forward pass over it, 1994), a matrix product a
-layer: the networks are so small that automatic differentiation would cost more than the arithmetic.
+which is solved by a few steps of conjugate gradients. The Hessian is divided by lambda + damping, as in the authors'
+code: far from the inner minimum it need not be positive definite, and damping keeps the system positive definite. All
+tasks of an outer step are one batch, whose parameters have a leading task axis. Gradients and products with the Hessian
+are explicit (backpropagation, and Pearlmutter's forward pass over it, 1994), one matrix product a layer, because for
+networks this small automatic differentiation would cost more than the arithmetic.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from dataclasses import dataclass
 import torch
 
 Parameters = list[torch.Tensor]
-# Part of the right side that conjugate gradients need not go below.
-_EXACT = 1e-10
+_CG_TOLERANCE = 1e-10  # of the residual norm, relative to the right side
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,11 @@ class Network:
     """A perceptron from action (and view) to reading. Parameters are lists of tensors, with or without a leading task
     axis.
 
-    inputs, outputs: sizes. token: size of the view's vector, 0 for no vision. hidden: widths. encoder: widths of the
-    token's own perceptron, whose output stands beside the action.
+    Args:
+        inputs, outputs: sizes.
+        token: size of the view's vector, 0 for no vision.
+        hidden: widths.
+        encoder: widths of the token's own perceptron, whose output is appended to the action.
     """
 
     def __init__(self, inputs: int, outputs: int, *, token: int, hidden: Sequence[int], encoder: Sequence[int]):
@@ -94,8 +96,8 @@ class Network:
             code = _forward(own, batch.token[:, None])
             x = torch.cat([x, code[-1].expand(-1, x.shape[1], -1)], dim=2)
         layers = _forward(rest, x)
-        share = (2.0 / batch.y.shape[2]) * (batch.weight / batch.weight.sum(dim=1,
-                                                                            keepdim=True).clamp_min(1.0))[:, :, None]
+        count = batch.weight.sum(dim=1, keepdim=True).clamp_min(1.0)
+        share = (2.0 / batch.y.shape[2]) * (batch.weight / count)[:, :, None]
         gradient, errors = _backward(rest, layers, share * (layers[-1] - batch.y))
         code_errors: Parameters = []
         if self.split:
@@ -143,9 +145,8 @@ class Curvature:
         layers = _forward_change(self._rest, rest, at.layers, change)
         out, errors = _backward_change(self._rest, rest, at.layers, layers, at.errors, at.share * layers[-1])
         if self._split:
-            into = torch.bmm(errors[0], self._rest[0][:, at.inputs:].transpose(1,
-                                                                               2)) + torch.bmm(at.errors[0],
-                                                                                               rest[0][:, at.inputs:].transpose(1, 2))
+            into = (torch.bmm(errors[0], self._rest[0][:, at.inputs:].transpose(1, 2))
+                    + torch.bmm(at.errors[0], rest[0][:, at.inputs:].transpose(1, 2)))
             out = _backward_change(self._own, own, at.code, moved, at.code_errors,
                                    into.sum(dim=1, keepdim=True))[0] + out
         return out
@@ -177,7 +178,7 @@ def _backward(parameters: Parameters, layers: Parameters, error: torch.Tensor) -
 
 def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters,
                     change: torch.Tensor | None) -> Parameters:
-    """How `layers` change along ``v``; ``change``: of the input, None if it stays."""
+    """Directional derivative of ``layers`` along ``v``; ``change``: that of the input, None for zero."""
     out = [torch.zeros_like(layers[0]) if change is None else change]
     for i in range(0, len(parameters), 2):
         after = torch.baddbmm(v[i + 1], layers[i // 2], v[i])
@@ -190,7 +191,7 @@ def _forward_change(parameters: Parameters, v: Parameters, layers: Parameters,
 
 def _backward_change(parameters: Parameters, v: Parameters, layers: Parameters, moved: Parameters, errors: Parameters,
                      change: torch.Tensor) -> tuple[Parameters, Parameters]:
-    """How what `_backward` gives changes along ``v``, from the change of the last error."""
+    """Directional derivative of the result of `_backward` along ``v``, from that of the last error, ``change``."""
     out, changes = [torch.empty(0)] * len(parameters), [change]
     for i in range(len(parameters) - 2, -1, -2):
         k = i // 2
@@ -231,8 +232,7 @@ def adapt(network: Network, theta: Parameters, batch: Batch, *, rate: float, ste
 
 
 def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: Batch, *, regularisation: float,
-                      damping: float = 0.0,
-                      cg_steps: int = 10) -> tuple[Parameters, torch.Tensor]:
+                      damping: float = 0.0, cg_steps: int = 10) -> tuple[Parameters, torch.Tensor]:
     """Gradient of every task's query loss with respect to theta (each (B, ...)), and those losses (B,)."""
     hessian = network.curvature(phi, support)
 
@@ -243,8 +243,9 @@ def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: 
 
 
 def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
-    """Solve A x = right for every task by itself, in so many steps at most: with the papers' damping four are enough to
-    leave 1e-10 of it."""
+    """Solve A x = right for every task by itself, in at most ``steps`` steps. With the papers' damping four steps reach
+    a relative residual of 1e-10."""
+
     def dot(a: Parameters, b: Parameters) -> torch.Tensor:
         return sum((x * y).flatten(1).sum(dim=1) for x, y in zip(a, b))
 
@@ -254,13 +255,13 @@ def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
     x = [torch.zeros_like(r) for r in right]
     residual, direction = [r.clone() for r in right], [r.clone() for r in right]
     size = dot(residual, residual)
-    enough = _EXACT**2 * size
+    small_enough = _CG_TOLERANCE**2 * size
     for _ in range(steps):
-        if bool((size <= enough).all()):
+        if bool((size <= small_enough).all()):
             break
         image = apply(direction)
         curvature = dot(direction, image)
-        # A task that is solved, or whose curvature turned negative, stays where it is.
+        # A task that is solved, or whose curvature is negative, keeps its solution.
         step = torch.where((curvature > 0.0) & (size > 0.0), size / curvature.clamp_min(1e-300), torch.zeros_like(size))
         x = [a + along(step, d) for a, d in zip(x, direction)]
         residual = [r - along(step, i) for r, i in zip(residual, image)]

@@ -1,9 +1,8 @@
 """`sbml`: structured Bayesian meta-learning on the VSF model (SBML, eq. 10-16, appendices A and B).
 
-Visual features of the particles give the mean and variance of their spring constants, by a small network learned
-offline on the
-training objects: maximum likelihood of their readings with the springs marginalised out (eq. 15). On a new object the
-network's output is the prior, and touches update it (eq. 16, K >= 0).
+A small network maps visual features of the particles to the mean and variance of their spring constants. It is learned
+offline on the training objects by maximum likelihood of their readings, with the springs marginalised out (eq. 15). On
+a new object the network's output is the prior, and touches update it (eq. 16, K >= 0).
 """
 
 from __future__ import annotations
@@ -14,8 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.vsf_object import ObjectShelf, Posterior, VsfObject, VsfSettings
-from vsfsim.bench.method import Action, Estimate, Reading, Specimen
+from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
+from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
+from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
@@ -23,26 +23,26 @@ from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 
 
-class Sbml:
+class Sbml(PosteriorAnswers):
     """SBML with a prior learned by `meta_fit`.
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
         features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.registry`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
-        prior: folder that `save` wrote; then nothing is learned from the training objects. "" learns.
+        prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
         rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta.prior`.
-        validation: fraction of the training objects that only stop the training (at least one of them if there are
-        two).
+        validation: fraction of the training objects that are used for early stopping only (at least one of two or
+            more).
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
         friction: Coulomb coefficient of the stick-slip motion [-].
-        noise_std: of a reading, in its unit. The particle model errs by some newtons on a whole touch at once, and eq.
-        15 takes its ten
-            readings for independent; 3 N is 1 N times sqrt(10). docs/methods.md has figures.
-        noise_share: of a touch's largest reading, that the particle model errs by besides (in eq. 15 and 16). With 0,
-        the paper's way, stiff objects decide the
-            mean, and it lies far above most objects; docs/studies.md has figures.
+        noise_std: of a reading, in its unit. The error of the particle model is some newtons and common to a whole
+            touch, while eq. 15 treats its ten readings as independent; 3 N is 1 N times sqrt(10). docs/methods.md has
+            figures.
+        noise_share: fraction of a touch's largest reading by which the particle model errs besides (in eq. 15 and 16).
+            With 0, as in the paper, stiff objects determine the mean, which then lies far above most objects;
+            docs/studies.md has figures.
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
@@ -50,12 +50,10 @@ class Sbml:
     """
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
-                 seed: int = 0, rate: float = 1e-4,
-                 epochs: int = 400, patience: int = 40, dropout: float = 0.1, output: str = "softplus",
-                 validation: float = 0.25, spacing: float = 0.005,
-                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0,
-                 margin: float = 0.01, table_height: float = 0.0,
-                 device: str = "cpu"):
+                 seed: int = 0, rate: float = 1e-4, epochs: int = 400, patience: int = 40, dropout: float = 0.1,
+                 output: str = "softplus", validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0,
+                 noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01,
+                 table_height: float = 0.0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -71,6 +69,7 @@ class Sbml:
         self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device,
                                      noise_share=noise_share)
         self._shelf = ObjectShelf(self._settings)
+        self._search_seed = seed
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
         self._network = None
@@ -79,7 +78,7 @@ class Sbml:
         """Learn the prior from the training objects (eq. 15).
 
         Raises:
-            MethodError: no training object, or none of their touches reached a particle.
+            MethodError: there is no training object, or none of their touches reached a particle.
         """
         self._priors.clear()
         if self.prior:
@@ -114,27 +113,11 @@ class Sbml:
         self._posterior = Posterior.under(model, support, self._priors[id(model)])
 
     def share(self, other: Sbml) -> None:
-        """Take up the particles, rows and features that ``other``, of the same settings, has made."""
+        """Use the particles, rows and features of ``other``, which has the same settings."""
         self._shelf = other._shelf
 
-    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Readings (T, 1) of touches not made yet."""
-        return self._posterior.predict(touches)
-
-    def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
-        """Standard deviations (T, 1) of those readings."""
-        return self._posterior.predict_std(touches)
-
-    def stiffness(self, points: np.ndarray) -> Estimate:
-        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
-        return self._posterior.density(points)
-
-    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-        """Object-to-world transform (4, 4) of a stiff object of known shape."""
-        return self._posterior.locate(vertices, triangles, self._view, seed=self.seed)
-
     def save(self, folder: Path) -> None:
-        """Keep the prior in a folder, made if it is not there: prior.json, and prior.npz with the weights."""
+        """Write the prior to a folder, which is made if missing: prior.json, and prior.npz with the weights."""
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
         table = {"structure": self.structure, "features": self.features, "output": self.output,
@@ -145,7 +128,7 @@ class Sbml:
                  **{f"net.{name}": value.cpu().numpy() for name, value in self._network.state_dict().items()})
 
     def load(self, folder: Path) -> None:
-        """Take up a prior that `save` kept.
+        """Read a prior that `save` wrote.
 
         Raises:
             MethodError: there is none, or it was learned with another structure or other features.
@@ -179,7 +162,7 @@ class Sbml:
             return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
                         output=self.output).to(self.device)
 
-    def _features(self, model: VsfObject, view: View) -> np.ndarray:
+    def _features(self, model: ParticleModel, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"
         if key not in model.features:
             model.features[key] = particle_features(self.features, view, model.particles,
@@ -187,7 +170,7 @@ class Sbml:
                                                     device=self.device)
         return model.features[key]
 
-    def _task(self, model: VsfObject, specimen: Specimen, raw: np.ndarray, part: Composition):
+    def _task(self, model: ParticleModel, specimen: Specimen, raw: np.ndarray, part: Composition):
         import torch
 
         from vsfsim.vsf.estimate.evidence import Evidence
@@ -202,8 +185,8 @@ class Sbml:
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device)
                           for x in (features, part.features)), evidence)
 
-    def _spread(self, models: Sequence[VsfObject], specimens: Sequence[Specimen], parts: Sequence[Composition]):
-        """Spread of the training objects' own fits, as the naive Gaussian prior has it (section 3.3,
+    def _spread(self, models: Sequence[ParticleModel], specimens: Sequence[Specimen], parts: Sequence[Composition]):
+        """Spread of the spring constants fitted to each training object, as in the naive Gaussian prior (section 3.3,
         "initialisation")."""
         from vsfsim.vsf.meta.prior import Spread
 

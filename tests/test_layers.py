@@ -240,7 +240,7 @@ PLANTED = [
 LAWFUL = [
     ("vsfsim/cli/main.py", "def f():\n    from vsfsim.bench.task import load_task\n    import warp"),
     ("vsfsim/vsf/dynamics.py", "from vsfsim.physics.contact.sdf import reach\nimport warp as wp\nimport json"),
-    ("baselines/x.py", "from .vsf_object import Posterior\nimport torch\nfrom vsfsim.bench.method import Action"),
+    ("baselines/x.py", "from .posterior import Posterior\nimport torch\nfrom vsfsim.bench.method import Action"),
     ("vsfsim/data/hdf5.py", "import vsfsim\nfrom vsfsim import __version__\nimport h5py"),
 ]
 """File and text in which no violation must be found."""

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
+from vsfsim.baselines.particle_model import ObjectShelf, VsfSettings
 from vsfsim.baselines.point_vsf import PointVsf
-from vsfsim.baselines.vsf_object import ObjectShelf, VsfSettings
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.metrics import spearman
 from vsfsim.bench.mock import mock_view

@@ -9,9 +9,9 @@ from scipy import sparse
 
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
-from vsfsim.baselines.locating import Locating, locate
+from vsfsim.baselines.known_object import PoseSearch, locate
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
-from vsfsim.baselines.skin import skin_touch
+from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.bench.check import check
 from vsfsim.bench.inclusions import Inclusions, rotation_error, translation_error
 from vsfsim.bench.method import Action, Reading, Surface
@@ -88,7 +88,7 @@ def test_forces_on_a_surface_are_used_where_there_are_any():
     assert right > 3.0 * left
     with pytest.raises(MethodError, match="knows the surface of a ball"):
         method.adapt(view, [dataclasses.replace(r, surface=None) for r in readings])
-    triangulated = skin_touch(readings[0])
+    triangulated = dense_touch(readings[0])
     a, b, c = (triangulated.vertices[0][triangulated.triangles[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] < 0.0).all(), "wound outwards, down to the object"
 
@@ -117,7 +117,7 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     model = method._shelf.get(view)
     rows, values = [], []
     for r in readings:
-        touch = skin_touch(r)
+        touch = dense_touch(r)
         rows.append(dense_force_rows(stick(model.particles, touch.vertices, touch.triangles), len(model.particles),
                                      touch.triangles, touch.vertices.shape[1]))
         values.append(r.surface.force.ravel())
@@ -210,10 +210,10 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
                                depth=np.full(view.depth.shape, view.camera_pose[2, 3] - 0.032, np.float32),
                                intrinsics=np.array([[168.0, 0, 31.5], [0, 168.0, 31.5], [0, 0, 1.0]]))
     for given in (stiffness, under.astype(float)) if over else (stiffness,):
-        found = locate(vertices, triangles, points, given, view, Locating(refine=200, turned=True))
+        found = locate(vertices, triangles, points, given, view, PoseSearch(refine=200, turned=True))
         assert translation_error(found, truth) < 4.0 and rotation_error(found, truth) < 8.0
     if not over:
         return
     # Where all is of one stiffness the object stands in the middle of what is seen.
-    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, Locating())[:3, 3],
+    np.testing.assert_allclose(locate(vertices, triangles, points, np.ones(len(points)), view, PoseSearch())[:3, 3],
                                view.points().mean(axis=0))

@@ -15,11 +15,12 @@ from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
 
-_SAME = 1e-3
-"""Readings that differ by less, as `result.readings_apart`, are the same dataset made on a machine that rounds
-otherwise: an error moves by about that share of the readings at the most. Rounding alone gives 1e-8 where a touch has
-one equilibrium to find; other seeds, scenes or physics differ by tens of per cent."""
-_AGAIN = 1e-4  # of a score: a method that is made again on such a dataset
+_SAME_READINGS = 1e-3
+"""Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
+other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
+has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
+_SAME_SCORE = 1e-4
+"""Relative difference below which two scores on such datasets count as one result."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +56,13 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of
     them).
 
-    A result on another dataset or of another text of the task is shown, marked and not ranked: its numbers do not
-    compare. The board's own dataset is the task's, or, if the task names none, that of most shipped results (of most
-    results, if none ships). One with other bits is the same if its readings are (`_SAME`): the same command on another
-    machine. Equal results are one row.
+    A result on another dataset or of another text of the task is shown and marked, but not ranked, because its numbers
+    are not comparable. The board's dataset is the one that the task names, else that of most shipped results (of most
+    results, if none ships). A dataset with other bits is the same if its readings are (`_SAME_READINGS`): the same
+    command made it on another machine. Equal results are one row.
 
     Raises:
-        TaskError: a file that is not a result, or one of another task.
+        TaskError: a file is not a result, or is a result of another task.
     """
     shipped = sorted((folder("leaderboard") / task.name).glob("*.json"))
     files = list(shipped)
@@ -82,7 +83,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         apart = 0.0 if result.dataset_sha256 == reference else readings_apart(result.readings, known)
         mark = _mark(result, task, apart)
         # a shipped result that was made again here, to the same numbers, is one row
-        if not any(_again(result, before) for _, before, *_ in (odd if mark else good)):
+        if not any(_is_same(result, before) for _, before, *_ in (odd if mark else good)):
             (odd if mark else good).append((path, result, mark, apart))
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda item: (sign * item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
@@ -97,9 +98,9 @@ def _most(results: list[Result], task: Task) -> str:
     return max(sorted(counts), key=counts.__getitem__, default="")
 
 
-def _again(result: Result, before: Result) -> bool:
-    """Is it the same result? One of the two may be from before a parameter existed, or from a machine that rounds
-    otherwise: the numbers tell."""
+def _is_same(result: Result, before: Result) -> bool:
+    """Whether two results are the same one. One of them may be older than a parameter, or from a machine with other
+    rounding; the scores decide."""
     known = result.parameters.keys() & before.parameters.keys()
     if (result.method, result.task_sha256) != (before.method, before.task_sha256):
         return False
@@ -108,17 +109,18 @@ def _again(result: Result, before: Result) -> bool:
     if result.dataset_sha256 == before.dataset_sha256:
         return repr(result.scores) == repr(before.scores)
     apart = readings_apart(result.readings, before.readings)
-    if apart is None or not apart < _SAME or result.scores.keys() != before.scores.keys():
+    if apart is None or not apart < _SAME_READINGS or result.scores.keys() != before.scores.keys():
         return False
-    pairs = [pair for metric in metrics_of(Answer.READINGS) for shot, score in result.scores.get(metric.name, {}).items()
-             for pair in zip(score.per_seed, before.scores[metric.name][shot].per_seed, strict=False)]
-    return all(math.isclose(one, other, rel_tol=_AGAIN) for one, other in pairs)
+    names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
+    pairs = [pair for name in names for shot, score in result.scores[name].items()
+             for pair in zip(score.per_seed, before.scores[name][shot].per_seed, strict=False)]
+    return all(math.isclose(one, other, rel_tol=_SAME_SCORE) for one, other in pairs)
 
 
 def _mark(result: Result, task: Task, apart: float | None) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
-    if apart is None or not apart < _SAME:
+    if apart is None or not apart < _SAME_READINGS:
         return f"other dataset ({result.dataset_sha256[:12]}" + (")" if apart is None
                                                                  else f", its readings are {100.0 * apart:.2g} % off)")
     if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:

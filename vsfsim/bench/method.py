@@ -215,6 +215,22 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
     return out
 
 
+def check_support(support: Sequence[Reading]) -> None:
+    """Refuse touches that no method can learn from.
+
+    Raises:
+        MethodError: readings that are not as long as their action says, or one marked valid that is not finite; it
+            names the touch.
+    """
+    for index, reading in enumerate(support):
+        if reading.value.shape[1:] != (reading.action.size,):
+            raise MethodError(f"touch {index} of the support has readings of {reading.value.shape[1:]} numbers; its "
+                              f"action says {reading.action.size}.")
+        if not np.isfinite(reading.value[reading.valid]).all():
+            raise MethodError(f"touch {index} of the support has a reading that is not finite in a frame "
+                              f"marked valid.")
+
+
 def frozen(array: np.ndarray) -> np.ndarray:
     """A read-only copy, so that a method cannot change what the next one sees."""
     array = np.array(array)

@@ -1,4 +1,4 @@
-"""Which touches are seen and which are asked: the draws of a task, and the readings behind them.
+"""Support and query touches: the draws of a task, and the readings behind them.
 
 All draws come from `SeedSequence(protocol.seed, spawn_key=...)`: the query set of an object from (0, object, view), the
 support order of a seed from (1, object, view, seed). A support set of k touches is the first k of that order, so the 5
@@ -44,8 +44,8 @@ def record(view: ObjectView, task: Task) -> Recording:
         which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": index}
         values = row.channel.clean(touch)
         if values is None:
-            raise TaskError(f"object view '{view.name}' touch {index} has no {row.channel.name}, which task {task.name} "
-                            f"reads; its dataset must be made with {row.channel.made_with}.")
+            raise TaskError(f"object view '{view.name}' touch {index} has no {row.channel.name}, which task "
+                            f"{task.name} reads; its dataset must be made with {row.channel.made_with}.")
         values, force = _where_converged(values, touch), _where_converged(touch.force, touch)
         noisy = row.channel.noisy(values, touch.time, force, task.noise, **which)
         action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, row.name,

@@ -209,8 +209,8 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
 
 def _protocol(t: Table) -> Protocol:
     shots = t.need("shots")
-    if not isinstance(shots, list) or not shots or any(isinstance(k, bool) or not isinstance(k, int) or k < 0
-                                                       for k in shots) or sorted(set(shots)) != shots:
+    if (not isinstance(shots, list) or not shots or sorted(set(shots)) != shots
+        or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots)):
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
     return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
                     t.count("query", None, 1), t.count("seed", None, 0))

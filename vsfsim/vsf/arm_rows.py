@@ -1,7 +1,7 @@
-"""Joint torques of a VSF touched by a whole arm: the particles that its capsules drag, and the rows of SBML eq. 7.
+"""Joint torques of a VSF touched by a whole arm: the particles that its capsules displace, and the rows of SBML eq. 7.
 
-Each capsule drags particles by the stick-slip motion of `vsf.dynamics`. A particle that several capsules hold at once
-goes with the one that displaces it most. A particle held by link l turns only the joints before l.
+Each capsule displaces particles by the stick-slip motion of `vsf.dynamics`. A particle in contact with several capsules
+moves with the one that displaces it most. A particle in contact with link l loads only the joints before l.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from vsfsim.vsf.observe import joint_torque_rows
 
 def arm_displacements(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu",
                       max_step: float = 2e-3) -> list[tuple[int, Displacements]]:
-    """The displaced particles of every frame, by the link that holds them: (link, displacements), links that hold none
-    left out.
+    """The displaced particles of every frame, by the link in contact with them: (link, displacements) of the links that
+    displace any.
 
     Args:
         particles: at rest (n, 3) [m]. chain: the arm. q: its joint angles (T, dof) [rad]. friction: [-]. device: Warp
@@ -48,22 +48,22 @@ def arm_displacements_each(particles: np.ndarray, chain: Chain, touches: Sequenc
             near = np.flatnonzero(((centre + reach >= low) & (centre - reach <= high)).all(axis=1))
             if not len(near):
                 continue
-            # frames before the first and after the last that can meet a particle are left out; it starts and ends free
+            # frames before the first and after the last that can reach a particle are left out
             begin, end = max(0, near[0] - 1), min(len(q), near[-1] + 2)
             moves.append((Capsule(capsule.radius, length), poses[begin:end, k]))
             which.append((number, capsule.link, begin, end))
     found: list[list[tuple[int, Displacements]]] = [[] for _ in touches]
-    for (number, link, begin, end), moved in zip(which, simulate_each(particles, moves, friction=friction,
-                                                                      device=device, max_step=max_step), strict=True):
+    every = simulate_each(particles, moves, friction=friction, device=device, max_step=max_step)
+    for (number, link, begin, end), moved in zip(which, every, strict=True):
         if len(moved.particle):
             pointer = np.concatenate([np.zeros(begin, np.int64), moved.pointer,
                                       np.full(len(touches[number]) - end, moved.pointer[-1])])
             found[number].append((link, Displacements(pointer, moved.particle, moved.displacement)))
-    return [_shared_out(some, len(q)) for some, q in zip(found, touches, strict=True)]
+    return [_assigned(some, len(q)) for some, q in zip(found, touches, strict=True)]
 
 
-def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tuple[int, Displacements]]:
-    """One holder a particle and frame, the capsule that displaces it most; the displacements joined by link."""
+def _assigned(found: list[tuple[int, Displacements]], frames: int) -> list[tuple[int, Displacements]]:
+    """The displacements by link, with each particle in each frame assigned to the capsule that displaces it most."""
     if not found:
         return []
     link = np.concatenate([np.full(len(d.particle), number) for number, d in found])
@@ -85,8 +85,8 @@ def _shared_out(found: list[tuple[int, Displacements]], frames: int) -> list[tup
 
 def arm_torque_rows(particles: np.ndarray, chain: Chain, q: np.ndarray, *, friction: float, device: str = "cpu",
                     max_step: float = 2e-3) -> sparse.csr_matrix:
-    """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques of the contact on the joints [N
-    m] (SBML eq. 7)."""
+    """W (T dof, n) [m^2], frame by frame: times stiffnesses [N/m] it gives the torques [N m] of the contact on the
+    joints (SBML eq. 7)."""
     return arm_torque_rows_each(particles, chain, [q], friction=friction, device=device, max_step=max_step)[0]
 
 
@@ -94,8 +94,8 @@ def arm_torque_rows_each(particles: np.ndarray, chain: Chain, touches: Sequence[
                          device: str = "cpu", max_step: float = 2e-3) -> list[sparse.csr_matrix]:
     """`arm_torque_rows` of several touches, each through particles at rest."""
     out = []
-    for q, found in zip(touches, arm_displacements_each(particles, chain, touches, friction=friction, device=device,
-                                                        max_step=max_step), strict=True):
+    every = arm_displacements_each(particles, chain, touches, friction=friction, device=device, max_step=max_step)
+    for q, found in zip(touches, every, strict=True):
         axes, origins = chain.joint_axes(chain.links(q))
         total = sparse.csr_matrix((len(q) * chain.dof, len(particles)))
         for link, moved in found:

@@ -1,14 +1,15 @@
 """Dyn of the VSF model: stick-slip motion of independent particles against a moving rigid probe.
 
 SBML appendix A (eq. 5), Neural VSF section III-B. A particle resists its displacement u = p - p0 with
-f = -K u, so that its motion does not depend on K: it is geometry alone. Between frames the probe moves in short
-substeps, and in each of them a particle
+f = -K u, so its motion does not depend on K: it is purely geometric. Between frames the probe moves in short
+substeps. In each of them a particle
 
-- is met when its rest position enters the probe; it then sticks to the very point of the surface that met it;
-- goes on sticking while its pull lies in the friction cone, |u_t| <= mu u.n, with n the outward normal of the probe;
-- else slides over the surface along its tangential pull until the cone holds again (mu = 0: to the point of the
-  surface nearest to p0, locally);
-- lets go and jumps back to p0 as soon as its pull points out of the probe.
+- makes contact when its rest position enters the probe, and then sticks to the point of the surface that reached it;
+- continues to stick while its spring force lies in the friction cone, |u_t| <= mu u.n, with n the outward normal of the
+  probe;
+- otherwise slides over the surface along the tangential spring force until the cone condition holds again (mu = 0: to
+  the point of the surface that is locally nearest to p0);
+- detaches and returns to p0 as soon as its spring force points out of the probe.
 """
 
 from __future__ import annotations
@@ -33,11 +34,11 @@ from vsfsim.vsf.sticking import stick
 
 PRECISIONS = ("float64", "float32")
 
-# Entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
+# Largest number of entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
 _CHUNK = 16_000_000
-# Launches in flight on a GPU, and streams that they are spread over.
+# Number of concurrent launches on a GPU, and of the streams that they are distributed over.
 _TOGETHER, _STREAMS = 64, 16
-# A cone this wide is pure sticking in either precision, and mu * |u| stays finite.
+# A friction coefficient this large is pure sticking in either precision, and mu * |u| stays finite.
 _STICKING = 1e6
 
 
@@ -45,9 +46,9 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
              device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> Displacements:
     """Drag a rigid probe through a cloud of particles.
 
-    Particles start at rest. One that lies inside the probe at the first pose starts at the nearest point of the
-    probe's surface (from a sphere's very centre: along the probe's +z). A dome is moved as it is, undented, and
-    particles stick to it whatever the friction, as to rubber; inside it at the first pose they stay free.
+    Particles start at rest. A particle inside the probe at the first pose starts at the nearest point of the probe's
+    surface (from the exact centre of a sphere: along the probe's +z). A dome moves undeformed, and particles stick to
+    it regardless of the friction, because its friction is high; particles inside it at the first pose stay free.
 
     Args:
         particles: rest positions, world (n, 3) [m].
@@ -56,24 +57,25 @@ def simulate(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, fri
         friction: Coulomb coefficient mu >= 0 [-]; `math.inf` is pure sticking (Neural VSF).
         device: Warp device, "cpu" or "cuda:0".
         precision: of the kernel, "float64" or "float32"; the result is float64 either way.
-        max_step: longest way a point of the probe goes in one substep [m]; it is cut further to a quarter of the
-            probe's thinnest half-width, so that no particle is jumped over. The moment of contact is found
-            exactly within a substep, sliding with 0 < mu < inf is resolved to about this length.
+        max_step: longest path of a point of the probe in one substep [m]. It is limited further to a quarter of the
+            probe's smallest half-width, so that the probe skips no particle. The time of contact is found exactly
+            within a substep; sliding with 0 < mu < inf is resolved to about this length.
 
     Returns:
         The displaced particles of every frame (|u| > 0).
 
     Raises:
-        VsfError: shapes that do not fit, values that are not finite, a negative friction, poses that are not rigid.
+        VsfError: a shape does not fit, a value is not finite, the friction is negative, or a pose is not rigid.
     """
-    return _begun(particles, probe, poses, friction, device, precision, max_step)()
+    return _launched(particles, probe, poses, friction, device, precision, max_step)()
 
 
 def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.ndarray]], *, friction: float,
                   device: str = "cpu", precision: str = "float64", max_step: float = 1e-3) -> list[Displacements]:
     """`simulate` of several probes and their poses, each through particles at rest.
 
-    On a GPU many at once: a particle's way is long and a probe's particles are few, so a launch alone leaves it idle.
+    On a GPU many launches run concurrently, because one launch has few particles with many substeps each and leaves
+    most of the GPU idle.
 
     Args, Raises: as `simulate`.
     """
@@ -86,15 +88,15 @@ def simulate_each(particles: np.ndarray, moves: Sequence[tuple[ProbeShape, np.nd
         begun = []
         for k, (probe, poses) in enumerate(moves[first:first + _TOGETHER]):
             with wp.ScopedStream(streams[k % len(streams)]):
-                begun.append(_begun(particles, probe, poses, friction, device, precision, max_step))
+                begun.append(_launched(particles, probe, poses, friction, device, precision, max_step))
         wp.synchronize_device(device)
         out += [collect() for collect in begun]
     return out
 
 
-def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str,
+def _launched(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, device: str, precision: str,
            max_step: float) -> Callable[[], Displacements]:
-    """Launches what `simulate` asks for; what comes back fetches the result."""
+    """Launch the kernels of `simulate`; the returned function waits for the result."""
     particles, poses = _checked(particles, probe, poses, friction, precision, max_step)
     frames = len(poses)
     near = np.flatnonzero(_swept(particles, probe, poses))
@@ -103,7 +105,7 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
     rotation, origin, frame_of = _substeps(probe, poses, particles[near], max_step)
     if isinstance(probe, Dome):
         return lambda: _stuck(particles, near, probe, rotation, origin, frame_of)
-    # Float32 keeps its digits when positions are counted from the touch and not from the world's origin.
+    # Float32 loses fewer digits when positions are relative to the touch instead of the world's origin.
     shift = poses[0, :3, 3] if not isinstance(probe, Plane) else particles[near[0]]
     real = wp.float64 if precision == "float64" else wp.float32
     dtype = np.float64 if precision == "float64" else np.float32
@@ -122,7 +124,7 @@ def _begun(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction
             wp.launch(kernel, dim=len(index), inputs=[
                 kind, vec4(*size), real(min(float(friction), _STICKING)), turn_array, origin_array, frame_array, rest,
             ], outputs=[moved])
-            # what a launch reads stays until it is done
+            # the arrays that a launch reads are kept alive until it has finished
             launched.append((moved, index, (turn_array, origin_array, frame_array, rest)))
     return lambda: _joined([_sparse(moved.numpy().astype(np.float64), index) for moved, index, _ in launched], frames)
 
@@ -168,13 +170,13 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
 
 
 def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.ndarray:
-    """Which particles the probe may meet on its way (n,) bool: a cheap bound, never too small."""
+    """Which particles the probe may reach on its path (n,) bool: a conservative bound."""
     near = np.zeros(len(particles), bool)
     if isinstance(probe, Plane):
         for pose in poses:
             near |= (particles - pose[:3, 3]) @ pose[:3, 2] <= 0.0
         if not np.allclose(poses[:, :3, 2], poses[:1, :3, 2], atol=1e-12):
-            # A plane that turns may dip deeper between two poses than at either of them.
+            # A plane that rotates may reach deeper between two poses than at either of them.
             near[:] = True
         return near
     radius = _reach(probe)[0] * (1.0 + 1e-6)
@@ -195,11 +197,11 @@ def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.nd
 
 def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
               max_step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Poses between the frames: rotations (S, 3, 3), origins (S, 3), and the frame that each one ends or -1 (S,)."""
+    """Poses of the substeps: rotations (S, 3, 3), origins (S, 3), and the frame that each one completes or -1 (S,)."""
     reach, thin = _reach(probe)
     step = min(max_step, 0.25 * thin)
     if math.isinf(reach):
-        # A plane has no size: what counts is how far from its origin the particles lie.
+        # A plane has no size, so the lever arm is the largest distance of a particle from its origin.
         reach = max(float(np.linalg.norm(points - pose[:3, 3], axis=1).max()) for pose in poses)
     rotations, origins, ends = [poses[:1, :3, :3]], [poses[:1, :3, 3]], [np.zeros(1, np.int32)]
     vectors = rotation_vector(poses[:-1, :3, :3].swapaxes(1, 2) @ poses[1:, :3, :3])

@@ -1,6 +1,6 @@
-"""Observation matrices of a VSF: what a sensor reads is linear in the stiffnesses, z = W K.
+"""Observation matrices of a VSF: a sensor's reading is linear in the stiffnesses, z = W K.
 
-Each function turns the displacements of one touch into its rows of W; stack touches with `scipy.sparse.vstack`.
+Each function computes the rows of W of one touch from its displacements; stack touches with `scipy.sparse.vstack`.
 
     force_sum_rows      SBML eq. 8         sum of |f_i|: the papers' pressure, up to a factor
     normal_force_rows                      force along an axis
@@ -27,8 +27,8 @@ def force_sum_rows(displacements: Displacements, particles: int) -> sparse.csr_m
         particles: how many particles the VSF has, n.
 
     Returns:
-        W (T, n) [m]: times stiffnesses [N/m] it gives a sum of force magnitudes [N], and whatever factor a sensor's
-        pressure has to that is taken up by the stiffness, as in the paper.
+        W (T, n) [m]: times stiffnesses [N/m] it gives a sum of force magnitudes [N]. The stiffness absorbs the factor
+        between that and a sensor's pressure, as in the paper.
 
     Raises:
         VsfError: a displaced particle is not among the n.

@@ -1,7 +1,7 @@
 """The particles of a VSF from one RGB-D view: ray casting into the occluded volume (SBML appendix B.2).
 
-A point of a regular grid belongs to the object if the camera's ray to it goes through the object's mask and meets the
-observed surface no later than the point: what is seen, and everything it hides within the bounds.
+A point of a regular grid belongs to the object if the camera's ray to it passes through the object's mask and reaches
+the observed surface no later than the point. These are the visible surface and the volume behind it, within the bounds.
 """
 
 import math
@@ -13,7 +13,7 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import VsfError
 from vsfsim.data.records import View
 
-# Compiling is told by whoever shows progress, not by Warp's own chatter.
+# The caller that shows progress reports compilation, so Warp's own messages are off.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 wp.set_module_options({"enable_backward": False})
@@ -26,14 +26,14 @@ def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
 
     Args:
         view: with at least one pixel on the object.
-        margin: added on every side but below z = 0, where the table is [m]. What is hidden behind the object
-            can reach no further than this beyond what is seen.
+        margin: added on every side except below z = 0, where the table is [m]. The hidden part of the object is
+            assumed to extend no further than this beyond the visible part.
 
     Returns:
         Lower and upper corner, world (2, 3) [m].
 
     Raises:
-        VsfError: nothing is visible, or a margin that is not a length.
+        VsfError: nothing is visible, or the margin is not a length.
     """
     cloud = view.points()
     if len(cloud) == 0:
@@ -42,7 +42,7 @@ def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
     if not 0.0 <= margin < math.inf:
         raise VsfError(f"vsf.bounds_from_view: margin is {margin!r}; it must be a length in metres, 0 or more.")
     bounds = np.stack([cloud.min(axis=0) - margin, cloud.max(axis=0) + margin])
-    # The object stands on the table: it may reach down to z = 0 unseen, and never through it.
+    # The object stands on the table: its hidden part may extend down to z = 0 and no further.
     bounds[0, 2] = 0.0 if bounds[0, 2] < 0.0 or cloud[:, 2].min() > 0.0 else bounds[0, 2]
     bounds[1, 2] = max(bounds[1, 2], 0.0)
     return bounds
@@ -51,19 +51,19 @@ def bounds_from_view(view: View, *, margin: float = 0.02) -> np.ndarray:
 def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing: float = 0.005,
                         max_particles: int | None = None, seed: int = 0, device: str = "cpu",
                         tolerance: float = 0.0) -> np.ndarray:
-    """Grid points on or behind what the camera sees (n, 3) float64 world [m], in z, then y, then x order.
+    """Grid points on or behind the visible surface (n, 3) float64, world [m], in z, then y, then x order.
 
     Args:
         view: depth, mask and camera.
         bounds: lower and upper corner of the volume, world (2, 3) [m]; None: `bounds_from_view`.
         spacing: edge of a grid cell [m]; the papers use 5 mm for shoes and 10 mm for plants. Points are cell centres.
-        max_particles: keep at most so many, drawn uniformly without replacement.
+        max_particles: greatest number of points to keep, drawn uniformly without replacement; None for all.
         seed: of that draw; an integer >= 0.
         device: Warp device.
-        tolerance: how far before the observed surface a point may lie and still belong [m].
+        tolerance: distance in front of the observed surface within which a point still belongs [m].
 
     Raises:
-        VsfError: bounds upside down or not finite, a spacing that is not a length, a grid of over 5e7 points.
+        VsfError: the bounds are reversed or not finite, the spacing is not a length, or the grid has over 5e7 points.
     """
     bounds = bounds_from_view(view) if bounds is None else np.asarray(bounds, np.float64)
     if bounds.shape != (2, 3) or not np.isfinite(bounds).all() or not (bounds[1] > bounds[0]).all():
@@ -74,7 +74,7 @@ def particles_from_view(view: View, *, bounds: np.ndarray | None = None, spacing
                        f"e.g. 0.005.")
     if max_particles is not None and max_particles < 1:
         raise VsfError(f"vsf.particles: max_particles is {max_particles!r}; it must be at least 1, or None for all.")
-    # At least one cell an axis, the grid centred in the bounds; 1e-9 keeps 0.1 / 0.005 at 20 cells.
+    # At least one cell an axis, and the grid is centred in the bounds. The 1e-9 makes 0.1 / 0.005 give 20 cells.
     count = np.maximum(np.floor((bounds[1] - bounds[0]) / spacing + 1e-9), 1.0)
     if count.prod() > _MAX_GRID:
         raise VsfError(
@@ -124,6 +124,6 @@ def _behind(
     row = int(wp.rint(on_image[1]))
     if row < 0 or column < 0 or row >= depth_in.shape[0] or column >= depth_in.shape[1]:
         return
-    seen = wp.float64(depth_in[row, column])
-    if seen > wp.float64(0.0) and p[2] >= seen - tolerance:
+    surface = wp.float64(depth_in[row, column])
+    if surface > wp.float64(0.0) and p[2] >= surface - tolerance:
         keep_out[k, j, i] = True

@@ -1,8 +1,8 @@
-"""The kernel of `vsf.dynamics`: one thread drags one particle through all substeps of a touch.
+"""The kernel of `vsf.dynamics`: one thread moves one particle through all substeps of a touch.
 
-Everything happens in the probe's frame, where the surface rests and the particle's rest position y moves. With the
-signed distance phi and its outward normal n, a particle at p on the surface feels the pull y - p of its spring. It
-minimises |p - y|^2 / 2 over the surface against friction: at rest while |u_t| <= mu u.n, u = p - y.
+All positions are in the probe's frame, in which the surface is fixed and the particle's rest position y moves. With the
+signed distance phi and its outward normal n, the spring force on a particle at p on the surface is along y - p. The
+particle minimises |p - y|^2 / 2 over the surface under friction: it sticks while |u_t| <= mu u.n, u = p - y.
 """
 
 import functools
@@ -12,7 +12,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import sdf
 
-# Compiling is told by whoever shows progress, not by Warp's own chatter.
+# The caller that shows progress reports compilation, so Warp's own messages are off.
 if wp.config.log_level == wp.LOG_INFO:
     wp.config.log_level = wp.LOG_WARNING
 
@@ -30,12 +30,12 @@ def stick_slip_kernel(real: type) -> tuple:
     shapes = sdf.functions(real, "vsfsim_stick_slip")
     distance, normal, vec3, vec4 = shapes.analytic_gap, shapes.analytic_normal, shapes.vec3, shapes.vec4
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    # Roots are bracketed by bisection down to the last digits of the type.
+    # Number of bisections that reduce a bracket to the last digits of the type.
     halvings = wp.constant(48 if real is wp.float64 else 22)
-    # Relative slack of the cone: what rounding leaves of a tangential pull that should be zero.
+    # Relative tolerance of the cone: rounding error of a tangential force that should be zero.
     slack = wp.constant(real(1e-12 if real is wp.float64 else 1e-5))
-    # Length of the step that asks "does the pull lead out of the probe?", relative to the pull.
-    probe_ahead = wp.constant(real(1e-5 if real is wp.float64 else 1e-3))
+    # Length of the step that tests whether the spring force points out of the probe, relative to the displacement.
+    test_step = wp.constant(real(1e-5 if real is wp.float64 else 1e-3))
 
     @wp.func
     def on_surface(kind: int, size: vec4, p: vec3) -> vec3:
@@ -44,7 +44,7 @@ def stick_slip_kernel(real: type) -> tuple:
 
     @wp.func
     def excess(kind: int, size: vec4, mu: real, y: vec3, p: vec3, t: vec3) -> real:
-        """Tangential pull along ``t`` beyond what friction holds; positive: the particle goes on sliding."""
+        """Tangential force along ``t`` minus the friction limit, over the spring constant; positive: it slides."""
         n = normal(kind, size, p)
         u = p - y
         along = t - wp.dot(t, n) * n
@@ -54,18 +54,18 @@ def stick_slip_kernel(real: type) -> tuple:
         return -wp.dot(u, along) - mu * wp.max(wp.dot(u, n), real(0.0))
 
     @wp.func
-    def lets_go(kind: int, size: vec4, y: vec3, p: vec3) -> bool:
-        """True when a short way along the pull leads out of the probe (on an edge, too)."""
+    def detaches(kind: int, size: vec4, y: vec3, p: vec3) -> bool:
+        """Whether a short step along the spring force leads out of the probe (also on an edge)."""
         pull = y - p
-        ahead = p + probe_ahead * pull
+        ahead = p + test_step * pull
         return distance(kind, size, ahead) >= distance(kind, size, p)
 
     @wp.func
     def slid(kind: int, size: vec4, mu: real, y: vec3, start: vec3) -> vec3:
-        """Where a particle at ``start`` on the surface comes to rest, its spring tied to ``y``."""
+        """Where a particle at ``start`` on the surface comes to rest; ``y`` is the other end of its spring."""
         p = start
-        # A plane, a sphere and a flat face need one turn, as the pull keeps its tangent direction; an edge, or a
-        # cylinder's mantle met askew, needs a few.
+        # A plane, a sphere and a flat face need one iteration, because the force keeps its tangent direction. An edge,
+        # or the lateral surface of a cylinder that is oblique to the force, needs a few.
         for _turn in range(12):
             n = normal(kind, size, p)
             u = p - y
@@ -77,7 +77,8 @@ def stick_slip_kernel(real: type) -> tuple:
             t = -ut / length
             low = real(0.0)
             high = length
-            # The pull points into the probe, so its tangential part vanishes further along; widen until it has.
+            # The force points into the probe, so its tangential part vanishes further along; double the bracket until
+            # it has.
             for _widen in range(6):
                 if excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t) > real(0.0):
                     low = high
@@ -94,7 +95,7 @@ def stick_slip_kernel(real: type) -> tuple:
             p = q
         return p
 
-    # Loops stay loops: unrolled, the kernel takes three times as long to compile and no less to run.
+    # No unrolling: the unrolled kernel takes three times as long to compile and is not faster.
     @wp.kernel(module="unique", enable_backward=False, module_options={"max_unroll": 1, "enable_backward": False})
     def stick_slip(
         # model
@@ -124,7 +125,7 @@ def stick_slip_kernel(real: type) -> tuple:
             y = wp.transpose(rotation_in[s]) * (rest - origin_in[s])
             phi = distance(kind, size, y)
             if not held and phi < real(0.0):
-                # The rest position came in along y_before -> y: the point of entry is where it sticks.
+                # The rest position entered along y_before -> y: the particle sticks to the point of entry.
                 low = real(0.0)
                 high = real(1.0)
                 if phi_before > real(0.0):
@@ -139,13 +140,13 @@ def stick_slip_kernel(real: type) -> tuple:
                 p = on_surface(kind, size, y_before + high * (y - y_before))
                 held = True
             if held:
-                if lets_go(kind, size, y, p):
+                if detaches(kind, size, y, p):
                     held = False
                 else:
                     p = slid(kind, size, friction, y, p)
-                    if lets_go(kind, size, y, p):
+                    if detaches(kind, size, y, p):
                         held = False
-                # Let go, but the rest position is still within (an inner edge of rounding): stay on the surface.
+                # Detached, but by rounding the rest position is still inside: stay on the surface.
                 if not held and phi < real(0.0):
                     p = on_surface(kind, size, y)
                     held = True

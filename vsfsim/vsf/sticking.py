@@ -1,9 +1,10 @@
 """Particles against a sensor surface that deforms: pure sticking (Neural VSF section III-B).
 
-A particle is met when a triangle of the surface passes over it, from its outer side. It then sticks to that very point
-of the triangle, kept in barycentric coordinates, and is carried along; it lets go and returns to rest when its pull
-points out of the surface. The friction of a rubber bubble is high, so it does not slide. The particle's place is A V
-with A made of the barycentric coordinates (III-C), and the same A turns its force into forces on the vertices.
+A particle makes contact when a triangle of the surface passes over it from its outer side. It then sticks to that point
+of the triangle, which is stored in barycentric coordinates, and moves with it. It detaches and returns to rest when its
+spring force points out of the surface. The friction of a rubber bubble is high, so particles do not slide. The position
+of the particle is A V, with A made of the barycentric coordinates (III-C), and A^T maps its force to forces on the
+vertices.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ from scipy.spatial import cKDTree
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.displacements import Displacements
 
-# Triangles whose centres are nearest to a particle that are tried as the one that passes over it.
+# Number of triangles, nearest by their centres, that are tested for passing over a particle.
 _CANDIDATES = 12
-# How far outside a triangle a crossing still counts, in barycentric units: neighbours share an edge, and rounding must
-# not let a particle slip between them.
+# Tolerance of the barycentric coordinates of a crossing, so that rounding lets no particle pass between two triangles
+# that share an edge.
 _EDGE = 1e-6
 
 
@@ -39,12 +40,12 @@ class Contacts:
     """u = p - p0 of the particle, world (k, 3) [m]."""
 
     def displacements(self) -> Displacements:
-        """Without the triangles, as the other observation models want it."""
+        """The displacements without the triangles, for the other observation models."""
         return Displacements(self.pointer, self.particle, self.displacement)
 
 
 def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) -> Contacts:
-    """Drag particles along a moving triangle mesh.
+    """Move particles with a triangle mesh.
 
     Args:
         particles: rest positions, world (n, 3) [m]; all are free at frame 0.
@@ -54,8 +55,8 @@ def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) ->
     Raises:
         VsfError: shapes that do not fit, values that are not finite, or corners out of range.
     """
-    particles, vertices, triangles = np.asarray(particles, np.float64), np.asarray(vertices,
-                                                                                   np.float64), np.asarray(triangles)
+    particles, vertices = np.asarray(particles, np.float64), np.asarray(vertices, np.float64)
+    triangles = np.asarray(triangles)
     if (particles.ndim != 2 or particles.shape[1] != 3 or vertices.ndim != 3 or vertices.shape[2] != 3
         or triangles.ndim != 2 or triangles.shape[1] != 3):
         raise VsfError(f"vsf.stick: particles {particles.shape}, vertices {vertices.shape}, triangles "
@@ -72,13 +73,13 @@ def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) ->
     for t in range(len(vertices)):
         if t:
             free = near[held[near] < 0]
-            met, triangle, where = _met(particles[free], vertices[t - 1], vertices[t], triangles)
+            met, triangle, where = _crossed(particles[free], vertices[t - 1], vertices[t], triangles)
             held[free[met]], weight[free[met]] = triangle, where
         index = near[held[near] >= 0]
         corners = vertices[t][triangles[held[index]]]
         moved = np.einsum("kj,kji->ki", weight[index], corners) - particles[index]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # The spring pulls the particle back along -u; once that points out of the surface it comes off.
+        # The spring force is along -u; the particle detaches once that points out of the surface.
         off = np.einsum("ki,ki->k", moved, normal) < 0.0
         held[index[off]] = -1
         index, moved = index[~off], moved[~off]
@@ -89,17 +90,17 @@ def stick(particles: np.ndarray, vertices: np.ndarray, triangles: np.ndarray) ->
 
 
 def _within(particles: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """Particles that the surface can reach at all: in the box around its way."""
+    """Indices of the particles in the bounding box of the surface's path; it reaches no others."""
     if vertices.size == 0:
         return np.zeros(0, np.int64)
     low, high = vertices.min(axis=(0, 1)), vertices.max(axis=(0, 1))
     return np.flatnonzero(np.all((particles >= low) & (particles <= high), axis=1))
 
 
-def _met(points: np.ndarray, before: np.ndarray, after: np.ndarray,
+def _crossed(points: np.ndarray, before: np.ndarray, after: np.ndarray,
          triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which of ``points`` (k, 3) a triangle passed over between two frames: their indices, the triangles, barycentric
-    coordinates."""
+    """The ``points`` (k, 3) that a triangle passed over between two frames: their indices, the triangles, and the
+    barycentric coordinates."""
     none = (np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     if len(points) == 0 or len(triangles) == 0:
         return none
@@ -126,7 +127,7 @@ def _met(points: np.ndarray, before: np.ndarray, after: np.ndarray,
     weight = _barycentric(p, c0 + high[:, None, None] * (c1 - c0))
     inside = weight.min(axis=1) >= -_EDGE
     point, triangle, weight, high = point[inside], triangle[inside], weight[inside], high[inside]
-    # On a common edge two triangles pass: the first one, then the lower index, takes it.
+    # On a common edge two triangles pass: the earlier one is taken, then the one with the lower index.
     order = np.lexsort((triangle, high, point))
     point, first = np.unique(point[order], return_index=True)
     return point, triangle[order][first], weight[order][first]

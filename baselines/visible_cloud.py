@@ -1,4 +1,4 @@
-"""What a view shows of an object, or why it shows nothing: the one place where the methods look at it first."""
+"""The visible cloud of a view, or why there is none: the one place where the methods check a view."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
 
 
-def seen_cloud(view: View) -> np.ndarray:
+def visible_cloud(view: View) -> np.ndarray:
     """The visible cloud, world (k, 3) [m], with at least one point.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The skin of a soft sensor in a touch, for methods that read the contact forces on its vertices."""
+"""The surface of a deformable sensor in a touch, for methods that use the contact forces on its vertices."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from vsfsim.core.errors import MethodError
 from vsfsim.vsf.fields.palpation import DenseTouch
 
 
-def skin_touch(reading: Reading) -> DenseTouch | None:
-    """The frames of a touch in which the skin was seen, with the force on its vertices (NaN where there is no reading
-    of them); None if it was seen in fewer than two, or with no force behind the first of them.
+def dense_touch(reading: Reading) -> DenseTouch | None:
+    """The frames of a touch in which the surface was reconstructed, with the force on its vertices.
 
-    The triangles are those of the Delaunay triangulation over the rim's plane, wound outwards.
+    The force is NaN in a frame without a reading of it. The triangles are those of the Delaunay triangulation over the
+    rim's plane, wound outwards.
+
+    Returns:
+        None if no frame after the first reconstructed one has a force.
 
     Raises:
         MethodError: vertices and forces do not fit each other, or a frame has some of the forces only.
@@ -24,18 +27,18 @@ def skin_touch(reading: Reading) -> DenseTouch | None:
     if vertices.ndim != 3 or vertices.shape != force.shape or vertices.shape[2] != 3:
         raise MethodError(f"the sensor's surface has vertices {vertices.shape} and forces {force.shape}; both must "
                           f"be (T, N, 3).")
-    seen = np.isfinite(vertices).all(axis=(1, 2))
-    force = np.where(reading.valid[:, None, None], force, np.nan)[seen]
+    whole = np.isfinite(vertices).all(axis=(1, 2))
+    force = np.where(reading.valid[:, None, None], force, np.nan)[whole]
     known = ~np.isnan(force).all(axis=(1, 2))
     if not np.isfinite(force[known]).all():
         raise MethodError("a force on the sensor's surface is not finite in a frame that has others; leave the "
                           "whole frame out.")
     if not known[1:].any():
         return None
-    first = int(np.argmax(seen))
+    first = int(np.argmax(whole))
     pose = reading.action.poses[first]
     local = (vertices[first] - pose[:3, 3]) @ pose[:3, :3]
     corners = Delaunay(local[:, :2]).simplices
     a, b, c = (local[corners[:, k], :2] for k in range(3))
-    turned = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
-    return DenseTouch(vertices[seen], np.where(turned[:, None], corners[:, ::-1], corners), force)
+    inwards = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0] < 0.0
+    return DenseTouch(vertices[whole], np.where(inwards[:, None], corners[:, ::-1], corners), force)

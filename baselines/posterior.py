@@ -1,0 +1,153 @@
+"""The stiffness of a particle model after some touches: the MAP estimate or a Kalman filter, and what both predict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from vsfsim.baselines.known_object import PoseSearch, locate
+from vsfsim.baselines.particle_model import ParticleModel
+from vsfsim.bench.method import Action, Estimate, Reading, check_support
+from vsfsim.bench.observations import OBSERVATIONS
+from vsfsim.data.records import View
+from vsfsim.vsf.estimate.kalman import DiagonalFilter
+from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
+from vsfsim.vsf.meta.composition import GaussianPrior
+
+
+@dataclass
+class Posterior:
+    """What is known of one object after some touches."""
+
+    model: ParticleModel
+    """The object."""
+    stiffness: np.ndarray
+    """MAP estimate of each particle's spring constant (n,) [N/m]."""
+    rows: sparse.csr_matrix
+    """W of the support (m, n)."""
+    prior: GaussianPrior
+    """Of the spring constants."""
+
+    @classmethod
+    def of(cls, model: ParticleModel, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Posterior:
+        """MAP under one mean [N/m] and variance for all particles."""
+        return cls.under(model, support, GaussianPrior.plain(prior_mean, prior_var, len(model.particles)))
+
+    @classmethod
+    def under(cls, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
+        """MAP by the quadratic program of SBML eq. 16, K >= 0."""
+        rows, z = model.stack(support)
+        if rows.shape[0] == 0:
+            return cls(model, np.maximum(prior.total_mean(), 0.0), rows, prior)
+        return cls(model, structured_map(rows, z, noise_std=model.settings.noise_std, prior=prior).mean, rows, prior)
+
+    def touched(self) -> np.ndarray:
+        """Particles that the support displaced (n,) bool."""
+        return np.diff(self.rows.tocsc().indptr) > 0
+
+    def predict(self, actions: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, d) of each action."""
+        return [(self.model.observe(action) @ self.stiffness).reshape(-1, action.size) for action in actions]
+
+    def predict_std(self, actions: Sequence[Action]) -> list[np.ndarray]:
+        """Standard deviations (T, d) of the readings: what is left of the springs', and the noise of a reading."""
+        rows = [self.model.observe(action) for action in actions]
+        if not rows:
+            return []
+        # All rows at once, so that the support is factored once.
+        every = self._reading_std(sparse.vstack(rows))
+        out, first = [], 0
+        for action, mine in zip(actions, rows):
+            unit = OBSERVATIONS[action.observation].force_per_unit
+            noise = self.model.settings.noise_std * self.model.noise_factor(unit * (mine @ self.stiffness)) / unit
+            out.append(np.hypot(every[first:first + mine.shape[0]], noise).reshape(-1, action.size))
+            first += mine.shape[0]
+        return out
+
+    def density(self, points: np.ndarray) -> Estimate:
+        """Stiffness density around ``points`` (k, 3) [m]: mean and std (k,) [N/m^4].
+
+        Spring constant over the volume of a particle's cell, averaged over the particles within two spacings (the
+        nearest one if there is none). The std is the mean of theirs, as if they erred together.
+        """
+        spacing = self.model.settings.spacing
+        std = self._std()
+        tree = cKDTree(self.model.particles)
+        nearest = tree.query(points)[1]
+        near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
+        groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
+        volume = spacing**3
+        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume,
+                        np.array([std[g].mean() for g in groups]) / volume)
+
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        """Of readings to come, rows (q, n), without their own noise (q,)."""
+        return reading_std(self.rows, rows, noise_std=self.model.settings.noise_std, prior=self.prior)
+
+    def _std(self) -> np.ndarray:
+        """Of each particle's spring constant (n,) [N/m]."""
+        return structured_std(self.rows, noise_std=self.model.settings.noise_std,
+                              prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
+        touched = self.touched()
+        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view,
+                      PoseSearch(seed=seed))
+
+
+@dataclass
+class Filtered(Posterior):
+    """What the diagonal Kalman filter knows after the same touches, assimilated frame by frame (Neural VSF section
+    III-B)."""
+
+    var: np.ndarray
+    """Variance of each spring constant (n,) [(N/m)^2]."""
+
+    @classmethod
+    def online(cls, model: ParticleModel, support: Sequence[Reading], *, prior_mean: float,
+               prior_var: float) -> Filtered:
+        """From one mean [N/m] and variance for all particles, touch after touch in the order given."""
+        check_support(support)
+        state = DiagonalFilter.start(len(model.particles), mean=prior_mean, var=prior_var)
+        blocks = [sparse.csr_matrix((0, len(model.particles)))]
+        for reading in support:
+            rows, z = model.stack([reading])
+            state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size)
+            blocks.append(rows)
+        return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)),
+                   GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
+
+    def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
+        return np.sqrt(sparse.csr_matrix(rows).power(2) @ self.var)
+
+    def _std(self) -> np.ndarray:
+        return np.sqrt(self.var)
+
+
+class PosteriorAnswers:
+    """What every particle method answers: the answers of the posterior that its `adapt` left."""
+
+    _view: View
+    _posterior: Posterior
+    _search_seed = 0
+
+    def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Readings (T, d) of touches not made yet."""
+        return self._posterior.predict(touches)
+
+    def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
+        """Standard deviations (T, d) of those readings."""
+        return self._posterior.predict_std(touches)
+
+    def stiffness(self, points: np.ndarray) -> Estimate:
+        """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
+        return self._posterior.density(points)
+
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+        """Object-to-world transform (4, 4) of a stiff object of known shape."""
+        return self._posterior.locate(vertices, triangles, self._view, seed=self._search_seed)
