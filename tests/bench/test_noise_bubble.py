@@ -8,7 +8,7 @@ import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.noise import NOISE_KINDS, Noise, delayed, noisy_force
-from vsfsim.bench.noise_bubble import noisy_depth, noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed
+from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes, noisy_pressure, quantised, relaxed
 from vsfsim.bench.protocol import record
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import TaskError
@@ -130,30 +130,6 @@ def test_delay_bridges_what_is_not_known():
     assert np.isfinite(out).tolist() == [True, True, False, True, True, True]
 
 
-def test_depth_is_rounded_noisy_and_late():
-    depth = np.full((40, 60, 60), 0.06543, np.float32)
-    depth[:, :10] = 0.0
-    out = noisy_depth(depth, seconds(40), punyo(image_lag=0.0), **WHICH)
-    assert out.dtype == np.float32 and (out[:, :10] == 0.0).all()
-    skin = out[:, 10:].astype(float)
-    steps = skin / 1e-4
-    assert np.abs(steps - np.rint(steps)).max() < 1e-4  # float32 of 0.07 m is good to 4e-9 m
-    count = skin.size
-    # white noise and rounding add up: 0.05^2 + 0.1^2 / 12 (Sheppard); the residue of the two being correlated is under
-    # 1e-2 of that here
-    expected = np.hypot(5e-5, 1e-4 / np.sqrt(12))
-    assert skin.std() == pytest.approx(expected, rel=SIGMAS / np.sqrt(2 * count) + 0.02)
-    assert skin.mean() == pytest.approx(0.06543, abs=SIGMAS * expected / np.sqrt(count) + 2e-6)
-    # a ramp of 30 mm/s is seen 77 ms late; before the first frame there is only the first frame
-    ramp = 0.06 + 0.001 * np.arange(40.0)[:, None, None] * np.ones((1, 4, 4))
-    late = noisy_depth(ramp, seconds(40), dataclasses.replace(QUIET, image_lag=0.077), **WHICH)
-    assert ramp[5:, 0, 0] - late[5:, 0, 0] == pytest.approx(np.full(35, 0.03 * 0.077), abs=1e-7)
-    # skin that comes into view is not blended with nothing
-    comes = np.where(np.arange(10) < 5, 0.0, 0.06)[:, None, None]
-    assert set(np.round(noisy_depth(comes, seconds(10), dataclasses.replace(QUIET, image_lag=0.01), **WHICH).ravel(),
-                        6)) == {0.0, np.float32(0.06)}
-
-
 def test_nodes_move_along_their_rays():
     rng = np.random.default_rng(4)
     position = rng.uniform([-0.03, -0.03, 0.0], [0.03, 0.03, 0.03], (50, 200, 3))
@@ -208,9 +184,10 @@ def test_streams_are_of_the_touch_and_the_sensor():
 
 
 def test_a_task_may_read_the_pressure(task_text):
-    task = parse_task(task_text.replace('kind = "normal-force"', 'kind = "pressure"').replace(
-        'noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }',
-                                                                                              'noise = { kind = "punyo", tare_frames = 2, seed = 0 }'), "toy-v1.toml")
+    text = task_text.replace('kind = "normal-force"', 'kind = "pressure"')
+    text = text.replace('noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }',
+                        'noise = { kind = "punyo", tare_frames = 2, seed = 0 }')
+    task = parse_task(text, "toy-v1.toml")
     view = mock_view(1, split="test", touches=4)
     with pytest.raises(TaskError, match="no pressure"):
         record(view, task)

@@ -1,5 +1,4 @@
-"""`vsfsim check`: does a method keep the contract of `vsfsim.bench.method.Method`? Seconds, on mock objects, no
-dataset."""
+"""`vsfsim check`: whether a method keeps the contract of `vsfsim.bench.method.Method`, in seconds, on mock objects."""
 
 from __future__ import annotations
 
@@ -79,7 +78,7 @@ class _Mock:
 
 
 def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Finding, ...]:
-    """Try every clause of the contract on mock objects.
+    """Test every clause of the contract on mock objects.
 
     Args:
         name: an installed method, or module:attribute. parameters: of its constructor.

@@ -1,16 +1,12 @@
-"""What lies hidden in an object, and how well a method found it: the mask of a stiff inclusion, and the pose of a known
-stiff object.
+"""Stiff inclusions hidden in an object: the mask and the pose that a method is scored against.
 
-mask_f1, mask_precision, mask_recall
-    Seen from above, a pixel of 3 mm is stiff if an inclusion lies within 15 mm under it (Neural VSF table I). A
-    method's pixel is the largest stiffness that it gives where the probe swept the column below; pixels that no touch
-    swept do not count. The threshold is the one that is best for the method on this object, as in the paper; precision
-    and recall are at that threshold.
-translation_error [mm], rotation_error [deg]
-    Of the pose a method gives for the union of the inclusions, whose shape it knows (Neural VSF section IV-C): distance
-    between centres, and angle of the rotation that is left.
+Mask: in the view from above, a pixel of 3 mm is stiff if an inclusion lies within 15 mm below it (Neural VSF table I).
+The value of a pixel is the largest stiffness that a method gives where the probe swept the column below; pixels that no
+touch swept do not count. The threshold is the best one for the method on this object, as in the paper.
 
-The inclusions are those of the dataset's own scene text, drawn again with its seed.
+Pose: that of the union of the inclusions, whose shape the method knows (Neural VSF section IV-C).
+
+The inclusions are those of the dataset's own scene text, sampled again with its seed.
 """
 
 from __future__ import annotations
@@ -32,11 +28,11 @@ from vsfsim.data.streams import Stream, stream
 PIXEL = 0.003
 """Edge of a pixel of the mask [m]."""
 STEP = 0.001
-"""Of the query points in depth [m]."""
+"""Distance of the query points in depth [m]."""
 DEPTH = 0.015
-"""How deep a column of the mask reaches [m]."""
+"""Depth of a column of the mask [m]."""
 
-_SECTORS = 12  # of a capsule's mesh
+_SECTORS = 12  # around the axis of a capsule's mesh
 
 
 @dataclass(frozen=True)
@@ -52,7 +48,7 @@ class Inclusions:
 
     @classmethod
     def of(cls, recipe: Recipe, view: ObjectView) -> Inclusions:
-        """Those of an object of a dataset.
+        """The inclusions of an object of a dataset.
 
         Raises:
             TaskError: the scene has no inclusions.
@@ -62,13 +58,13 @@ class Inclusions:
         assert scene.object is not None
         parts = scene.object.young_modulus.inclusions
         if not parts:
-            raise TaskError(f"object view '{view.name}' has no inclusions, so that there is nothing hidden to find; "
-                            f"use a scene with [object.young_modulus] inclusions.")
+            raise TaskError(f"object view '{view.name}' has no inclusions to find; use a scene with "
+                            f"[object.young_modulus] inclusions.")
         c, s = np.cos(scene.object.yaw), np.sin(scene.object.yaw)
         return cls(parts, np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]), np.array(scene.object.pose))
 
     def inside(self, points: np.ndarray) -> np.ndarray:
-        """Which points (k, 3) [m], world, lie in an inclusion (k,) bool."""
+        """Whether each point (k, 3) [m], world, lies in an inclusion (k,) bool."""
         local = (points - self.shift) @ self.rotation
         return np.min([part.distance(local) for part in self.parts], axis=0) <= 0.0
 
@@ -108,8 +104,8 @@ class Mask:
         """
         assert view.truth is not None
         surface = view.truth.probe_points
-        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL) for low,
-                high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0))]
+        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL)
+                for low, high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0), strict=True)]
         plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
         top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
@@ -173,15 +169,15 @@ def mesh_of(part: Inclusion) -> tuple[np.ndarray, np.ndarray]:
     side = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
     side /= np.linalg.norm(side)
     frame = np.stack([side, np.cross(axis, side), axis], axis=1)
-    # Rings from the lower pole to the upper one; the equator comes twice, once at each end of the axis.
+    # Rings from the lower pole to the upper one; there are two equators, one at each end of the axis.
     angle = np.linspace(-0.5 * np.pi, 0.0, _SECTORS // 2 + 1)[1:]
-    rings = [(radius * np.cos(a), radius * np.sin(a)) for a in angle] + [(radius * np.cos(a),
-                                                                          radius * np.sin(-a) + length)
-                                                                         for a in angle[::-1]]
+    rings = [(radius * np.cos(a), radius * np.sin(a)) for a in angle]
+    rings += [(radius * np.cos(a), radius * np.sin(-a) + length) for a in angle[::-1]]
     turn = 2.0 * np.pi * np.arange(_SECTORS) / _SECTORS
     circle = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    local = [np.array([[0.0, 0.0, -radius]]), *(np.concatenate([r * circle, np.full((_SECTORS, 1), h)], axis=1) for r,
-                                                h in rings), np.array([[0.0, 0.0, length + radius]])]
+    local = [np.array([[0.0, 0.0, -radius]]),
+             *(np.concatenate([r * circle, np.full((_SECTORS, 1), h)], axis=1) for r, h in rings),
+             np.array([[0.0, 0.0, length + radius]])]
     triangles, last = [], 1 + _SECTORS * len(rings)
     for j in range(_SECTORS):
         k = (j + 1) % _SECTORS

@@ -1,7 +1,7 @@
-"""What a method is: a Protocol, the records it is given, and how it is found by name.
+"""What a method is: a Protocol, the records it receives, and how it is found by name.
 
-A method never sees a truth, nor a reading it is asked to predict: an `Action` holds no readings. All arrays it is given
-are read-only.
+A method never receives a truth, nor a reading that it has to predict: an `Action` holds no readings. All arrays that it
+receives are read-only.
 """
 
 from __future__ import annotations
@@ -92,21 +92,25 @@ class Estimate:
 
 @runtime_checkable
 class Method(Protocol):
-    """An estimator of how an object answers touch.
+    """An estimator that predicts the readings of touches.
 
-    Optional besides: ``stiffness(points (k, 3)) -> Estimate`` and ``predict_std(touches) -> standard deviations (T, d)
-    of the readings, one array a touch`` after `adapt`; ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world
-    transform (4, 4)`` of a stiff object of known shape, closed meshes that may overlap, hidden in the one that was
-    touched; ``save(folder: Path)`` and ``load(folder: Path)``, which keep what `meta_fit` learned. A constructor takes
-    keyword arguments only; if one is called
-    ``seed``, the method is built and meta-fitted anew for every seed of the task.
+    Optional functions, called after `adapt`:
+
+    - ``stiffness(points (k, 3)) -> Estimate``;
+    - ``predict_std(touches) -> standard deviations (T, d) of the readings``, one array a touch;
+    - ``locate(vertices (n, 3), triangles (m, 3)) -> object-to-world transform (4, 4)`` of a stiff object of known shape
+      (closed meshes that may overlap), hidden in the one that was touched.
+
+    Optional as well: ``save(folder: Path)`` and ``load(folder: Path)``, which write and read what `meta_fit` learned. A
+    constructor takes keyword arguments only. If one of them is called ``seed``, the method is built and meta-fitted
+    anew for every seed of the task.
     """
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn from the training objects; called once, before anything else."""
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
-        """Meet a new object: its view and 0 or more touches. Forgets the object before it."""
+        """Adapt to a new object, from its view and 0 or more touches, independently of the object before it."""
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of touches that were not made yet, one array a touch, every frame finite."""
@@ -127,7 +131,7 @@ def find_method(name: str) -> type:
     if ":" in name:
         module, _, attribute = name.partition(":")
         if os.getcwd() not in sys.path:
-            sys.path.insert(0, os.getcwd())  # a method under work lies here, and the console script does not look here
+            sys.path.insert(0, os.getcwd())  # where a method under development is; a console script does not look there
         try:
             return getattr(importlib.import_module(module), attribute)
         except MissingPackage:
@@ -188,7 +192,9 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
     """What `predict` returned, as float64 arrays (T, d).
 
     Args:
-        predictions: the method's answer. actions: what it was asked. where: name of each touch, for the message.
+        predictions: the method's answer.
+        actions: of the query touches.
+        where: name of each touch, for the message.
 
     Raises:
         MethodError: wrong number, wrong shape, or a number that is not finite; it names the touch.

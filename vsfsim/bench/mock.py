@@ -1,8 +1,8 @@
 """A small object whose forces obey the papers' particle model exactly: for conformance runs and tests, in milliseconds.
 
-A block of independent springs on a grid (SBML appendix A: f_i = -K_i (p_i - p_i0)); a frictionless ball pushes every
-particle it reaches to its nearest surface point. Nothing here is physics of the benchmark; it is a ground truth that
-a conforming method can be run against without a dataset.
+The object is a block of independent springs on a grid (SBML appendix A: f_i = -K_i (p_i - p_i0)). A frictionless ball
+moves every particle that it reaches to the nearest point of its surface. This is not the physics of the benchmark, but
+a ground truth against which a method can be run without a dataset.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
     """One mock object with its touches and truth.
 
     Args:
-        index: of the object; with ``seed`` it decides everything random.
+        index: of the object; with ``seed`` it determines all random numbers.
         split: written into the record.
         touches: how many; the last one misses the block.
         seed: root of the random streams.
@@ -96,7 +96,7 @@ def _touch(points: np.ndarray, spring: np.ndarray, rng: np.random.Generator, *, 
 def _truth(points: np.ndarray, spring: np.ndarray) -> Truth:
     x = np.linspace(-0.025, 0.025, 6)
     spots = np.stack([*np.meshgrid(x, x, indexing="ij"), np.full((6, 6), BLOCK[2])], axis=-1).reshape(-1, 3)
-    # The spring constant of the column under a spot stands for the stiffness that a small cone would meet there.
+    # The spring constant of the column under a spot represents the stiffness that a small cone would measure there.
     near = np.linalg.norm(points[None, :, :2] - spots[:, None, :2], axis=2) < 0.006
     normals = np.tile([0.0, 0.0, 1.0], (len(spots), 1))
     region = (points[:, 0] > 0).astype(np.int64)

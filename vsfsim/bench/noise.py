@@ -1,9 +1,9 @@
-"""A sensor's noise, put on clean touches when a task loads them.
+"""A sensor's noise, added to noise-free touches when a task loads them.
 
 Force: the reading of frame t of a touch is f(t - lag) + b + r t / (T - 1) + w(t): an offset b and a drift r drawn once
 a touch, and white noise w, each normal and independent in x, y, z. Then the touch is tared: the mean of its first
-contact-free frames is taken off, as one does with a real sensor. The air-filled bubble's readings are in
-`vsfsim.bench.noise_bubble`.
+contact-free frames is subtracted, as with a real sensor. The readings of an air-filled bubble are in
+`vsfsim.bench.noise_bubble`, joint torques in `vsfsim.bench.noise_torque`.
 """
 
 from __future__ import annotations
@@ -59,28 +59,29 @@ class Noise:
 
 NOISE_KINDS: Mapping[str, Mapping[str, float]] = {
     "punyo": {
-        # images lag pressure by 77 ms and wrench by 58 ms: the wrench is 19 ms late
+        # images lag the pressure by 77 ms and the wrench by 58 ms, so the wrench lags the pressure by 19 ms
         "force_std": 0.14, "force_lag": 0.019,
         "pressure_std": 5.4, "pressure_drift": -1.6,  # -8 Pa in 5 s
         "relaxation": 0.02, "relaxation_time": 0.15,
         "depth_std": 5e-5, "depth_quantum": 1e-4, "image_lag": 0.077,
-        # of a good estimator at this depth noise, `vsfsim measure dense-force`; not of the sensor
+        # of a good force estimator at this depth noise (`vsfsim measure dense-force`), not of the sensor
         "node_force_share": 0.2,
     },
-    # The maker publishes none of these. Offset: users of a Gen3 zero their torques by hand after every start and find
-    # offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237). Noise and drift are
-    # assumptions: 0.1 % of the peak torque, and a tenth of that after a second.
     "gen3": {"force_std": 0.0, "torque_std": 0.1, "torque_offset_std": 0.5, "torque_drift_std": 0.01},
 }
-"""``kind`` of a task's ``[noise]``: values of the keys that it does not give. "punyo": measured on 150 frames of a real
-one at 30 Hz.
-"gen3": the joint torques of a Kinova Gen3."""
+"""``kind`` of a task's ``[noise]``: values of the keys that the task does not give.
+
+"punyo": measured on 150 frames of a real Punyo at 30 Hz.
+"gen3": the joint torques of a Kinova Gen3, whose maker publishes no noise. Offset: users zero their torques by hand
+after every start and find offsets of newton metres (Kinova-kortex2_Gen3_G3L, issues 38 and 189; ros_kortex, issue 237).
+White noise and drift are assumptions: 0.1 % of the peak torque, and a tenth of that after a second."""
 
 SIGNED = ("pressure_drift",)
 """Keys that may be negative."""
 
 FREE_FORCE = 1e-6
-"""A frame is contact-free if the clean force is under this [N]: round-off of the solver, far under any sensor."""
+"""A frame is contact-free if the noise-free force is below this [N]: rounding error of the solver, far below the noise
+of any sensor."""
 
 
 def stream(noise: Noise, object_index: int, view_index: int, touch_index: int, *channel: int) -> np.random.Generator:
@@ -91,12 +92,12 @@ def stream(noise: Noise, object_index: int, view_index: int, touch_index: int, *
 
 def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_index: int, touch_index: int,
                 time: np.ndarray | None = None) -> np.ndarray:
-    """The clean force of a touch as a real sensor would have shown it.
+    """The noise-free force of a touch as a real sensor would show it.
 
     Args:
-        force: clean contact force on the probe (T, 3) [N]; NaN rows (unconverged frames) stay NaN.
-        noise: how much of it.
-        object_index, view_index, touch_index: which touch; they choose the random stream.
+        force: noise-free contact force on the probe (T, 3) [N]; NaN rows (unconverged frames) stay NaN.
+        noise: its parameters.
+        object_index, view_index, touch_index: of the touch; they select the random stream.
         time: of the frames (T,) [s]; needed with a ``force_lag``.
 
     Returns:
@@ -115,8 +116,8 @@ def noisy_force(force: np.ndarray, noise: Noise, *, object_index: int, view_inde
 
 
 def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
-    """``reading`` (T, ...) less the mean of its first contact-free frames; ``force`` (T, 3) [N] is the clean one, which
-    says where those are."""
+    """``reading`` (T, ...) minus the mean of its first contact-free frames, which the noise-free ``force`` (T, 3) [N]
+    determines."""
     free = np.linalg.norm(np.nan_to_num(force, nan=np.inf), axis=1) < FREE_FORCE
     leading = len(force) if free.all() else int(np.argmin(free))
     tare = min(leading, noise.tare_frames)
@@ -124,10 +125,9 @@ def tared(reading: np.ndarray, force: np.ndarray, noise: Noise) -> np.ndarray:
 
 
 def delayed(signal: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
-    """What a sensor that is ``lag`` [s] late shows of a signal (T, ...) at the times (T,) [s].
+    """A signal (T, ...) at the times (T,) [s], delayed by ``lag`` [s].
 
-    Linear between the frames, and before the first one what that shows. Frames that hold a NaN are bridged and stay NaN
-    themselves.
+    It is linear between the frames, and constant before the first one. Frames with a NaN are bridged and stay NaN.
     """
     flat = signal.reshape(len(signal), -1)
     good = np.isfinite(flat).all(axis=1)

@@ -1,13 +1,12 @@
-"""The noise of an air-filled bubble's readings: pressure, the inside depth image, and the node positions made from it.
+"""The noise of an air-filled bubble's readings: the pressure, and the node positions made from its depth images.
 
-Pressure, in this order: x, the clean change, is followed by what the air and the rubber do for a moment after it, y = x
-+ r (x - l), where the
-low pass l follows x with the time constant tau: a step shows (1 + r) of itself and relaxes to itself. The clean
-(quasi-static) pressure is taken as the settled one, because the stiffness of skin and air was fitted to held frames.
-Then drift and white noise, then the tare.
+Pressure: first the relaxation of air and rubber, y = x + r (x - l) of the noise-free change x, where the low pass l
+follows x with the time constant tau, so that a step overshoots by r of itself and then decays. The noise-free
+(quasi-static) pressure is the settled one, because the stiffness of skin and air was fitted to held frames. Then drift
+and white noise, then the tare.
 
-Depth: white noise per pixel, then rounded to the quantum, then late. A node's position moves along its ray to the
-camera by the same.
+Node positions: a node moves along its ray to the camera by the error of its depth, which is white noise followed by
+rounding to the quantum, and it is delayed.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ import numpy as np
 from vsfsim.bench.noise import Noise, delayed, stream, tared
 from vsfsim.core.errors import TaskError
 
-_PRESSURE, _DEPTH, _NODES, _NODE_FORCE = 1, 2, 3, 5  # channels of the random streams; 4 is the torques'
+_PRESSURE, _NODES, _NODE_FORCE = 1, 3, 5  # channels of the random streams; 4 is the torques', 2 is free
 
 CAMERA_ORIGIN, CAMERA_TILT = (-0.040, 0.0, -0.054), math.radians(25.0)
-"""Where the inside camera stands in the mount frame [m], and its tilt towards +x [rad]; see
+"""Position of the inside camera in the mount frame [m], and its tilt towards +x [rad]; see
 `vsfsim.sensing.bubble_camera`."""
 
 
@@ -41,11 +40,13 @@ def relaxed(signal: np.ndarray, time: np.ndarray, share: float, seconds: float) 
 
 def noisy_pressure(pressure: np.ndarray, time: np.ndarray, force: np.ndarray, noise: Noise, *, object_index: int,
                    view_index: int, touch_index: int) -> np.ndarray:
-    """The clean pressure of a touch as a real sensor would have shown it.
+    """The noise-free pressure of a touch as a real sensor would show it.
 
     Args:
-        pressure: clean (T,) [Pa]; NaN (unconverged frames) stays NaN. time: of the frames (T,) [s], increasing.
-        force: clean contact force (T, 3) [N]; it says which frames are free, for the tare. noise: how much of it.
+        pressure: noise-free (T,) [Pa]; NaN (unconverged frames) stays NaN.
+        time: of the frames (T,) [s], increasing.
+        force: noise-free contact force (T, 3) [N], which determines the contact-free frames of the tare.
+        noise: its parameters.
 
     Returns:
         (T,) [Pa]; if frames were tared, the change against their mean.
@@ -65,42 +66,28 @@ def quantised(value: np.ndarray, step: float) -> np.ndarray:
     return step * np.rint(value / step) if step else value
 
 
-def noisy_depth(depth: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
-                touch_index: int) -> np.ndarray:
-    """The inside depth images (T, H, W) [m] of a touch as a real camera would have given them, float32; 0 (no skin)
-    stays 0.
-
-    Late images are blended between the two frames around their time, where both show skin; elsewhere the nearer frame
-    counts.
-    """
-    depth = np.asarray(depth, np.float64)
-    late = delayed(depth, time, noise.image_lag) if noise.image_lag else depth
-    if noise.image_lag:
-        seen = delayed((depth > 0.0).astype(float), time, noise.image_lag)
-        # a blend with "nothing there" is no depth: undo it where most of the weight saw skin
-        late = np.where(seen > 0.5, late / np.maximum(seen, 0.5), 0.0)
-    white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _DEPTH).standard_normal(depth.shape)
-    return np.where(late > 0.0, quantised(late + white, noise.depth_quantum), 0.0).astype(np.float32)
-
-
 def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int,
                 view_index: int, touch_index: int,
                 origin: tuple[float, float, float] = CAMERA_ORIGIN, tilt: float = CAMERA_TILT) -> np.ndarray:
-    """The read-out nodes of a touch as the inside camera would have placed them.
+    """The read-out nodes of a touch as the inside camera would locate them.
 
-    A node is seen at its true pixel with a noisy, quantised depth, so it moves along its ray; `image_lag` late, in the
-    frame of the mount. The arm's pose is not late. Tracking errors across the ray were not measured and are not added.
+    A node has its true pixel and a noisy, quantised depth, so it moves along its ray. It is delayed by ``image_lag`` in
+    the frame of the mount; the arm's pose is not delayed. Tracking errors across the ray were not measured and are not
+    added.
 
     Args:
-        position: world (T, N, 3) [m]; NaN rows stay NaN. mount_pose: mount to world (T, 4, 4). time: of the frames (T,)
-        [s].
-        origin, tilt: of the camera in the mount frame [m], [rad].
+        position: world (T, N, 3) [m]; NaN rows stay NaN.
+        mount_pose: mount to world (T, 4, 4) [m].
+        time: of the frames (T,) [s].
+        noise: its parameters.
+        object_index, view_index, touch_index: of the touch; they select the random stream.
+        origin, tilt: of the camera in the mount frame (3,) [m], [rad].
 
     Returns:
         World (T, N, 3) [m].
 
     Raises:
-        TaskError: shapes that do not fit, or a node at or behind the camera.
+        TaskError: the shapes do not fit, or a node is at or behind the camera.
     """
     position, mount_pose = np.asarray(position, np.float64), np.asarray(mount_pose, np.float64)
     if position.ndim != 3 or position.shape[2] != 3 or mount_pose.shape != (len(position), 4, 4):
@@ -116,22 +103,22 @@ def noisy_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, 
         raise TaskError("noise: a node lies behind the inside camera; give the camera's origin and tilt of "
                         "this sensor.")
     white = noise.depth_std * stream(noise, object_index, view_index, touch_index, _NODES).standard_normal(depth.shape)
-    seen = quantised(depth + white, noise.depth_quantum)
-    local = np.asarray(origin) + ray * (seen / depth)[..., None]
+    measured = quantised(depth + white, noise.depth_quantum)
+    local = np.asarray(origin) + ray * (measured / depth)[..., None]
     return np.einsum("tni,tji->tnj", local, rotation) + shift[:, None]
 
 
 def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, object_index: int, view_index: int,
                      touch_index: int) -> np.ndarray:
-    """True contact forces on nodes (T, N, 3) [N] as an estimate of them would be: late like the images it is made from,
-    and off by a share.
+    """Contact forces on nodes (T, N, 3) [N] with the error of an estimate: delayed like the images it is made from, and
+    with a relative error.
 
-    Normal errors, independent in x, y, z and from node to node, of the standard deviation that gives the RMS error over
-    the nodes in contact. Nodes without contact stay at 0, as an estimator that asks for few forces leaves them. NaN
-    rows stay NaN.
+    The errors are normal and independent in x, y, z and between nodes, with the standard deviation that gives the RMS
+    error over the nodes in contact. Nodes without contact stay at 0, as an estimator with a sparse solution leaves
+    them. NaN rows stay NaN.
 
     Raises:
-        TaskError: another shape.
+        TaskError: the shapes do not fit.
     """
     force = np.asarray(force, np.float64)
     if force.ndim != 3 or force.shape[2] != 3 or np.shape(time) != force.shape[:1]:
@@ -139,7 +126,7 @@ def noisy_node_force(force: np.ndarray, time: np.ndarray, noise: Noise, *, objec
                         f"3) and (T,).")
     late = delayed(force, time, noise.image_lag)
     size = np.linalg.norm(late, axis=2)
-    touched = size > 0.0
-    rms = np.sqrt((size**2).sum(axis=1) / np.maximum(touched.sum(axis=1), 1))
+    in_contact = size > 0.0
+    rms = np.sqrt((size**2).sum(axis=1) / np.maximum(in_contact.sum(axis=1), 1))
     white = stream(noise, object_index, view_index, touch_index, _NODE_FORCE).standard_normal(force.shape)
-    return late + np.where(touched, noise.node_force_share * rms[:, None] / math.sqrt(3.0), 0.0)[..., None] * white
+    return late + np.where(in_contact, noise.node_force_share * rms[:, None] / math.sqrt(3.0), 0.0)[..., None] * white

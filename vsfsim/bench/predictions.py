@@ -49,13 +49,13 @@ class Question:
 
 
 def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
-    """Everything the task asks, in order. Holds no reading of a query touch."""
+    """All adaptations that the task asks for, in order, without a reading of a query touch."""
     for view in map(dataset.blind().load, dataset.names(task.protocol.test)):
-        readings, draw, seen = record(view, task).readings, divide(view, task.protocol), frozen_view(view.view)
+        readings, draw, shown = record(view, task).readings, divide(view, task.protocol), frozen_view(view.view)
         for seed in range(task.protocol.seeds):
             for label in task.protocol.labels:
                 chosen = support(view, draw, label, seed, task.protocol)
-                yield Question(view.name, label, seed, seen, tuple(readings[i] for i in chosen), draw.query,
+                yield Question(view.name, label, seed, shown, tuple(readings[i] for i in chosen), draw.query,
                                tuple(readings[i].action for i in draw.query),
                                tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query))
 
@@ -64,7 +64,8 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
     """Score the predictions in ``path``; ``name`` is what the method is called in the result.
 
     Raises:
-        MethodError: not an .npz, a key is missing or unknown, or a prediction has the wrong shape or is not finite.
+        MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape or is not
+            finite.
     """
     path = Path(path)
     try:

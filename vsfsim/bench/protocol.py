@@ -73,7 +73,7 @@ def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | 
 
 
 def specimen(view: ObjectView, task: Task) -> Specimen:
-    """A training object as a method sees it: all touches that have a reading."""
+    """A training object as methods receive it: all touches that have a reading."""
     recording = record(view, task)
     return Specimen(view.name, frozen_view(view.view), tuple(r for r in recording.readings if r.valid.any()))
 
@@ -92,15 +92,14 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     """Choose the query touches of a test object.
 
     Raises:
-        TaskError: too few touches with a reading for the query set and the largest support set.
+        TaskError: there are too few touches with a reading for the query set and the largest support set.
     """
     usable = np.array([i for i, touch in enumerate(view.touches) if touch.converged.any()], dtype=int)
     need = protocol.query + max(protocol.shots)
     if len(usable) < need:
         raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} "
-                        f"query touches and "
-                        f"{max(protocol.shots)} shots need {need}. Generate more touches, or lower query or shots in a "
-                        f"task of your own.")
+                        f"query touches and {max(protocol.shots)} shots need {need}. Generate more touches, or lower "
+                        f"query or shots in a task of your own.")
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(0, view.object_index, view.view_index))
     order = np.random.default_rng(stream).permutation(usable)
     return Draw(tuple(sorted(int(i) for i in order[:protocol.query])),

@@ -1,4 +1,4 @@
-"""Which surface points a touch reached: distance from points to a rigid probe on its way."""
+"""The surface points that a touch reached: distance from points to a rigid probe along its path."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from vsfsim.core.dome import Dome
 from vsfsim.core.shape import Capsule, MeshFile, ProbeShape
 
 REACH = 0.005
-"""A point counts as reached if the probe came this near [m]: the spacing of the papers' particles on shoes."""
+"""A point counts as reached within this distance of the probe [m]: the spacing of the papers' particles on shoes."""
 
 
 def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None,

@@ -109,7 +109,7 @@ class Result:
         """Read and check a result file.
 
         Raises:
-            TaskError: not a result, of another schema version, or a field is missing or malformed.
+            TaskError: the file is not a result, it has another schema version, or a field is missing or malformed.
         """
         path = Path(path)
         try:
@@ -153,8 +153,11 @@ class Result:
 
 
 def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float | None:
-    """How far two datasets' readings of the same query touches differ [-]: the root of sum (|a| - |b|)^2 over sum
-    |b|^2, with |.| the length of a touch's readings; None where they are not of the same touches, or not kept."""
+    """Relative difference between two datasets' readings of the same query touches [-].
+
+    The square root of sum (|a| - |b|)^2 over sum |b|^2, where |.| is the Euclidean norm of a touch's readings; None
+    where the touches are not the same, or the readings are not kept.
+    """
     if not one or not other:
         return None
     a, b = ({(name, touch): math.sqrt(ss) for name, touch, ss in zip(r["object"], r["touch"], r["ss"], strict=True)}
@@ -166,7 +169,7 @@ def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float 
 
 
 def machine() -> dict[str, Any]:
-    """What it ran on: cpu, cores, system."""
+    """The machine: cpu, cores, system."""
     name = platform.processor() or platform.machine()
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
@@ -179,7 +182,7 @@ def machine() -> dict[str, Any]:
 
 
 def versions() -> dict[str, str]:
-    """Of Python and the packages that can change a number."""
+    """Versions of Python and of the packages that can change a number."""
     out = {"python": platform.python_version()}
     for package in ("numpy", "scipy", "h5py", "warp-lang", "torch"):
         try:
@@ -190,7 +193,7 @@ def versions() -> dict[str, str]:
 
 
 def peak_memory_mib() -> float:
-    """Largest resident size of this process so far [MiB]; 0 where the system does not tell."""
+    """Largest resident size of this process so far [MiB]; 0 where the system does not report it."""
     try:
         import resource
     except ImportError:

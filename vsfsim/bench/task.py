@@ -1,4 +1,4 @@
-"""A task: what is asked of a method, as a versioned TOML file that never changes once released."""
+"""A task: data, protocol, observation and metric, as a versioned TOML file that never changes once released."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def load_task(given: str | Path) -> Task:
     """The task of this name, or in this TOML file.
 
     Raises:
-        TaskError: no such task, not TOML, an unknown or missing key, or a value out of range.
+        TaskError: there is no such task, it is not TOML, a key is unknown or missing, or a value is out of range.
     """
     path = find_task(str(given))
     return parse_task(read_text(path, "task", TaskError), path)
@@ -178,7 +178,7 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
         task: the task. path: folder, or None for `DatasetWanted.path`.
 
     Raises:
-        TaskError: it is missing (with the command that makes it), or it is another dataset.
+        TaskError: the dataset is missing (with the command that makes it), or is another one.
         DatasetError: it is damaged.
     """
     folder = task.dataset.path() if path is None else Path(path)
@@ -226,9 +226,9 @@ def _noise(t: Table) -> Noise:
         if f.name in ("tare_frames", "seed"):
             values[f.name] = t.count(f.name, None, 0)
             continue
-        # without a kind the force's noise must be said, as ever
-        default: Any = preset.get(f.name, 0.0 if f.name in ("offset_std", "drift_std") else None if f.name == "force_std"
-                             else f.default)
+        # without a kind the white noise of the force must be given
+        without_kind: Any = {"offset_std": 0.0, "drift_std": 0.0, "force_std": None}
+        default: Any = preset.get(f.name, without_kind.get(f.name, f.default))
         values[f.name] = t.number(f.name, default, -1e9 if f.name in SIGNED else 0.0, 1e9)
     if not values["relaxation_time"] > 0.0:
         raise TaskError(f"{t.where}: relaxation_time is 0; it must be greater than 0, in seconds.")

@@ -1,0 +1,74 @@
+"""Every released task, against what ships for it: one object view of its dataset is made again, and a row of its
+leaderboard is scored again on that view."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.evaluate import evaluate, readings_of
+from vsfsim.bench.protocol import divide, record
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import load_task
+from vsfsim.core import shelf
+from vsfsim.core.scene import load_scene
+from vsfsim.data.writer import DatasetWriter
+from vsfsim.generate.effector import effector_of
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.recipe import make_recipe
+
+METHOD = "point-vsf"
+"""The row that is scored again. It learns nothing from training objects, so one test object is all that it needs."""
+
+TOLERANCE = 1e-3
+"""Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard._SAME_READINGS)."""
+
+SLOW = {"fewshot-shoes-mini-v1", "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2"}
+"""Tasks whose touches are nonlinear: a view takes minutes."""
+
+RELEASED = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in shelf.tasks()
+            if not load_task(name).superseded_by]
+
+
+@pytest.fixture(scope="module", params=RELEASED)
+def released(request, tmp_path_factory):
+    """A released task, the shipped row, and a dataset of the row's first test object alone, made again."""
+    task = load_task(request.param)
+    shipped = Result.load(shelf.folder("leaderboard") / task.name / f"{METHOD}.json")
+    wanted, name = task.dataset, shipped.readings["object"][0]
+    path, folder = shelf.find_scene(wanted.scene), tmp_path_factory.mktemp("released")
+    recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects, views=wanted.views,
+                         touches=wanted.touches, tier=wanted.tier)
+    (job,) = (job for job in jobs_of(recipe, path, folder, None) if job.name == name)
+    with DatasetWriter(folder / "data", recipe, [name]) as writer:
+        writer.add(effector_of(job.scene()).make_view(job, device="cpu"))
+        return task, shipped, writer.finish()
+
+
+def test_the_dataset_is_made_again(released):
+    task, shipped, dataset = released
+    view = dataset.load(shipped.readings["object"][0])
+    found = readings_of([(record(view, task), divide(view, task.protocol).query)])
+    rows = [row for row in zip(*shipped.readings.values(), strict=True) if row[0] == view.name]
+    assert len(rows) == task.protocol.query
+    for (name, touch, n, ss), (_, stored_touch, stored_n, stored_ss) in zip(
+            zip(*found.values(), strict=True), rows, strict=True):
+        assert (touch, n) == (stored_touch, stored_n)
+        assert math.sqrt(ss) == pytest.approx(math.sqrt(stored_ss), rel=TOLERANCE), (name, touch)
+
+
+def test_a_shipped_row_is_scored_again(released):
+    task, shipped, dataset = released
+    alone = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, train=task.protocol.test))
+    again = evaluate(METHOD, alone, dataset, parameters=shipped.parameters, seeds=1)
+    norm = {touch: math.sqrt(ss / n) for name, touch, n, ss in zip(*shipped.readings.values(), strict=True)
+            if name == again.readings["object"][0]}
+    stored = {row[:4]: row[4:] for row in zip(*shipped.queries.values(), strict=True)}
+    keys = list(zip(*(again.queries[key] for key in ("object", "shot", "seed", "touch")), strict=True))
+    assert len(keys) == task.protocol.query * len(task.protocol.labels)
+    for key, n, sse, sae in zip(keys, again.queries["n"], again.queries["sse"], again.queries["sae"], strict=True):
+        stored_n, stored_sse, stored_sae = stored[key]
+        assert n == stored_n
+        found, expected = (np.array([math.sqrt(a / n), b / n]) for a, b in ((sse, sae), (stored_sse, stored_sae)))
+        np.testing.assert_allclose(found, expected, atol=TOLERANCE * norm[key[3]], err_msg=str(key))
