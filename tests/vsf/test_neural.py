@@ -1,13 +1,13 @@
-"""The continuous VSF: eq. 5 against closed forms, its fields against the truth, and how little one takes on disk."""
+"""The continuous VSF: eq. 5 against closed forms, its fields against the truth, and the size of a saved field."""
 
 import numpy as np
 import pytest
 import torch
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, load_field, predict_totals, save_field
+from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
+from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, predict_totals, save_field
 from vsfsim.vsf.fields.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
-from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])
@@ -34,10 +34,10 @@ def straight(depth=0.01, frames=6):
 def test_a_uniform_field_answers_as_eq_4_says():
     # Straight down by d into K: f_z = K |s_z| d^2 / 2 on every vertex; the pieces' midpoints give it exactly.
     touch = straight()
-    seen = VertexForces.of([touch])
-    points, factor, _ = seen.rows(torch.arange(len(seen.index)), 100)
+    forces = VertexForces.of([touch])
+    points, factor, _ = forces.rows(torch.arange(len(forces.index)), 100)
     force = factor.sum(dim=1).double().numpy()
-    frame, vertex = seen.index[:, 1].numpy(), seen.index[:, 2].numpy()
+    frame, vertex = forces.index[:, 1].numpy(), forces.index[:, 2].numpy()
     depth, area = 0.01 * frame / 5, oriented_areas(touch.vertices[0], touch.triangles)[vertex, 2]
     np.testing.assert_allclose(force[:, 2], np.abs(area) * depth**2 / 2, rtol=1e-4)
     np.testing.assert_allclose(force[:, :2], 0.0, atol=1e-12)
@@ -49,9 +49,9 @@ def test_in_and_out_again_leaves_nothing():
     touch = straight()
     both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles,
                       np.zeros((11, *touch.force.shape[1:])))
-    seen = VertexForces.of([both])
-    last = torch.nonzero(seen.index[:, 1] == 10)[:, 0]
-    points, factor, _ = seen.rows(last, 100)
+    forces = VertexForces.of([both])
+    last = torch.nonzero(forces.index[:, 1] == 10)[:, 0]
+    points, factor, _ = forces.rows(last, 100)
     k = torch.exp(50.0 * points[:, :, 2:])
     assert (k * factor).sum(dim=1).abs().max() < 1e-3 * (k * factor).abs().sum(dim=1).max()
 
@@ -59,15 +59,16 @@ def test_in_and_out_again_leaves_nothing():
 def test_palpation_agrees_with_the_estimators_own_integral():
     field = layer_with_inclusion()
     (touch,) = palpate(field, touches=1, frames=10, extent=(0.05, 0.05), substeps=200)
-    seen = VertexForces.of([touch])
-    points, factor, force = seen.rows(torch.arange(len(seen.index)), 1000)
+    forces = VertexForces.of([touch])
+    points, factor, force = forces.rows(torch.arange(len(forces.index)), 1000)
     k = torch.as_tensor(field(points.double().reshape(-1, 3).numpy())).reshape(points.shape[:2]).float()
     # Where a vertex crosses the rope's edge the two quadratures see it up to one piece apart: 1 / 1000 of the way.
     assert torch.linalg.norm((k[..., None] * factor).sum(dim=1) - force) < 0.01 * torch.linalg.norm(force)
 
 
 def f1(estimate, truth):
-    best = 0.0
+    """The best F1 score over thresholds; at least that of calling everything stiff."""
+    best = 2 * truth.sum() / (len(truth) + truth.sum())
     for threshold in np.quantile(estimate, np.linspace(0.02, 0.98, 97)):
         positive = estimate > threshold
         best = max(best, 2 * (positive & truth).sum() / (positive.sum() + truth.sum()))
@@ -100,7 +101,7 @@ def test_the_papers_field_learns():
     assert told[-1] < 0.7 * told[0], told
 
 
-def test_a_field_is_under_a_hundred_kilobytes_and_comes_back(tmp_path):
+def test_a_saved_field_is_under_a_hundred_kilobytes_and_keeps_its_weights(tmp_path):
     torch.manual_seed(0)
     for model in (NerfField(BOUNDS, 1e8), GridField(BOUNDS, 1e8)):
         with torch.no_grad():
@@ -109,10 +110,11 @@ def test_a_field_is_under_a_hundred_kilobytes_and_comes_back(tmp_path):
         save_field(model, tmp_path / "field.npz")
         if isinstance(model, NerfField):
             assert (tmp_path / "field.npz").stat().st_size < 100_000
-        points = np.random.default_rng(0).uniform(*BOUNDS, (500, 3))
-        # Half precision: 5e-4 of every weight.
-        np.testing.assert_allclose(density(load_field(tmp_path / "field.npz"), points), density(model, points),
-                                   rtol=0.02)
+        with np.load(tmp_path / "field.npz") as file:
+            assert str(file["kind"]) == model.kind and float(file["unit"]) == 1e8
+            for name, value in model.state_dict().items():
+                # Half precision: 5e-4 of every weight.
+                np.testing.assert_allclose(file[f"weight.{name}"], value.numpy(), rtol=5e-4, atol=1e-7)
 
 
 def test_the_same_seed_gives_the_same_field():
@@ -122,7 +124,7 @@ def test_the_same_seed_gives_the_same_field():
     assert all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
 
 
-def test_refusals(tmp_path):
+def test_refusals():
     touch = straight()
     with pytest.raises(VsfError, match="no touch with contact forces"):
         fit("nerf", [], BOUNDS)
@@ -132,9 +134,6 @@ def test_refusals(tmp_path):
         fit("grid", [DenseTouch(touch.vertices, touch.triangles, np.full_like(touch.force, np.nan))], BOUNDS)
     with pytest.raises(VsfError, match="no field 'hash'"):
         fit("hash", [touch], BOUNDS)
-    (tmp_path / "x.npz").write_bytes(b"no")
-    with pytest.raises(VsfError, match="no field can be read"):
-        load_field(tmp_path / "x.npz")
 
 
 def test_totals_are_the_sum_of_the_vertices_along_the_axis():

@@ -1,7 +1,4 @@
-"""Projected conjugate gradients against an exact active-set solver, and on the size of dense contact forces."""
-
-import resource
-import time
+"""Projected conjugate gradients against exact solvers, and on the size of dense contact forces."""
 
 import numpy as np
 import pytest
@@ -9,6 +6,7 @@ from scipy import optimize, sparse
 
 from benchmarks.workload import MEAN, NOISE, STD, Workload
 from vsfsim.vsf.estimate.map import map_estimate
+from vsfsim.vsf.estimate.pivoting import principal_pivoting
 from vsfsim.vsf.estimate.projected_cg import projected_cg
 from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate
 from vsfsim.vsf.observe import dense_force_rows
@@ -26,26 +24,23 @@ def test_it_finds_the_minimiser(m, n, strength):
     np.testing.assert_allclose(x, expected, atol=1e-8 * max(1.0, np.abs(expected).max()))
 
 
-def test_the_held_ones_are_guessed_together(monkeypatch):
+def test_it_agrees_with_principal_pivoting_on_dense_forces():
     load = Workload.of(6000, 15, 8)
     touched = np.unique(load.dense.indices)
-    a, b, x0 = sparse.csr_matrix(load.dense[:, touched]) * (STD
-                                                            / NOISE), load.dense_z / NOISE, np.full(len(touched),
-                                                                                                    MEAN / STD)
-    x, quick = projected_cg(a, b, x0, start=x0)
-    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y, goal: (y, 0))
-    plain, slow = projected_cg(a, b, x0, start=x0)
-    np.testing.assert_allclose(x, plain, atol=1e-4 * plain.max())
-    assert np.count_nonzero(plain == 0.0) > 100 and quick < 0.7 * slow, (quick, slow)
+    a = sparse.csr_matrix(load.dense[:, touched]) * (STD / NOISE)
+    b, x0 = load.dense_z / NOISE, np.full(len(touched), MEAN / STD)
+    x, _ = projected_cg(a, b, x0, start=x0)
+    exact, _ = principal_pivoting(a, b, x0, scale=np.full(len(x0), STD), tolerance=1e-11)
+    assert np.count_nonzero(exact == 0.0) > 100
+    np.testing.assert_allclose(x, exact, atol=1e-4 * exact.max())
 
 
-def test_a_guess_that_goes_astray_costs_time_only(monkeypatch):
+@pytest.mark.parametrize("start", [0.0, 1e3])
+def test_a_poor_start_changes_nothing(start):
     rng = np.random.default_rng(3)
     a, b, x0 = sparse.csr_matrix(30.0 * rng.normal(size=(60, 40))), 30.0 * rng.normal(size=60), rng.normal(size=40)
-    expected, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
-    monkeypatch.setattr("vsfsim.vsf.estimate.projected_cg._guess", lambda gathered, ridge, right, y,
-                        goal: (1e3 * rng.uniform(size=len(y)), 7))
-    x, _ = projected_cg(a, b, x0, start=x0, tolerance=1e-12)
+    expected, _ = principal_pivoting(a, b, x0, scale=np.ones(40), tolerance=1e-12)
+    x, _ = projected_cg(a, b, x0, start=start * rng.uniform(size=40), tolerance=1e-12)
     np.testing.assert_allclose(x, expected, atol=1e-8 * expected.max())
 
 
@@ -62,17 +57,11 @@ def test_dense_contact_forces_of_ten_thousand_particles():
     rows = [dense_force_rows(stick(particles, t.vertices, t.triangles), len(particles), t.triangles,
                              t.vertices.shape[1]) for t in touches]
     w, z = sparse.vstack(rows).tocsr(), np.concatenate([t.force.ravel() for t in touches])
-    start = time.process_time()
     result = map_estimate(w, z, noise_std=0.002, prior_mean=0.0, prior_var=200.0**2)
-    seconds = time.process_time() - start
-    print(f"{len(particles)} particles, {w.shape[0]} readings: {seconds:.2f} s, {result.iterations} products, KKT "
-          f"{result.kkt_residual:.1e}, "
-          f"peak {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB of the process")
     assert result.kkt_residual < 1e-3
     # The optimality conditions in the units of the problem: no free stiffness wants to move, no held one wants to rise.
     gradient = w.T @ (w @ result.mean - z) / 0.002**2 + result.mean / 200.0**2
     size = np.linalg.norm(w.T @ z) / 0.002**2
-    assert (np.linalg.norm(gradient[result.mean > 0]) < 1e-5 * size
-            and np.linalg.norm(np.minimum(gradient[result.mean == 0], 0)) < 1e-5 * size)
+    assert np.linalg.norm(gradient[result.mean > 0]) < 1e-5 * size
+    assert np.linalg.norm(np.minimum(gradient[result.mean == 0], 0)) < 1e-5 * size
     assert np.linalg.norm(w @ result.mean - z) < 0.6 * np.linalg.norm(z)
-    assert seconds < 20.0

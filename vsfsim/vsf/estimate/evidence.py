@@ -4,20 +4,20 @@ For one object, with readings z, observation matrix W, noise S = diag(s^2) and t
 
     NLL(mu, d) = 1/2 e^T C^-1 e + 1/2 log det C,   e = z - A mu,   C = A diag(d) A^T + S,   A = W B = [W, W G]
 
-A, z and S never change while the prior is learned, so the readings are first divided by their noise and then turned: an
-orthogonal matrix from the left splits a touch's rows into r that depend on the stiffnesses (r = the rank of the rows:
-the way out of a press repeats the way in) and the rest, which is constant. Touches that share no particle are
-independent blocks of C but for the few shared components, which come in by Woodbury's identity. What remains are
-Cholesky factors of r x r blocks, or, where a block
-has about as many rows as particles, of k x k ones: with G = A^T A, made once, and S = diag(sqrt(d)),
+A, z and S do not change while the prior is learned, so the readings are divided by their noise and reduced once. An
+orthogonal matrix from the left splits the rows of a touch into r that depend on the stiffnesses (r is the rank of the
+rows, since the way out of a press repeats the way in) and a constant rest. Touches that share no particle are
+independent blocks of C, apart from the few shared components, which Woodbury's identity adds. The remaining work is
+Cholesky factors of r x r blocks, or of k x k ones where a block has about as many rows as particles: with G = A^T A,
+formed once, and S = diag(sqrt(d)),
 
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
 
-which needs no product with A but a few with single vectors. The gradient is the closed form
+which needs products of A with a few vectors only. The gradient has the closed form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
-so no graph is kept.
+so no computation graph is kept.
 """
 
 from __future__ import annotations
@@ -31,28 +31,29 @@ from scipy.sparse import csgraph
 
 from vsfsim.core.errors import VsfError
 
-# Singular values under this fraction of the largest are rounding: with a prior a million times the noise they would
-# still add only 1e-6 of the noise's variance.
 _RANK = 1e-9
-# A prior variance under this fraction of the largest: (1 - P^-1_jj) / d_j would be rounding over nothing.
+"""Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
+they add 1e-6 of the noise's variance."""
 _TINY = 1e-10
-# Particles whose columns are worked on at one time: a copy of all of them would cost more in fresh memory than in
-# arithmetic.
+"""Prior variances below this fraction of the largest, for which (1 - P^-1_jj) / d_j is a quotient of rounding errors."""
 _CHUNK = 1024
+"""Particles whose columns are processed at one time: allocating a copy of all would cost more than the arithmetic."""
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Touches that share particles. particle: HE components they move (k,). rows: turned rows of W (r, k). value:
-    turned readings (r,).
-    shared: turned rows of W G (r, s). gram: rows^T rows (k, k) where the particles' side is the cheaper one, else
-    None."""
+    """Touches that share particles, reduced by an orthogonal matrix."""
 
     particle: torch.Tensor
+    """HE components that they move (k,)."""
     rows: torch.Tensor
+    """Reduced rows of W (r, k)."""
     value: torch.Tensor
+    """Reduced readings (r,)."""
     shared: torch.Tensor
+    """Reduced rows of W G (r, s)."""
     gram: torch.Tensor | None
+    """rows^T rows (k, k) where the particles' side costs less, else None."""
 
     def solved(self, var: torch.Tensor, right: torch.Tensor) -> _Solved:
         """C^-1 of this block on ``right`` (r, c), for the variances ``var`` (k,) of its particles."""
@@ -75,7 +76,7 @@ class _Block:
         factor = torch.linalg.cholesky(precision)
         y = torch.cholesky_solve(s[:, None] * (self.rows.T @ right), factor)
         left = right - self.rows @ (s[:, None] * y)
-        # |e - A x|^2 + |x / sqrt(d)|^2: the same number as e^T C^-1 e, without taking two large ones from each other.
+        # |e - A x|^2 + |x / sqrt(d)|^2 equals e^T C^-1 e and is not a difference of two large numbers.
         return _Solved(2.0 * factor.diagonal().log().sum(), left, (left * left).sum(dim=0) + (y * y).sum(dim=0), factor)
 
     def sizes(self, var: torch.Tensor, found: _Solved) -> torch.Tensor:
@@ -98,29 +99,32 @@ class _Block:
 
 @dataclass(frozen=True)
 class _Solved:
-    """log_det: of C. inverse: C^-1 right (r, c). quadratic: right_j^T C^-1 right_j (c,). factor: lower Cholesky factor,
-    of C or P."""
+    """Solutions with the covariance C of a block."""
 
     log_det: torch.Tensor
+    """log det C."""
     inverse: torch.Tensor
+    """C^-1 right (r, c)."""
     quadratic: torch.Tensor
+    """right_j^T C^-1 right_j (c,)."""
     factor: torch.Tensor
+    """Lower Cholesky factor of C, or of P where the block has a `gram`."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The readings of one object, reduced.
-
-    touched: particles that some reading moves (k,) int. blocks: independent groups of touches. constant: what no prior
-    changes, in nats [-].
-    readings: how many there were. shared: components beside the heterogeneous ones, s.
-    """
+    """The readings of one object, reduced."""
 
     touched: np.ndarray
+    """Particles that some reading moves (k,) int."""
     blocks: tuple[_Block, ...]
+    """Independent groups of touches."""
     constant: float
+    """The part of the NLL that does not depend on the prior, in nats [-]."""
     readings: int
+    """Number of readings."""
     shared: int
+    """Number of shared components, s."""
 
     @classmethod
     def of(cls, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
@@ -129,10 +133,11 @@ class Evidence:
         """Reduce the readings of one object.
 
         Args:
-            w: observation matrix (m, n). z: readings (m,), finite. noise_std: > 0, (m,) or one number, in the unit of
-            z.
+            w: observation matrix (m, n).
+            z: readings (m,), finite.
+            noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
             membership: G (n, s) of the shared components, or None.
-            touch: number of the touch of each reading (m,) int; None: all readings belong to one.
+            touch: number of the touch of each reading (m,) int; None if all readings belong to one.
             device, dtype: torch's, of the likelihood.
 
         Raises:
@@ -160,7 +165,7 @@ class Evidence:
         blocks = []
         scale = np.abs(a.data).max() if a.nnz else 0.0
         for rows in _groups(a, touch):
-            parts = [_turned(a[part], ag[part], b[part], scale) for part in rows]
+            parts = [_reduced(a[part], ag[part], b[part], scale) for part in rows]
             constant += sum(part[-1] for part in parts)
             (columns, dense, shared, value), extra = _joined([part[:-1] for part in parts], scale)
             constant += extra
@@ -188,11 +193,10 @@ class Evidence:
 
 
 def _inverse_diagonal(factor: torch.Tensor) -> torch.Tensor:
-    """Diagonal of (L L^T)^-1 (k,): the squares of L^-1's columns, so that the inverse itself, twice the work, is not
-    made on a CPU."""
+    """Diagonal of (L L^T)^-1 (k,): on a CPU the squared norms of the columns of L^-1, half the work of the inverse."""
     if factor.device.type != "cpu":
         return torch.cholesky_inverse(factor).diagonal()
-    upper = factor.numpy().T  # in Fortran's order as it lies
+    upper = factor.numpy().T  # in Fortran's order without a copy
     (invert,) = linalg.get_lapack_funcs(("trtri",), (upper,))
     inverse = invert(upper, lower=0)[0]
     return torch.as_tensor(np.einsum("ij,ij->i", inverse, inverse))
@@ -254,7 +258,7 @@ class _MarginalNll(torch.autograd.Function):
 
 
 def _groups(a: sparse.csr_matrix, touch: np.ndarray) -> list[list[np.ndarray]]:
-    """Touches (their rows) by connected component: two touches are joined by a particle that both move."""
+    """Touches (their rows) by connected component; a particle that two touches move connects them."""
     names, index = np.unique(touch, return_inverse=True)
     incidence = sparse.csr_matrix((np.ones(len(index)), (index, np.arange(len(index)))), shape=(len(names), len(index)))
     moves = incidence @ abs(a)
@@ -263,24 +267,25 @@ def _groups(a: sparse.csr_matrix, touch: np.ndarray) -> list[list[np.ndarray]]:
     return [[rows[t] for t in np.flatnonzero(label == k)] for k in range(label.max() + 1 if len(label) else 0)]
 
 
-def _turned(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray,
+def _reduced(a: sparse.csr_matrix, ag: np.ndarray, b: np.ndarray,
             scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
     """Columns (k,), rows (r, k), shared rows (r, s) and readings (r,) of one touch, and 1/2 |readings that no stiffness
     explains|^2."""
     columns = np.unique(a.indices)
     dense = a[:, columns].toarray()
-    turn, size, right = np.linalg.svd(dense,
-                                      full_matrices=False) if dense.size else (np.zeros((len(b), 0)), np.zeros(0),
-                                                                               np.zeros((0, 0)))
+    if dense.size:
+        left, size, right = np.linalg.svd(dense, full_matrices=False)
+    else:
+        left, size, right = np.zeros((len(b), 0)), np.zeros(0), np.zeros((0, 0))
     keep = size > _RANK * scale
-    turn = turn[:, keep]
-    value = turn.T @ b
-    return columns, size[keep, None] * right[keep], turn.T @ ag, value, 0.5 * max(float(b @ b - value @ value), 0.0)
+    left = left[:, keep]
+    value = left.T @ b
+    return columns, size[keep, None] * right[keep], left.T @ ag, value, 0.5 * max(float(b @ b - value @ value), 0.0)
 
 
 def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
             scale: float) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray], float]:
-    """Several touches as one, like `_turned`; with many more rows than particles they are turned once more."""
+    """Several touches as one, like `_reduced`; with many more rows than particles they are reduced again."""
     columns = np.unique(np.concatenate([part[0] for part in parts]))
     dense, start = np.zeros((sum(len(part[3]) for part in parts), len(columns))), 0
     for own, rows, _, value in parts:
@@ -289,8 +294,8 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
     shared, value = np.concatenate([part[2] for part in parts]), np.concatenate([part[3] for part in parts])
     if len(dense) <= 2 * len(columns):
         return (columns, dense, shared, value), 0.0
-    turned = _turned(sparse.csr_matrix(dense), shared, value, scale)
-    return (columns[turned[0]], *turned[1:4]), turned[4]
+    reduced = _reduced(sparse.csr_matrix(dense), shared, value, scale)
+    return (columns[reduced[0]], *reduced[1:4]), reduced[4]
 
 
 def _particle_side(rows: int, particles: int) -> bool:

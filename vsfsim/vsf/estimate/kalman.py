@@ -1,14 +1,13 @@
 """Online estimation of a VSF: the diagonal Kalman filter (Neural VSF sections III-B and III-C).
 
-The stiffnesses are kept as independent Gaussians. A frame of readings z = W K + noise updates them exactly, and what it
-correlates is then forgotten:
+The stiffnesses are independent Gaussians. A frame of readings z = W K + noise updates them exactly, and the correlations
+that it introduces are then dropped:
 
     M = W V W^T + S,   K += V W^T M^-1 (z - W K),   v_i -= v_i^2 w_i^T M^-1 w_i,   K = max(K, 0)
 
-w_i is column i of W. Only the particles a frame moves are touched. Readings on the vertices of a sensor are coupled
-between neighbours only, and M^-1 is needed between such neighbours only: then both are worked out along a band
-(`banded`). Else M is factorised once, or, with fewer particles than readings, the same update is made through the
-particles' precision matrix.
+w_i is column i of W. Only the particles that a frame moves change. Readings on the vertices of a sensor are coupled
+between neighbours only, and M^-1 is needed between such neighbours only, so both are computed along a band (`banded`).
+Otherwise M is factorised once, or, with fewer particles than readings, the particles' precision matrix is.
 """
 
 from __future__ import annotations
@@ -21,23 +20,29 @@ from scipy import linalg, sparse
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.banded import Band
 
-# Dense arithmetic is faster an operation than that of many small blocks, by about this.
 _BLOCKS = 3
+"""Factor by which an operation of dense arithmetic is faster than one on many small blocks."""
+
 
 @dataclass
 class DiagonalFilter:
-    """Stiffnesses as independent Gaussians, updated frame by frame.
-
-    mean: >= 0 after every update (n,) [N/m]. var: > 0 (n,) [(N/m)^2].
-    """
+    """Stiffnesses as independent Gaussians, updated frame by frame."""
 
     mean: np.ndarray
+    """Means, >= 0 after every update (n,) [N/m]."""
     var: np.ndarray
-    _bands: dict[int, Band] = field(default_factory=dict, repr=False)  # by number of readings in a frame
+    """Variances, > 0 (n,) [(N/m)^2]."""
+    _bands: dict[int, Band] = field(default_factory=dict, repr=False)
+    """Orders of the readings, by the number of readings in a frame."""
 
     @classmethod
     def start(cls, particles: int, *, mean: np.ndarray | float, var: np.ndarray | float) -> DiagonalFilter:
-        """From a prior, one number or one a particle.
+        """The filter before any reading.
+
+        Args:
+            particles: their number, n.
+            mean: of the prior (n,) or one number [N/m].
+            var: of the prior, > 0 (n,) or one number [(N/m)^2].
 
         Raises:
             VsfError: values that are not finite, or a variance that is not positive.
@@ -53,10 +58,12 @@ class DiagonalFilter:
         return out
 
     def update(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float) -> None:
-        """Take in the readings of one frame.
+        """Update by the readings of one frame.
 
         Args:
-            w: observation matrix (m, n). z: readings (m,). noise_std: > 0, (m,) or one number, in the unit of z.
+            w: observation matrix (m, n).
+            z: readings (m,).
+            noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
 
         Raises:
             VsfError: shapes that do not fit, a reading that is not finite, a noise that is not positive.
@@ -92,12 +99,12 @@ class DiagonalFilter:
         else:
             shift, left = _by_particles(a, surprise, var) if len(moved) < len(rows) else _by_readings(a, surprise, var)
         self.mean[moved] = np.maximum(self.mean[moved] + shift, 0.0)
-        # Rounding may leave a little less than nothing of a variance that fell by fourteen orders.
+        # A variance that falls by fourteen orders of magnitude may be negative by rounding.
         self.var[moved] = np.maximum(left, 1e-14 * var)
 
     def run(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, size: int = 1) -> None:
-        """Frame after frame: rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T size,) are frame
-        t."""
+        """`update` frame by frame: frame t has rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T
+        size,)."""
         w = sparse.csr_matrix(w)
         noise = np.broadcast_to(np.asarray(noise_std, np.float64), np.shape(z))
         for start in range(0, w.shape[0], size):
@@ -108,15 +115,14 @@ class DiagonalFilter:
 
 def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray,
                         band: Band) -> tuple[np.ndarray, np.ndarray]:
-    """Shift of the means and new variances where a particle has few readings, ``rows`` being those of the frame, in the
-    band's order; noise is 1."""
+    """Shift of the means and new variances for a sparse ``a``, in units of the noise; ``rows`` are its readings, in the
+    order of the band."""
     columns = a.tocsc()
     weighted = columns.T
     weighted.data = weighted.data * np.repeat(var, np.diff(columns.indptr))
     spread = sparse.csr_matrix(a @ sparse.csr_matrix(weighted))
     if not band.holds(rows, spread):
         band.learn(rows, spread)
-        # The readings come in the new order.
         order = np.argsort(band.position[rows])
         return _by_sparse_readings(a[order], surprise[order], var, rows[order], band)
     r, k = a.shape
@@ -135,7 +141,7 @@ def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndar
 
 
 def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same through M (readings x readings), dense."""
+    """Shift of the means and new variances through the dense M (readings x readings)."""
     weighted = a.copy()
     weighted.data = weighted.data * var[a.indices]
     spread = (weighted @ a.T).toarray()
@@ -147,7 +153,7 @@ def _by_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) ->
 
 
 def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The same through the precision matrix V^-1 + A^T A (particles x particles)."""
+    """Shift of the means and new variances through the precision matrix V^-1 + A^T A (particles x particles)."""
     precision = (a.T @ a).toarray()
     precision[np.diag_indices_from(precision)] += 1.0 / var
     factor = linalg.cho_factor(precision, lower=True, overwrite_a=True, check_finite=False)
@@ -156,7 +162,7 @@ def _by_particles(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray) -
 
 
 def _inverse(lower: np.ndarray) -> np.ndarray:
-    """Of a matrix with this Cholesky factor, by LAPACK's potri: half the work of solving for the identity."""
+    """Inverse of the matrix with this Cholesky factor, by LAPACK's potri: half the work of solving for the identity."""
     half = np.tril(linalg.lapack.dpotri(lower, lower=1)[0])
     return half + np.tril(half, -1).T
 

@@ -4,14 +4,14 @@ neither side is small.
     minimise  1/2 |b - A x|^2 + 1/2 |x - x0|^2   subject to  x >= 0
 
 Modified proportioning with reduced gradient projections (Dostal and Schoeberl 2005): conjugate gradient steps while
-they stay feasible, a projected gradient step when they would leave, and a step on the held variables when their pull
-outweighs that of the free ones. Only products with A and its transpose are needed. Variables are scaled by the diagonal
-of the Hessian, which keeps the bound a bound.
+they stay feasible, a projected gradient step when they would become infeasible, and a step on the held variables when
+their gradient outweighs that of the free ones. Only products with A and its transpose are needed. Variables are scaled
+by the diagonal of the Hessian, which leaves the bound in place.
 
-That finds the held variables a few at a time. Where A^T A can be gathered, they are guessed first, all together:
-conjugate gradients on a face without the bound, roughly, then every variable that came out negative is held and every
-held one that is pulled off is released (block principal pivoting, Portugal, Judice and Vicente 1994), and so on, each
-face solved more tightly. The exact method then starts from there and has little left to do.
+This method finds the held variables a few at a time. Where A^T A can be formed, block principal pivoting (Portugal,
+Judice and Vicente 1994) with inexact solves finds most of them first: conjugate gradients on a face without the bound,
+then every negative variable is held and every held one with a negative gradient is released, and each face is solved
+more accurately than the one before. The exact method starts from the result.
 """
 
 from __future__ import annotations
@@ -19,13 +19,12 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-# How much larger than the free gradient the held ones' pull must be to release them; the authors' choice.
 _PROPORTION = 1.0
-# Faces that are tried, those whose number of wrong variables may come without a new least one, and how much tighter
-# each is solved than its start.
+"""Ratio of the held to the free gradient beyond which held variables are released; the authors' choice."""
 _FACES, _PATIENCE, _TIGHTER = 40, 5, 0.01
-# Entries of a row, on average over entries, up to which A^T A is formed: it costs as much as that many products with A.
+"""Limit of faces, limit of faces without a smaller number of wrong signs, and residual of a face over its first one."""
 _GATHER = 60.0
+"""Mean entries of a row, weighted by entries, up to which A^T A is formed: it costs that many products with A."""
 
 
 def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: np.ndarray, tolerance: float = 1e-7,
@@ -33,19 +32,21 @@ def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: 
     """The minimiser (n,) and the number of products with A^T A.
 
     Args:
-        a: (m, n). b: (m,). x0: (n,). start: a first guess, negative entries count as 0.
-        tolerance: on the projected gradient over that of x = 0. steps: products at most.
+        a: (m, n).
+        b: (m,).
+        x0: (n,).
+        start: initial guess (n,), negative entries count as 0.
+        tolerance: norm of the projected gradient at which to stop, over that of A^T b + x0.
+        steps: limit of products.
     """
     scale = 1.0 / np.sqrt(1.0 + np.asarray(a.multiply(a).sum(axis=0)).ravel())
     a = sparse.csr_matrix(a @ sparse.diags_array(scale))
     at, ridge = sparse.csr_matrix(a.T), scale**2
     right = at @ b + scale * x0
 
-    # Readings of many frames share few pairs of particles: their products are then gathered once. Dense rows would fill
-    # the matrix.
-    gathered = sparse.csr_matrix(at
-                                 @ a) if float((np.diff(a.indptr).astype(float) ** 2).sum()) < _GATHER * max(a.nnz,
-                                                                                                             1) else None
+    # The readings of many frames share few pairs of particles, so A^T A is formed once; dense rows would fill it.
+    entries = np.diff(a.indptr).astype(float)
+    gathered = sparse.csr_matrix(at @ a) if float((entries**2).sum()) < _GATHER * max(a.nnz, 1) else None
 
     def times(v: np.ndarray) -> np.ndarray:
         return (at @ (a @ v) if gathered is None else gathered @ v) + ridge * v
@@ -96,8 +97,7 @@ def projected_cg(a: sparse.csr_matrix, b: np.ndarray, x0: np.ndarray, *, start: 
 
 def _guess(gathered: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.ndarray,
            goal: float) -> tuple[np.ndarray, int]:
-    """A feasible point near the minimiser, by exchanging all wrong variables at once; and the number of products. It
-    may fail to come near: the caller checks."""
+    """A feasible point, usually near the minimiser, by block principal pivoting; and the number of products."""
     gradient = gathered @ y + ridge * y - right
     inside, count, best, fewest, patience = (y > 0.0) | (gradient < 0.0), 1, y, len(y) + 1, _PATIENCE
     for _ in range(_FACES):
@@ -139,11 +139,11 @@ def _face(part: sparse.csr_matrix, ridge: np.ndarray, right: np.ndarray, y: np.n
 
 
 def _parts(y: np.ndarray, gradient: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient on the free variables, and what pulls held ones off the bound."""
+    """Gradient on the free variables, and its negative part on the held ones, which releases them."""
     held = y <= 0.0
     return np.where(held, 0.0, gradient), np.where(held, np.minimum(gradient, 0.0), 0.0)
 
 
 def _reduced(y: np.ndarray, free: np.ndarray, length: float) -> np.ndarray:
-    """The free gradient, cut where a step of ``length`` along it would cross the bound."""
+    """The free gradient, limited where a step of ``length`` along it would cross the bound."""
     return np.minimum(y / length, free)

@@ -3,13 +3,13 @@
     minimise  1/2 |(z - W theta) / s|^2 + 1/2 |theta - B mu|^2_(B D B^T)^-1   subject to  theta >= 0
 
 With theta = phi + G g the prior's term is 1/2 |theta - mean - G g|^2 / var + 1/2 |g - group_mean|^2 / group_var,
-minimised over the few shared components g. For a fixed g this is the program of `estimate.map_estimate`; what is left
-is a convex, once differentiable function of g, minimised by Newton's method with a line search. Its Hessian needs
-readings x readings at most:
+minimised over the few shared components g. For a fixed g this is the program of `map.map_estimate`. Its minimum is a
+convex, once differentiable function of g, minimised by Newton's method with a line search. The Hessian needs at most a
+matrix of readings x readings:
 
     H = 1/group_var + (W_F G_F)^T (S + W_F diag(var_F) W_F^T)^-1 (W_F G_F) + G_A^T diag(1/var_A) G_A
 
-F are the particles with theta > 0, A those held at 0.
+F are the particles with theta > 0, A the particles held at 0.
 """
 
 from __future__ import annotations
@@ -24,21 +24,25 @@ from vsfsim.vsf.estimate.map import map_estimate, posterior_std
 from vsfsim.vsf.meta.composition import GaussianPrior
 
 _NEWTON_STEPS = 60
-# Newton decrement, in units of the objective (which is a negative log-posterior, so 1e-10 is far below any meaning).
 _DECREMENT = 1e-10
+"""Newton decrement at which to stop; the objective is a negative log-posterior, whose differences below 1 mean
+little."""
 _BLOCK = 1024
+"""Particles or readings whose standard deviations are computed at one time."""
 
 
 @dataclass(frozen=True)
 class StructuredResult:
-    """The most probable stiffnesses. mean: theta >= 0 (n,) [N/m]. shared: the shared components g (s,) [N/m]; steps:
-    Newton steps on g. decrement: of the last one, an estimate of how far the negative log-posterior is above its
-    minimum [-]."""
+    """The most probable stiffnesses."""
 
     mean: np.ndarray
+    """theta >= 0 (n,) [N/m]."""
     shared: np.ndarray
+    """The shared components g (s,) [N/m]."""
     steps: int
+    """Newton steps on g."""
     decrement: float
+    """Newton decrement of the last step: an estimate of how far the negative log-posterior is above its minimum [-]."""
 
 
 def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
@@ -46,7 +50,9 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
     """Solve SBML eq. 16 for any composition structure.
 
     Args:
-        w: observation matrix (m, n). z: readings (m,). noise_std: of the readings, > 0.
+        w: observation matrix (m, n).
+        z: readings (m,).
+        noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
         prior: on the n stiffnesses.
 
     Raises:
@@ -78,7 +84,7 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
                 break
             length *= 0.5
         else:
-            # No descent left but rounding.
+            # The remaining descent is below rounding.
             return StructuredResult(theta, shared, step, decrement)
         shared, value, theta = shared + length * direction, trial, moved
     return StructuredResult(theta, shared, _NEWTON_STEPS, decrement)
@@ -87,8 +93,10 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
 def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
     """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
 
-    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles;
-    with more readings than touched particles the rows are first reduced by an orthogonal factorisation.
+    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles.
+    With more readings than touched particles the rows are first reduced by an orthogonal factorisation.
+
+    Args, Raises: as `structured_map`.
     """
     g = prior.membership
     w = sparse.csr_matrix(w)
@@ -102,7 +110,7 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
     for start in range(0, len(out), _BLOCK):
         part = slice(start, start + _BLOCK)
         out[part] -= np.einsum("ij,ij->j", *[white.of_rows(identity[part], prior)] * 2)
-    # What float64 leaves of a particle known to 1e-7 of its prior.
+    # A standard deviation below 1e-7 of its prior's is the rounding error of the difference.
     return np.sqrt(np.maximum(out, 1e-14 * prior.total_std() ** 2))
 
 
@@ -111,7 +119,9 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
     """Standard deviation of Q theta, without the readings' own noise and without K >= 0 (q,).
 
     Args:
-        w: rows that were read (m, n). query: rows of readings to come, Q (q, n). noise_std: of the readings of ``w``.
+        w: observation matrix of the readings made (m, n).
+        query: observation matrix of the readings to predict, Q (q, n).
+        noise_std: standard deviation of the readings of ``w``, > 0 (m,) or one number.
         prior: on theta.
     """
     query = sparse.csr_matrix(query)
@@ -128,16 +138,18 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
 
 @dataclass(frozen=True)
 class _Whitener:
-    """Rows of readings with P the prior's covariance. a: W / noise (r, n). shared: A G (r, s). factor: Cholesky of A P
-    A^T + 1 (r, r)."""
+    """The covariance of the readings under the prior's covariance P, factorised."""
 
     a: sparse.csr_matrix
+    """A = W / noise (r, n)."""
     shared: np.ndarray
+    """A G (r, s)."""
     factor: np.ndarray
+    """Lower Cholesky factor L of A P A^T + 1 (r, r)."""
 
     @classmethod
     def of(cls, w: sparse.csr_matrix, noise_std: np.ndarray | float, prior: GaussianPrior) -> _Whitener | None:
-        """None without a reading that any particle moves."""
+        """None if no particle moves any reading."""
         read = np.flatnonzero(np.diff(w.indptr))
         if len(read) == 0:
             return None
@@ -154,10 +166,10 @@ class _Whitener:
         return cls(a, shared, linalg.cholesky(spread, lower=True))
 
     def of_rows(self, rows: sparse.csr_matrix, prior: GaussianPrior) -> np.ndarray:
-        """L^-1 A P Q^T for rows Q (q, n): (r, q); its columns' squares are what the readings take off the variances."""
+        """L^-1 A P Q^T for rows Q (q, n): (r, q). The readings reduce the variances by the squares of its columns."""
         members = (rows @ sparse.csr_matrix(prior.membership)).toarray()
-        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray() + (self.shared
-                                                                               * prior.group_var) @ members.T
+        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray()
+        cross = cross + (self.shared * prior.group_var) @ members.T
         return linalg.solve_triangular(self.factor, cross, lower=True)
 
 

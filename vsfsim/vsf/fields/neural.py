@@ -1,15 +1,15 @@
 """The continuous VSF: stiffness as a function of position, fitted to dense contact forces (Neural VSF section III-D).
 
-The force on a vertex that has come along its way v(tau) up to time t is a line integral over what it swept (eq. 5),
+The force on a vertex at time t is a line integral along its path v(tau) (eq. 5),
 
     f(t) = sum_i -K(v(tau_i)) (v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
 
-with s its oriented area: linear in the values of K at known points, see `swept`. A field is fitted by minimising eq. 6,
-the sum of |f - f_hat| over a batch of B observations plus a free-space term lambda * mean K at random points of the
-volume, with Adam.
+with s its oriented area. It is linear in the values of K at known points, see `line_integrals`. A field is fitted by
+minimising eq. 6 with Adam: the sum of |f - f_hat| over a batch of B observations plus a free-space term lambda * mean K
+at random points of the volume.
 
-Two fields share all of this: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours: a
-sum of trilinear grids of rising resolution, which needs a few dozen operations a point instead of tens of thousands.
+There are two fields: `NerfField`, the papers' (sinusoidal encoding, 8 layers, a skip), and `GridField`, ours, a sum of
+trilinear grids of rising resolution, which needs a few dozen operations a point instead of tens of thousands.
 """
 
 from __future__ import annotations
@@ -25,17 +25,18 @@ from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
 from vsfsim.vsf.fields.palpation import DenseTouch
-from vsfsim.vsf.fields.recorded import Recorded
-from vsfsim.vsf.fields.swept import TotalForces, TotalTouch, VertexForces
+from vsfsim.vsf.fields.graphed_step import GraphedStep
+from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 
 
 class NerfField(nn.Module):
     """K(p) by an 8-layer perceptron on a sinusoidal encoding, the encoding once more at the fifth layer.
 
     Args:
-        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. width: of a layer; 64
-        gives the
-            paper's 100 kB. octaves: of the encoding.
+        bounds: corners of the volume (2, 3) [m].
+        unit: scale of the stiffness density [N/m^4].
+        width: numbers of a layer; 64 gives the paper's 100 kB.
+        octaves: of the encoding.
     """
 
     def __init__(self, bounds: np.ndarray, unit: float, *, width: int = 64, octaves: int = 6):
@@ -62,13 +63,14 @@ class NerfField(nn.Module):
 class GridField(nn.Module):
     """K(p) = softplus of a sum of trilinear grids, each twice as fine as the one before.
 
-    The coarse grids carry what neighbours share, the fine ones the detail, so that the field is as smooth as the data
-    let it be.
+    The coarse grids hold what neighbours share and the fine ones the detail, so the field is smooth where the data do
+    not contradict it.
 
     Args:
-        bounds: corners of the volume (2, 3) [m]. unit: scale of the stiffness density [N/m^4]. cell: edge of the finest
-        cells [m];
-            None for a 24th of the longest edge. levels: of grids.
+        bounds: corners of the volume (2, 3) [m].
+        unit: scale of the stiffness density [N/m^4].
+        cell: edge of the finest cells [m]; None for a 24th of the longest edge.
+        levels: number of grids.
     """
 
     def __init__(self, bounds: np.ndarray, unit: float, *, cell: float | None = None, levels: int = 4):
@@ -98,17 +100,22 @@ FIELDS: dict[str, Callable[..., nn.Module]] = {"nerf": NerfField, "grid": GridFi
 
 @dataclass(frozen=True)
 class Fitting:
-    """Settings of `fit`. iterations, batch, samples, rate: of eq. 5 and 6 and of Adam [-]. free_space: lambda, on K
-    over the field's unit. free_points: n_reg.
-    seed: of initial weights and batches."""
+    """Settings of `fit`; the defaults are the papers'."""
 
     iterations: int = 2000
+    """Steps of Adam."""
     batch: int = 1000
+    """Observations in a step, B of eq. 6."""
     samples: int = 100
+    """Pieces of the line integral of eq. 5."""
     rate: float = 2e-4
+    """Learning rate of Adam [-]."""
     free_space: float = 1e-2
+    """lambda of eq. 6, on K over the field's unit."""
     free_points: int = 1000
+    """Random points of the free-space term, n_reg."""
     seed: int = 0
+    """Of initial weights and batches."""
 
 
 def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds: np.ndarray,
@@ -117,11 +124,13 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     """Fit a stiffness field to contact forces.
 
     Args:
-        kind: "nerf" or "grid". touches: at least one; with forces on the vertices, or with their total only. bounds:
-        corners of the volume (2, 3) [m].
-        settings: of the training; with totals a batch holds as many vertices as with forces on them. device: torch
-        device.
-        progress: called with (iteration, of how many, loss). field: settings of the field's constructor.
+        kind: one of `FIELDS`.
+        touches: at least one; all with forces on the vertices, or all with their total only.
+        bounds: corners of the volume (2, 3) [m].
+        settings: of the training; a batch of totals has as many vertices as a batch of forces on vertices.
+        device: torch device.
+        progress: called with (iteration, number of iterations, loss as text).
+        field: settings of the field's constructor.
 
     Returns:
         The field, whose `unit` times its output is a stiffness density [N/m^4].
@@ -133,10 +142,11 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
         raise VsfError(f"vsf.neural: there is no field '{kind}'; allowed: {', '.join(FIELDS)}.")
     s = settings or Fitting()
     total = len(touches) > 0 and isinstance(touches[0], TotalTouch)
-    seen: TotalForces | VertexForces = (TotalForces if total else VertexForces).of(touches, device=device)  # type: ignore[arg-type]
-    size = max(1, s.batch // seen.cost())
+    kind_of_force = TotalForces if total else VertexForces
+    forces: TotalForces | VertexForces = kind_of_force.of(touches, device=device)  # type: ignore[arg-type]
+    size = max(1, s.batch // forces.cost())
     generator = torch.Generator().manual_seed(s.seed)
-    unit = _unit(seen, generator, size)
+    unit = _unit(forces, generator, size)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(s.seed)
         model = FIELDS[kind](bounds, unit, **field).to(device)
@@ -144,28 +154,28 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     on_host = torch.device(device).type == "cpu"
     parameters = list(model.parameters())
     optimiser = torch.optim.Adam(parameters, lr=s.rate, foreach=True, capturable=not on_host)
-    draws = _Draws(len(seen.index), size, s.free_points, generator, device)
+    draws = _Draws(len(forces.index), size, s.free_points, generator, device)
 
     def step() -> torch.Tensor:
         which, free = draws.next()
-        points, factor, force = seen.rows(which, s.samples)
+        points, factor, force = forces.rows(which, s.samples)
         value = model(torch.cat([points.reshape(-1, 3), corner[0] + free * (corner[1] - corner[0])]))
-        # Off its samples' box a field is not defined: what lies outside the volume has no stiffness.
+        # The field is zero outside its bounding box.
         inside = ((points >= corner[0]) & (points <= corner[1])).all(dim=2)
         predicted = ((value[:-s.free_points].reshape(inside.shape) * inside)[..., None] * factor * unit).sum(dim=1)
-        # A hair inside the root keeps the gradient of |f - f_hat| finite where both are 0.
+        # The constant keeps the gradient of |f - f_hat| finite where both are 0.
         misfit = ((force - predicted).square().sum(dim=1) + 1e-12).sqrt().sum()
         loss = misfit + s.free_space * value[-s.free_points:].mean()
-        # `grad` instead of `backward`: a CUDA graph may record it on its own stream.
+        # `grad` instead of `backward`, so that a CUDA graph may capture it on its own stream.
         for parameter, gradient in zip(parameters, torch.autograd.grad(loss, parameters)):
             parameter.grad = gradient
         optimiser.step()
         return misfit.detach()
 
-    recorded = Recorded(step, device=device)
+    graphed = GraphedStep(step, device=device)
     for iteration in range(s.iterations):
         draws.fill(iteration, s.iterations)
-        misfit = recorded()
+        misfit = graphed()
         if progress is not None and iteration % 50 == 0:
             progress(iteration, s.iterations, f"{float(misfit) / size:.3g} N a reading")
     if not all(bool(torch.isfinite(p).all()) for p in model.parameters()):
@@ -176,11 +186,11 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
 
 @torch.no_grad()
 def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.ndarray:
-    """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not looked at."""
+    """Total force of a touch in every frame (T,) [N]; ``touch.force`` is not used."""
     device = model.bounds.device
-    asked = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))],
+    query = TotalForces.of([TotalTouch(touch.vertices, touch.triangles, touch.axis, np.zeros(len(touch.vertices)))],
                            device=str(device))
-    points, factor, _ = asked.rows(torch.arange(len(asked.index), device=device), samples)
+    points, factor, _ = query.rows(torch.arange(len(query.index), device=device), samples)
     inside = ((points >= model.bounds[0]) & (points <= model.bounds[1])).all(dim=2)
     value = torch.cat([model(part) for part in points.reshape(-1, 3).split(200_000)]).reshape(inside.shape)
     force = ((value * inside)[..., None] * factor * model.unit).sum(dim=(1, 2)).double().cpu().numpy()
@@ -198,39 +208,23 @@ def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
 def save_field(model: nn.Module, path: str | Path) -> None:
     """Write a field as .npz, its weights in half precision (a relative 5e-4 of each): a `NerfField` takes under 100
     kB."""
-    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16) for name,
-              value in model.state_dict().items()}
+    arrays = {f"weight.{name}": value.cpu().numpy().astype(np.float32 if name == "bounds" else np.float16)
+              for name, value in model.state_dict().items()}
     with open(path, "wb") as file:
         np.savez_compressed(file, kind=model.kind, unit=model.unit,
                             **{f"set.{k}": v for k, v in model.settings.items() if v is not None}, **arrays)
 
 
-def load_field(path: str | Path) -> nn.Module:
-    """Read what `save_field` wrote.
-
-    Raises:
-        VsfError: no such file, or not a field.
-    """
-    try:
-        with np.load(path) as file:
-            given = {name: file[name] for name in file.files}
-        kind = str(given["kind"])
-        settings = {name.removeprefix("set."): value.item() for name, value in given.items() if name.startswith("set.")}
-        state = {name.removeprefix("weight."): torch.as_tensor(value).float() for name,
-                 value in given.items() if name.startswith("weight.")}
-        model = FIELDS[kind](state["bounds"].numpy(), float(given["unit"]), **settings)
-        model.load_state_dict(state)
-    except (OSError, ValueError, KeyError, RuntimeError) as error:
-        raise VsfError(f"vsf.neural: no field can be read from '{path}': {error}. Give a file that "
-                       f"`save_field` wrote.") from error
-    return model.eval()
-
-
 class _Draws:
-    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that a
-    step waits for no host.
+    """Batches and points of free space, drawn on the host (the same for every device) and moved in packs, so that no
+    step waits for the host.
 
-    observations: to draw from. size: of a batch. free: points an iteration, as fractions of the volume's edges.
+    Args:
+        observations: number to draw from.
+        size: of a batch.
+        free: points of free space in an iteration, drawn as fractions of the volume's edges.
+        generator: of the host.
+        device: torch device of the steps.
     """
 
     def __init__(self, observations: int, size: int, free: int, generator: torch.Generator, device: str):
@@ -258,10 +252,10 @@ class _Draws:
         return out
 
 
-def _unit(seen: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:
-    """The one stiffness density that explains the forces best, in the least squares sense [N/m^4]."""
-    which = torch.randint(len(seen.index), (20 * size,), generator=generator).to(seen.index.device)
-    _, factor, force = seen.rows(which, 20)
+def _unit(forces: VertexForces | TotalForces, generator: torch.Generator, size: int) -> float:
+    """The uniform stiffness density that fits the forces best in the least squares sense [N/m^4]."""
+    which = torch.randint(len(forces.index), (20 * size,), generator=generator).to(forces.index.device)
+    _, factor, force = forces.rows(which, 20)
     total = factor.sum(dim=1)
     unit = float((total * force).sum()) / max(float((total * total).sum()), 1e-300)
     if not unit > 0.0:

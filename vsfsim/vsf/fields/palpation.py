@@ -1,8 +1,7 @@
-"""A synthetic palpation: a dome that presses into a volume of known stiffness, with the force on each of its vertices.
+"""A synthetic palpation: a dome pressed into a volume of known stiffness, with the force on each of its vertices.
 
-Not physics: the forces are those of the continuous VSF itself (Neural VSF eq. 4), integrated finely along the way of
-each vertex. It is a workload and a ground truth for estimators that read dense contact forces, with as many touches and
-frames as wanted.
+The forces are those of the continuous VSF itself (Neural VSF eq. 4), not of the simulator, integrated finely along the
+path of each vertex. They are a workload and a ground truth for estimators that read dense contact forces.
 """
 
 from __future__ import annotations
@@ -17,22 +16,23 @@ Field = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True)
 class DenseTouch:
-    """One touch of a sensor with a surface.
-
-    vertices: of the surface, world (T, N, 3) [m]. triangles: corners, wound outwards (m, 3). force: of the object on
-    each vertex, world (T, N, 3) [N].
-    """
+    """One touch of a sensor with a surface."""
 
     vertices: np.ndarray
+    """World positions of the surface's vertices (T, N, 3) [m]."""
     triangles: np.ndarray
+    """Corners, wound outwards (m, 3)."""
     force: np.ndarray
+    """Force of the object on each vertex, world (T, N, 3) [N]."""
 
 
 def dome(*, radius: float = 0.03, height: float = 0.015, rings: int = 8) -> tuple[np.ndarray, np.ndarray]:
     """A cap of a ball, apex down at the origin: vertices (N, 3) [m] and triangles (m, 3) wound outwards (down).
 
     Args:
-        radius: of its rim [m]. height: of the rim over the apex [m]. rings: of vertices; N = 1 + 3 rings (rings + 1).
+        radius: of its rim [m].
+        height: of the rim over the apex [m].
+        rings: of vertices; N = 1 + 3 rings (rings + 1).
     """
     ball = (radius**2 + height**2) / (2.0 * height)
     points, start = [np.zeros((1, 3))], [0]
@@ -69,16 +69,21 @@ def oriented_areas(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, float], depth: float = 0.012,
-            rings: int = 8, tilt: float = 0.2,
-            noise: float = 0.0, substeps: int = 20, seed: int = 0) -> list[DenseTouch]:
+            rings: int = 8, tilt: float = 0.2, noise: float = 0.0, substeps: int = 20,
+            seed: int = 0) -> list[DenseTouch]:
     """Press the dome at random places of the plane z = 0 into the half-space under it.
 
     Args:
         field: stiffness density at points (k, 3) -> (k,) [N/m^4]; 0 above z = 0.
-        touches, frames: how many; each goes straight in, over equal steps.
+        touches: number of touches, each along a straight line.
+        frames: number of frames of a touch, in equal steps.
         extent: edges of the region of targets, centred on the origin (2,) [m].
-        depth: of the apex at the end [m]. rings: of the dome. tilt: largest angle from vertical [rad].
-        noise: standard deviation of every force component [N]. substeps: of the integral, per frame. seed: >= 0.
+        depth: of the apex at the end [m].
+        rings: of the dome.
+        tilt: largest angle from vertical, about x and about y [rad].
+        noise: standard deviation of every force component [N].
+        substeps: of the integral, in each frame.
+        seed: >= 0.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     shape, triangles = dome(rings=rings)
@@ -99,8 +104,8 @@ def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, flo
 
 def _forces(field: Field, base: np.ndarray, area: np.ndarray, up: np.ndarray, travel: np.ndarray,
             substeps: int) -> np.ndarray:
-    """Eq. 4 for a straight way: f(t) = sum over the way of -K(p) (v(t) - p) s . dv, midpoints of ``substeps`` steps a
-    frame."""
+    """Eq. 4 for a straight path, by midpoints of ``substeps`` steps a frame: f(t) is the sum of -K(p) (v(t) - p) s . dv
+    along the path."""
     count = (len(travel) - 1) * substeps
     ends = np.linspace(travel[0], travel[-1], count + 1)
     middle = 0.5 * (ends[1:] + ends[:-1])
@@ -120,7 +125,10 @@ def layer_with_inclusion(*, soft: float = 2e8, stiff: float = 4e9, top: float = 
     """A soft half-space under z = 0 with a stiff rope in it (Neural VSF section IV-A).
 
     Args:
-        soft, stiff: stiffness densities [N/m^4]. top: z of the rope's upper side [m]. radius: of the rope [m].
+        soft: stiffness density of the half-space [N/m^4].
+        stiff: stiffness density of the rope [N/m^4].
+        top: z of the rope's upper side [m].
+        radius: of the rope [m].
         path: y of the rope's middle line as a function of x [m]; None for a sine of 2 cm over 12 cm.
     """
     middle = path or (lambda x: 0.02 * np.sin(2.0 * np.pi * x / 0.12))

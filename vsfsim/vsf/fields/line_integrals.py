@@ -1,11 +1,11 @@
-"""What a sensor's vertices swept, as the continuous VSF sees it: forces that are linear in the stiffness at known
-points (Neural VSF eq. 5).
+"""The line integrals of the continuous VSF: forces on a sensor's vertices, linear in the stiffness at known points
+(Neural VSF eq. 5).
 
     f(t) = sum_i K(p_i) c_i,   p_i = v(tau_i),   c_i = -(v(t) - v(tau_i)) s(tau_i) . dv(tau_i)
 
-with v the way of a vertex and s its oriented area. `VertexForces` are the papers' observations, one a touch, frame and
-vertex. `TotalForces` are the pressure-only baseline: one a touch and frame, the sum over all vertices along an axis; a
-rigid probe's surface and force sensor give them, too.
+with v the path of a vertex and s its oriented area. `VertexForces` are the papers' observations, one for each touch,
+frame and vertex. `TotalForces` are the pressure-only baseline, one for each touch and frame: the sum over all vertices
+along an axis, which a rigid probe's surface and force sensor give as well.
 """
 
 from __future__ import annotations
@@ -22,27 +22,31 @@ from vsfsim.vsf.fields.palpation import DenseTouch, oriented_areas
 
 @dataclass(frozen=True)
 class TotalTouch:
-    """One touch of a surface whose force is known in total only. vertices: world (T, N, 3) [m]. triangles: wound
-    outwards (m, 3). axis: unit (3,) [-].
-    force: of the object on the surface against the axis (T,) [N]; NaN where there is no reading."""
+    """One touch of a surface whose force is known in total only."""
 
     vertices: np.ndarray
+    """World positions (T, N, 3) [m]."""
     triangles: np.ndarray
+    """Corners, wound outwards (m, 3)."""
     axis: np.ndarray
+    """Unit vector (3,) [-]."""
     force: np.ndarray
+    """Force of the object on the surface against the axis (T,) [N]; NaN where there is no reading."""
 
 
 @dataclass(frozen=True)
-class _Ways:
-    """Touches side by side, the shorter ones padded with their last frame. place, area: (K, T, N, 3)."""
+class _Paths:
+    """Touches side by side, the shorter ones padded with their last frame."""
 
     place: torch.Tensor
+    """Positions of the vertices (K, T, N, 3) [m]."""
     area: torch.Tensor
+    """Their oriented areas (K, T, N, 3) [m^2]."""
 
     @classmethod
-    def of(cls, touches: Sequence[DenseTouch] | Sequence[TotalTouch], device: str) -> _Ways:
+    def of(cls, touches: Sequence[DenseTouch] | Sequence[TotalTouch], device: str) -> _Paths:
         if len({t.vertices.shape[1] for t in touches}) != 1:
-            raise VsfError("vsf.swept: the touches have surfaces of different numbers of vertices; they must be of "
+            raise VsfError("vsf.line_integrals: the touches have surfaces of different numbers of vertices; they must be of "
                            "one sensor.")
         longest = max(len(t.vertices) for t in touches)
 
@@ -55,8 +59,8 @@ class _Ways:
 
     def pieces(self, touch: torch.Tensor, frame: torch.Tensor, vertex: torch.Tensor,
                samples: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Middles p (b, S, 3) [m] and c (b, S, 3) [m^4] of the ways from frame 0 to ``frame``, cut into S pieces of
-        equal time."""
+        """Midpoints p (b, S, 3) [m] and factors c (b, S, 3) [m^4] of the paths from frame 0 to ``frame``, in S pieces
+        of equal time."""
         grid = torch.linspace(0.0, 1.0, samples + 1, device=self.place.device)
         ends = _along(self.place, touch, frame[:, None] * grid, vertex)
         points = 0.5 * (ends[:, 1:] + ends[:, :-1])
@@ -67,15 +71,18 @@ class _Ways:
 
 @dataclass(frozen=True)
 class VertexForces:
-    """All (touch, frame, vertex) of some touches. index: of every observation (M, 3). force: (M, 3) [N]."""
+    """Forces on the vertices of some touches."""
 
-    ways: _Ways
+    paths: _Paths
+    """Of all touches."""
     index: torch.Tensor
+    """Touch, frame and vertex of every observation (M, 3)."""
     force: torch.Tensor
+    """(M, 3) [N]."""
 
     @classmethod
     def of(cls, touches: Sequence[DenseTouch], *, device: str = "cpu") -> VertexForces:
-        """From touches; frame 0 has no way behind it and is left out, as are frames whose forces are NaN as a whole.
+        """From touches, without frame 0, where a path has no length, and without frames whose forces are all NaN.
 
         Raises:
             VsfError: no touch, fewer than two frames, or values that are not finite.
@@ -94,14 +101,14 @@ class VertexForces:
             t, v = (x.ravel() for x in np.meshgrid(1 + np.flatnonzero(known[1:]), np.arange(count), indexing="ij"))
             index.append(np.stack([np.full(t.size, k), t, v], axis=1))
             force.append(touch.force[t, v])
-        return cls(_Ways.of(touches, device), torch.as_tensor(np.concatenate(index), device=device),
+        return cls(_Paths.of(touches, device), torch.as_tensor(np.concatenate(index), device=device),
                    torch.as_tensor(np.concatenate(force), dtype=torch.float32, device=device))
 
     def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Points (b, S, 3) [m], factors (b, S, 3) [m^4] and forces (b, 3) [N] of observations ``which``: f = sum_S
-        K(point) factor."""
+        """Points (b, S, 3) [m], factors (b, S, 3) [m^4] and forces (b, 3) [N] of observations ``which`` (b,); f is the
+        sum over S of K(point) factor."""
         touch, frame, vertex = self.index[which].T
-        points, factor = self.ways.pieces(touch, frame, vertex, samples)
+        points, factor = self.paths.pieces(touch, frame, vertex, samples)
         return points, factor, self.force[which]
 
     def cost(self) -> int:
@@ -111,49 +118,51 @@ class VertexForces:
 
 @dataclass(frozen=True)
 class TotalForces:
-    """All (touch, frame) of some touches. index: of every observation (M, 2). force: (M, 1) [N]. axis: of each touch
-    (K, 3)."""
+    """Total forces of some touches."""
 
-    ways: _Ways
+    paths: _Paths
+    """Of all touches."""
     index: torch.Tensor
+    """Touch and frame of every observation (M, 2)."""
     force: torch.Tensor
+    """(M, 1) [N]."""
     axis: torch.Tensor
+    """Axis of each touch (K, 3)."""
 
     @classmethod
     def of(cls, touches: Sequence[TotalTouch], *, device: str = "cpu") -> TotalForces:
-        """From touches; frame 0 and frames without a reading are left out.
+        """From touches, without frame 0 and frames without a reading.
 
         Raises:
-            VsfError: no touch, or no reading behind frame 0.
+            VsfError: no touch, or no reading after frame 0.
         """
         pairs = [(k, t) for k, touch in enumerate(touches) for t in 1 + np.flatnonzero(np.isfinite(touch.force[1:]))]
         if not pairs:
-            raise VsfError(f"vsf.neural: {len(touches)} touches without a reading that has a way behind it; give "
+            raise VsfError(f"vsf.neural: {len(touches)} touches without a reading after their first frame; give "
                            f"touches of at least two frames.")
-        tensors = (torch.as_tensor(np.array(x), dtype=kind, device=device) for x, kind in (
-            (pairs, torch.int64), ([[touches[k].force[t]] for k, t in pairs],
-                                   torch.float32), ([t.axis for t in touches], torch.float32)))
-        return cls(_Ways.of(touches, device), *tensors)
+        columns = ((pairs, torch.int64), ([[touches[k].force[t]] for k, t in pairs], torch.float32),
+                   ([t.axis for t in touches], torch.float32))
+        tensors = (torch.as_tensor(np.array(x), dtype=kind, device=device) for x, kind in columns)
+        return cls(_Paths.of(touches, device), *tensors)
 
     def rows(self, which: torch.Tensor, samples: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Points (b, N S, 3) [m], factors (b, N S, 1) [m^4] and forces (b, 1) [N]."""
+        """Points (b, N S, 3) [m], factors (b, N S, 1) [m^4] and forces (b, 1) [N] of observations ``which`` (b,)."""
         touch, frame = self.index[which].T
-        count = self.ways.place.shape[2]
+        count = self.paths.place.shape[2]
         vertex = torch.arange(count, device=touch.device).repeat(len(touch))
-        points, factor = self.ways.pieces(touch.repeat_interleave(count), frame.repeat_interleave(count), vertex,
+        points, factor = self.paths.pieces(touch.repeat_interleave(count), frame.repeat_interleave(count), vertex,
                                           samples)
         along = -(factor * self.axis[touch].repeat_interleave(count, dim=0)[:, None]).sum(dim=2, keepdim=True)
         return points.reshape(len(touch), -1, 3), along.reshape(len(touch), -1, 1), self.force[which]
 
     def cost(self) -> int:
         """Samples of one observation, in units of ``samples``."""
-        return int(self.ways.place.shape[2])
+        return int(self.paths.place.shape[2])
 
 
 def _along(values: torch.Tensor, touch: torch.Tensor, time: torch.Tensor, vertex: torch.Tensor) -> torch.Tensor:
     """Values (K, T, N, 3) of vertices (b,) of touches (b,) at fractional frames (b, S): (b, S, 3)."""
     low = time.floor().long().clamp(0, values.shape[1] - 2)
     part = (time - low)[..., None]
-    return (1.0 - part) * values[touch[:, None], low, vertex[:,
-                                                             None]] + part * values[touch[:, None], low + 1,
-                                                                                    vertex[:, None]]
+    touch, vertex = touch[:, None], vertex[:, None]
+    return (1.0 - part) * values[touch, low, vertex] + part * values[touch, low + 1, vertex]
