@@ -5,25 +5,17 @@ page; the README's table stands between two marks, since GitHub includes nothing
 test compares them with what ships; the others measure, for minutes, on the machine that they name.
 """
 
-import json
-import platform
+import importlib
 import re
-import subprocess
 import sys
 from collections.abc import Callable
-from datetime import date
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
 TASKS = ("fewshot-shoes-mini-v1", "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1",
          "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2", "inclusion-mini-v2", "localization-mini-v2")
-
-
-def output(*words: str) -> str:
-    """What `vsfsim WORDS` prints, run in the folder of this repository."""
-    return subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()", *words], check=True,
-                          capture_output=True, text=True, cwd=ROOT).stdout
 
 
 def piped(head: list[str], rows: list[list[str]]) -> str:
@@ -33,7 +25,10 @@ def piped(head: list[str], rows: list[list[str]]) -> str:
 
 def leaderboard(task: str) -> str:
     """The table of `vsfsim leaderboard`, without the columns that say how a row was made."""
-    lines = output("leaderboard", "--task", task, "--markdown", "leaderboard/" + task).splitlines()
+    from vsfsim.bench.leaderboard import collect, markdown
+    from vsfsim.bench.task import load_task
+
+    lines = markdown(collect(load_task(task))).splitlines()
     title = next(line for line in lines if "mean ± std" in line)
     title += "".join(f". {line[0].upper()}{line[1:]}." for line in lines if line.startswith("rank corr.: "))
     table = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
@@ -44,25 +39,22 @@ def leaderboard(task: str) -> str:
             + piped([table[0][k] for k in kept], [[row[k] for k in kept] for row in table[2:]]))
 
 
-def machine() -> str:
-    """Where and when figures were measured."""
-    cpu = re.search(r"model name\s*: (.*)", Path("/proc/cpuinfo").read_text())
-    return f"{cpu[1] if cpu else platform.machine()}, {date.today().isoformat()}"
-
-
-def solver() -> str:
-    """Error and time of the two reference presses at every tier and precision."""
-    rows = json.loads(output("measure", "solver", "--json", "-"))["one_touch"]
-    head = ["case", "tier", "precision", "tetrahedra", "unknowns", "force [N]", "error", "CPU s a step", "Newton", "CG",
-            "residual", "balance"]
-    body = [[r["case"], f"`{r['tier']}`", r["precision"], f"{r['tets']:,}", f"{r['unknowns']:,}", f"{r['force']:.3f}",
-             f"{100 * r['error']:+.1f} %", f"{r['step_seconds']:.3f}", f"{r['newton']:.1f}", f"{r['cg']:.1f}",
-             f"{r['residual']:.0e}", f"{r['balance']:.0e}"] for r in rows]
-    return f"<!-- vsfsim measure solver -->\nOne core of {machine()}.\n\n" + piped(head, body)
+def measurement(name: str, tables: int) -> str:
+    """The first ``tables`` tables of `vsfsim measure NAME`, with the machine and the day."""
+    sys.path.insert(0, str(ROOT))
+    found = importlib.import_module(f"benchmarks.{name.replace('-', '_')}").measure(progress=print)
+    parts = [f"<!-- vsfsim measure {name}: version {found.version}, commit {found.commit} -->\n"
+             f"{found.machine}, {found.date}.\n"]
+    for table in found.tables[:tables]:
+        rows = [[column.cell(row) for column in table.columns] for row in table.rows]
+        parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
+                     + piped([column.title() for column in table.columns], rows))
+    return "\n".join(parts)
 
 
 MEASURED: dict[str, Callable[[], str]] = {
-    **{f"leaderboard-{task}": (lambda task=task: leaderboard(task)) for task in TASKS}, "solver": solver}
+    **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
+    "solver": partial(measurement, "solver", 2)}
 """Table by name of its file."""
 
 

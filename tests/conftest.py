@@ -24,14 +24,12 @@ def pytest_addoption(parser):
 def pytest_cmdline_main(config):
     """The whole suite on a CPU runs in a process a core, a file of tests in one of them (pytest-xdist); parts of it,
     and ``-n 0``, in this one."""
-    options = config.option
-    # LEAD: a worker must never make workers: 254 processes were running at 22:06, all killed. Check `ps aux | grep -c
-    # xdist` while you try this.
     if "PYTEST_XDIST_WORKER" in os.environ or hasattr(config, "workerinput"):
-        return
+        return  # a worker, and what it starts, makes no workers
+    options = config.option
     whole = config.args_source == config.ArgsSource.TESTPATHS and not options.collectonly and not options.usepdb
-    if ("PYTEST_XDIST_WORKER" not in os.environ and whole and options.device == "cpu"
-        and config.pluginmanager.hasplugin("xdist") and options.numprocesses is None and options.dist == "no"):
+    if (whole and options.device == "cpu" and config.pluginmanager.hasplugin("xdist")
+            and options.numprocesses is None and options.dist == "no"):
         count = min(len(os.sched_getaffinity(0)), WORKERS)
         if count > 1:
             options.numprocesses, options.dist = count, "loadfile"

@@ -74,12 +74,6 @@ FORBIDDEN_NAMES = ("utils", "util", "common", "manager", "base", "helpers", "mis
 LONGEST = 440  # lines
 MOST_MODULES = 20  # at one level of a folder
 
-KNOWN_CIRCLES: list[tuple[str, ...]] = [
-    ("vsfsim.generate.effectors.arm", "vsfsim.generate.plants.batches", "vsfsim.generate.run"),
-    ("vsfsim.robot.arm", "vsfsim.robot.menagerie"),
-]
-"""Circles that wait to be broken; the list only shrinks."""
-
 
 def files():
     """Every shipped Python file, relative to the root."""
@@ -196,8 +190,7 @@ def test_imports_follow_the_table():
 
 
 def test_no_modules_import_one_another():
-    found = circles({module_name(path): (ROOT / path).read_text() for path in files()})
-    assert [group for group in found if not any(set(group) <= set(known) for known in KNOWN_CIRCLES)] == []
+    assert circles({module_name(path): (ROOT / path).read_text() for path in files()}) == []
 
 
 def test_no_folder_is_crowded():
