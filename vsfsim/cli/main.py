@@ -32,7 +32,7 @@ Make data, score two methods, see the table:
   vsfsim evaluate --method gaussian --task fewshot-shoes-mini-v1
   vsfsim evaluate --method point-vsf --task fewshot-shoes-mini-v1
   vsfsim leaderboard --task fewshot-shoes-mini-v1
-""", epilog="Exit codes: 0 fine, 1 a bug of ours, 2 a mistake in what was given, 3 a press that did not converge.")
+""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge.")
 
 for group in (simulate, data, bench):
     app.add_typer(group.app)  # without a name: its commands are the app's own
@@ -75,7 +75,7 @@ def main() -> None:
 
 
 _DISK = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES)
-"""A disk that is full or read-only, met by a library that writes pictures or temporary files."""
+"""Errors of a full or read-only disk, raised by libraries that write pictures or temporary files."""
 
 
 def _report_bug() -> NoReturn:

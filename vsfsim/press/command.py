@@ -1,4 +1,4 @@
-"""What `vsfsim press` does: one press or several meshes of it, then the pictures and files that were asked for."""
+"""What `vsfsim press` does: one press or several meshes of it, then its pictures and files."""
 
 from __future__ import annotations
 

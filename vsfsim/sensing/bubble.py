@@ -194,8 +194,8 @@ def readout_of(model: BubbleModel) -> BubbleReadout:
         held[rim] = True
         return FlatMesh(points, np.asarray(faces, np.int64), held)
 
-    seen = model.read_out
-    return BubbleReadout(flat(model.flat, model.mesh.faces, model.mesh.rim), flat(seen.flat, seen.faces, seen.rim))
+    mesh, published = model.mesh, model.read_out
+    return BubbleReadout(flat(model.flat, mesh.faces, mesh.rim), flat(published.flat, published.faces, published.rim))
 
 
 def gauge_pressure(model: BubbleModel, points: np.ndarray) -> np.ndarray:

@@ -75,11 +75,11 @@ def render(surface: Surface, intrinsics: np.ndarray, camera_pose: np.ndarray, wi
     """Take one RGB-D picture.
 
     Args:
-        surface: what is seen; nothing else is in the picture.
+        surface: the object; nothing else is in the picture.
         intrinsics: pinhole matrix (3, 3) [px].
         camera_pose: camera-to-world transform, OpenCV axes (4, 4) [m].
         width, height: of the picture [px].
-        device: Warp device of the ray caster; pyrender takes the machine's GL whatever it says.
+        device: Warp device of the ray caster; pyrender always takes the machine's GL.
         renderer: "warp" casts one ray a pixel, depth exact on the triangles; "pyrender" rasterises with OpenGL
             (colours without the procedural textures).
         shading: 1 for full light and shade, 0 for the bare albedo (pyrender knows only these two, cut at 0.5).

@@ -33,8 +33,8 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    air = any(touch.pressure is not None for seen in views for touch in seen.touches)
-    inside = any(touch.inside_rgb is not None for seen in views for touch in seen.touches)
+    air = any(touch.pressure is not None for object_view in views for touch in object_view.touches)
+    inside = any(touch.inside_rgb is not None for object_view in views for touch in object_view.touches)
     columns = 4 + 2 * air + inside
     figure = Figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained",
                     facecolor="white")
@@ -42,20 +42,20 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
     if title:
         figure.suptitle(title, fontsize=11)
     panels = figure.subplots(len(views), columns, squeeze=False)
-    for row, seen in zip(panels, views):
-        colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, max(len(seen.touches), 1)))
-        window = _window(seen.view)
-        _picture(row[0], seen.view, window)
-        row[0].set_title(f"{seen.name}  ({seen.split})", fontsize=9, loc="left")
-        _depth(figure, row[1], seen.view, window)
-        _targets(row[2], seen, colours, window)
-        _curves(row[3], seen, colours, "normal force [N]", Touch.normal_force)
+    for row, object_view in zip(panels, views):
+        colours = matplotlib.colormaps["turbo"](np.linspace(0.05, 0.95, max(len(object_view.touches), 1)))
+        window = _window(object_view.view)
+        _picture(row[0], object_view.view, window)
+        row[0].set_title(f"{object_view.name}  ({object_view.split})", fontsize=9, loc="left")
+        _depth(figure, row[1], object_view.view, window)
+        _targets(row[2], object_view, colours, window)
+        _curves(row[3], object_view, colours, "normal force [N]", Touch.normal_force)
         if air:
-            _curves(row[4], seen, colours, "pressure change [Pa]", _pressure_change)
-            number, frame = _hardest(seen)
-            _skin(figure, row[5], seen, number, frame)
+            _curves(row[4], object_view, colours, "pressure change [Pa]", _pressure_change)
+            number, frame = _hardest(object_view)
+            _skin(figure, row[5], object_view, number, frame)
             if inside:
-                _inside(row[6], seen, number, frame)
+                _inside(row[6], object_view, number, frame)
     figure.savefig(out_png)
 
 
@@ -96,25 +96,25 @@ def _depth(figure, axes, view: View, window: tuple[int, int, int, int]) -> None:
     bar.ax.tick_params(labelsize=7)
 
 
-def _targets(axes, seen: ObjectView, colours: np.ndarray, window: tuple[int, int, int, int]) -> None:
-    faded = 0.65 * seen.view.rgb.mean(axis=2, keepdims=True) + 0.35 * 255.0
+def _targets(axes, object_view: ObjectView, colours: np.ndarray, window: tuple[int, int, int, int]) -> None:
+    faded = 0.65 * object_view.view.rgb.mean(axis=2, keepdims=True) + 0.35 * 255.0
     axes.imshow(np.repeat(faded.astype(np.uint8), 3, axis=2))
-    to_camera = np.linalg.inv(seen.view.camera_pose)
-    touched = sum(bool(touch.touched) for touch in seen.touches)
-    for touch, colour in zip(seen.touches, colours):
+    to_camera = np.linalg.inv(object_view.view.camera_pose)
+    touched = sum(bool(touch.touched) for touch in object_view.touches)
+    for touch, colour in zip(object_view.touches, colours):
         ends = np.stack([touch.target, touch.target - 0.02 * touch.axis])
         camera = ends @ to_camera[:3, :3].T + to_camera[:3, 3]
-        pixel = camera @ seen.view.intrinsics.T
+        pixel = camera @ object_view.view.intrinsics.T
         pixel = pixel[:, :2] / pixel[:, 2:]
         axes.plot(*pixel.T, color=colour, lw=1.2)
         axes.plot(*pixel[0], "o" if touch.touched else "x", color=colour, ms=5,
                   mec="black" if touch.touched else colour, mew=0.6 if touch.touched else 1.5)
     _framed(axes, window)
-    axes.set_title(f"{len(seen.touches)} touches, {touched} in contact", fontsize=9, loc="left")
+    axes.set_title(f"{len(object_view.touches)} touches, {touched} in contact", fontsize=9, loc="left")
 
 
-def _curves(axes, seen: ObjectView, colours: np.ndarray, title: str, of: Callable[[Touch], np.ndarray]) -> None:
-    for touch, colour in zip(seen.touches, colours):
+def _curves(axes, object_view: ObjectView, colours: np.ndarray, title: str, of: Callable[[Touch], np.ndarray]) -> None:
+    for touch, colour in zip(object_view.touches, colours):
         if not touch.touched:
             continue
         # Travel along the press from the first frame; loading and unloading lie over each other if nothing slips.
@@ -135,17 +135,17 @@ def _pressure_change(touch: Touch) -> np.ndarray:
     return touch.pressure - touch.rest_pressure
 
 
-def _hardest(seen: ObjectView) -> tuple[int, int]:
+def _hardest(object_view: ObjectView) -> tuple[int, int]:
     """Number of the touch and of its converged frame with the largest force."""
     size = [np.where(touch.converged, np.linalg.norm(np.nan_to_num(touch.force), axis=1), -1.0)
-            for touch in seen.touches]
+            for touch in object_view.touches]
     number = int(np.argmax([values.max(initial=-1.0) for values in size])) if size else 0
     return number, int(np.argmax(size[number])) if size else 0
 
 
-def _skin(figure, axes, seen: ObjectView, number: int, frame: int) -> None:
+def _skin(figure, axes, object_view: ObjectView, number: int, frame: int) -> None:
     """The read-out mesh in the mount's frame: its dent as shades, contact forces on its nodes as dots."""
-    touch = seen.touches[number] if seen.touches else None
+    touch = object_view.touches[number] if object_view.touches else None
     axes.set(xticks=[], yticks=[], aspect="equal")
     if (touch is None or touch.node_position is None or touch.node_force is None or touch.node_rest is None
         or not touch.converged[frame]):
@@ -165,9 +165,9 @@ def _skin(figure, axes, seen: ObjectView, number: int, frame: int) -> None:
     axes.set_xlabel(f"touch {number}, frame {frame}, mount frame", fontsize=8)
 
 
-def _inside(axes, seen: ObjectView, number: int, frame: int) -> None:
+def _inside(axes, object_view: ObjectView, number: int, frame: int) -> None:
     axes.set(xticks=[], yticks=[])
-    touch = seen.touches[number] if seen.touches else None
+    touch = object_view.touches[number] if object_view.touches else None
     if touch is not None and touch.inside_rgb is not None:
         axes.imshow(touch.inside_rgb[frame])
         axes.set_title("from inside", fontsize=9, loc="left")

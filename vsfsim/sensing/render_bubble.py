@@ -35,12 +35,12 @@ def cast_inside(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, 
         sources = wp.array((lamps - pose[:3, 3]).astype(np.float32), dtype=wp.vec3)
         depth, light = wp.empty((height, width), dtype=wp.float32), wp.empty((height, width), dtype=wp.float32)
         for t in range(frames):
-            seen = points[t] - pose[:3, 3]
-            corners.assign(seen.astype(np.float32))
+            shifted = points[t] - pose[:3, 3]
+            corners.assign(shifted.astype(np.float32))
             mesh.refit()
             wp.launch(inside_kernel, dim=(height, width), inputs=[
                 mesh.id, faces, flat, sources, wp.mat33d(to_ray), wp.vec3(*axis.tolist()), power, *dots, *albedo,
-                wp.array(seen, dtype=wp.vec3d), wp.array(normals[t].astype(np.float32), dtype=wp.vec3),
+                wp.array(shifted, dtype=wp.vec3d), wp.array(normals[t].astype(np.float32), dtype=wp.vec3),
             ], outputs=[depth, light])
             depth_out[t], light_out[t] = depth.numpy(), light.numpy()
     return depth_out, light_out

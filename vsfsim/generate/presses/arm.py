@@ -133,7 +133,7 @@ def _notes(subject: Subject, aim: ArmAim, touch: Touch, frames: RodFrames) -> li
                    f"its way: further in the contact force would pass force_limit = {limit.force_limit:g} N, or no "
                    f"equilibrium is found")
     elif not touch.touched:
-        out.append("the arm met nothing on its way; take another --seed")
+        out.append("the arm touched nothing on its way; take another --seed")
     return out
 
 
