@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from vsfsim.cli import console
+from vsfsim.cli.console import Progress
 
 HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
 
@@ -39,12 +39,11 @@ def test_the_old_spelling_of_measure_works_and_names_the_new_one(vsfsim, tmp_pat
 
 
 def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
-    monkeypatch.setattr(console, "LOG_INTERVAL", 0.0)
     for terminal in (False, True):
         stream = io.StringIO()
         stream.isatty = lambda terminal=terminal: terminal
         monkeypatch.setattr(sys, "stderr", stream)
-        with console.Progress("press") as progress:
+        with Progress("press", interval=0.0) as progress:
             progress(0, 4, "kernel [modules]")
             progress(1, 2, "frames")
             progress(2, 2, "frames")

@@ -9,17 +9,18 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-LOG_INTERVAL = 20.0  # between two lines of progress in a log [s]
-
-
 class Progress:
-    """Progress of a command on stderr: rich's bar in a terminal, and a line every `LOG_INTERVAL` in a log.
+    """Progress of a command on stderr: rich's bar in a terminal, now and then a line in a log.
 
     Use it as a context manager and call it with (done, in all, what).
+
+    Args:
+        label: name of the command.
+        interval: time between two lines in a log [s].
     """
 
-    def __init__(self, label: str):
-        self.label = label
+    def __init__(self, label: str, *, interval: float = 20.0):
+        self.label, self.interval = label, interval
         self._bar: Any = None  # rich.progress.Progress; importing rich costs as much as `vsfsim --help`
         self._total = -1
         self._start = self._logged = time.perf_counter()
@@ -58,7 +59,7 @@ class Progress:
         now = time.perf_counter()
         if total != self._total:
             self._start, self._total = now, total
-        if now - self._logged > LOG_INTERVAL:
+        if now - self._logged > self.interval:
             self._logged = now
             left = f", {(now - self._start) / done * (total - done):.0f} s left" if done else ""
             print(f"{self.label}: {done}/{total} {what}{left}", file=sys.stderr, flush=True)
