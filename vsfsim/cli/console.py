@@ -9,6 +9,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+
 class Progress:
     """Progress of a command on stderr: rich's bar in a terminal, now and then a line in a log.
 
@@ -22,7 +23,7 @@ class Progress:
     def __init__(self, label: str, *, interval: float = 20.0):
         self.label, self.interval = label, interval
         self._bar: Any = None  # rich.progress.Progress; importing rich costs as much as `vsfsim --help`
-        self._total = -1
+        self._total = self._first = -1
         self._start = self._logged = time.perf_counter()
 
     def __enter__(self) -> Progress:
@@ -57,11 +58,12 @@ class Progress:
 
     def _log(self, done: int, total: int, what: str) -> None:
         now = time.perf_counter()
-        if total != self._total:
-            self._start, self._total = now, total
+        if total != self._total:  # Another stage begins.
+            self._start, self._first, self._total = now, done, total
         if now - self._logged > self.interval:
             self._logged = now
-            left = f", {(now - self._start) / done * (total - done):.0f} s left" if done else ""
+            new = done - self._first
+            left = f", {(now - self._start) / new * (total - done):.0f} s left" if new else ""
             print(f"{self.label}: {done}/{total} {what}{left}", file=sys.stderr, flush=True)
 
 
