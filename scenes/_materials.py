@@ -1,4 +1,4 @@
-"""What shoes are made of: how stiff each class of material is, and how it usually looks.
+"""The materials of shoes: the stiffness and the usual appearance of each class.
 
 The moduli are effective ones of the parts of a shoe under a fingertip-sized press (a sheet of leather in tension is far
 stiffer), chosen so that the parts span 1e4 to 1e7 Pa as SBML reports for its shoes.
@@ -20,19 +20,18 @@ _BRIGHTNESS_SPREAD = 0.35
 
 @dataclass(frozen=True)
 class MaterialClass:
-    """One class of material.
-
-    young_modulus: (low, high) [Pa], log-uniform in between.
-    colours: typical colours, linear RGB in 0..1; one is picked and varied.
-    texture: kind, one of `vsfsim.core.solid.TEXTURES`.
-    texture_scale: (low, high) wavelength [m]. texture_contrast: (low, high) relative amplitude 0..1.
-    """
+    """One class of material."""
 
     young_modulus: tuple[float, float]
+    """Least and largest Young's modulus, log-uniform between [Pa]."""
     colours: tuple[tuple[float, float, float], ...]
+    """Typical colours, linear RGB, 0 to 1; one is drawn and varied."""
     texture: str
+    """One of `vsfsim.core.solid.TEXTURES`."""
     texture_scale: tuple[float, float]
+    """Least and largest wavelength of the texture [m]."""
     texture_contrast: tuple[float, float]
+    """Least and largest relative amplitude of the texture, 0 to 1."""
 
 
 CLASSES: dict[str, MaterialClass] = {
@@ -60,8 +59,8 @@ CLASSES: dict[str, MaterialClass] = {
 }
 
 
-# A shoe is sold in many colours, and all of one shoe has about one: in these classes the colour says nothing of the
-# material, and the texture does. The softer, the coarser its relief, as from a loose knit to moulded plastic.
+# A shoe is sold in many colours, and its parts share one. In these classes the colour does not depend on the material,
+# and the texture does: a softer material has a coarser relief, from a loose knit to moulded plastic.
 COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20),
               (0.74, 0.60, 0.14),
               (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
@@ -74,9 +73,8 @@ TEXTURED: dict[str, MaterialClass] = {
     "plastic": MaterialClass((4e6, 1e7), COLOURWAYS, "plain", (0.010, 0.020), (0.00, 0.02)),
     SOLE_MATERIAL: MaterialClass((2e6, 1e7), COLOURWAYS, "stripes", (0.016, 0.024), (0.20, 0.30)),
 }
-# The same looks, but five grades of stiffness, each twice the one before and no more than a fifth wide to either side:
-# forces of a fingertip's press then span some 20 to 1, as those of the papers' shoes do, where `TEXTURED` makes it 250
-# to 1.
+# The same appearances with five grades of stiffness, each twice the one before and at most a fifth wide to either side.
+# The forces of a fingertip's press then span 20 to 1, as for the papers' shoes; with `TEXTURED` they span 250 to 1.
 GRADED: dict[str, MaterialClass] = {
     **{name: replace(TEXTURED[name], young_modulus=(0.84 * middle, 1.19 * middle))
        for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5),
@@ -93,8 +91,8 @@ def draw_modulus(name: str, rng: np.random.Generator, *, table: Mapping[str, Mat
 
 def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float, rng: np.random.Generator, *,
                     table: Mapping[str, MaterialClass] = CLASSES) -> Appearance:
-    """The look of each region: mostly that of its material, and the stiffer the darker, but neither surely. Of another
-    table than `CLASSES`, see `_one_colour`.
+    """The appearance of each region: mostly that of its material, and darker for a stiffer one, but neither always. For
+    another table than `CLASSES` see `_one_colour`.
 
     Args:
         names: material class of each region, R of them.
@@ -125,7 +123,7 @@ def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative
 
 def _one_colour(names: Sequence[str], informative: float, rng: np.random.Generator,
                 table: Mapping[str, MaterialClass]) -> Appearance:
-    """One colour for all regions, give or take a tenth, and the texture of each one's material, but not surely."""
+    """One colour for all regions, within about a tenth, and mostly the texture of each region's material."""
     every, colour = tuple(table), np.array(COLOURWAYS[int(rng.integers(len(COLOURWAYS)))])
     albedo, texture, scale, contrast = [], [], [], []
     for name in names:

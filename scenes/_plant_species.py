@@ -20,68 +20,87 @@ TRUNK, BRANCH, PETIOLE, LEAF = range(4)
 
 @dataclass(frozen=True)
 class Level:
-    """Axes that grow on those of the level before. count: on each. start, end: where on it, fractions of its length.
-    angle: from its direction [rad].
-    length, radius: fractions of the parent's. taper: radius at the tip over that at the base. droop: downward bend a
-    metre [1/m], negative: upwards."""
+    """Axes that grow on the axes of the level before."""
 
     count: int
+    """Number on each axis."""
     start: float
+    """First place along the axis, as a fraction of its length."""
     end: float
+    """Last place along the axis, as a fraction of its length."""
     angle: float
+    """Angle from the axis [rad]."""
     length: float
+    """Length over that of the axis [-]."""
     radius: float
+    """Radius over that of the axis [-]."""
     taper: float = 0.5
+    """Radius at the tip over that at the base [-]."""
     droop: float = 0.0
+    """Downward curvature [1/m], negative for upwards."""
 
 
 @dataclass(frozen=True)
 class Leaves:
-    """Leaves of an axis of the last level. count: on each. start: from where on, a fraction. angle: from the axis
-    [rad].
-    petiole: (length, radius) [m], length 0 for none. blade: (length, width, thickness) [m]. droop: of the blade
-    [1/m]."""
+    """Leaves of an axis of the last level."""
 
     count: int
+    """Number on each axis."""
     start: float
+    """First place along the axis, as a fraction of its length."""
     angle: float
+    """Angle from the axis [rad]."""
     petiole: tuple[float, float]
+    """Length and radius of the petiole [m]; length 0 for none."""
     blade: tuple[float, float, float]
+    """Length, width and thickness of the blade [m]."""
     droop: float = 2.0
+    """Downward curvature of the blade [1/m]."""
 
 
 @dataclass(frozen=True)
 class Species:
-    """A kind of plant. height: of the stems [m]. stems: from the soil. spread: of their feet [m]. lean: of the stems
-    [rad]. radius: at the foot [m]. taper: radius at the tip over that at the foot.
-    droop: downward bend a metre [1/m]. levels, leaves: what grows. wood: Young's modulus of stems, lowest and highest
-    [Pa], log-uniform between. shoot: of branches [Pa]. petiole: of petioles [Pa].
-    leaf: of blades [Pa]. bark: usual colour, linear RGB, 0..1. foliage: usual colour, linear RGB, 0..1. texture: of the
-    bark. pot: (radius, height) [m]."""
+    """A kind of plant."""
 
     height: float
+    """Height of the stems [m]."""
     stems: int
+    """Number of stems."""
     spread: float
+    """Distance of the stems' feet [m]."""
     lean: float
+    """Angle of the stems from upright [rad]."""
     radius: float
+    """Radius of a stem at its foot [m]."""
     taper: float
+    """Radius of a stem at its tip over that at its foot [-]."""
     droop: float
+    """Downward curvature of the stems [1/m]."""
     levels: tuple[Level, ...]
+    """Levels of branches."""
     leaves: Leaves
+    """The leaves."""
     wood: tuple[float, float]
+    """Least and largest Young's modulus of stems, log-uniform between [Pa]; so for the next three."""
     shoot: tuple[float, float]
+    """That of branches [Pa]."""
     petiole: tuple[float, float]
+    """That of petioles [Pa]."""
     leaf: tuple[float, float]
+    """That of blades [Pa]."""
     bark: tuple[float, float, float]
+    """Usual colour of stems and branches, linear RGB, 0 to 1."""
     foliage: tuple[float, float, float]
+    """Usual colour of leaves, linear RGB, 0 to 1."""
     texture: str
+    """Texture of the bark, one of `vsfsim.core.solid.TEXTURES`."""
     pot: tuple[float, float]
+    """Radius and height of the pot [m]."""
 
 
 _BROWN, _GREY, _TAN, _CANE = (0.19, 0.10, 0.05), (0.25, 0.23, 0.20), (0.38, 0.27, 0.15), (0.34, 0.36, 0.12)
-_DARK, _MID, _LIGHT, _OLIVE, _BLUE = (0.04, 0.16, 0.03), (0.08, 0.28, 0.05), (0.20, 0.42,
-                                                                              0.08), (0.22, 0.27, 0.14), (0.08, 0.22,
-                                                                                                          0.14)
+_DARK, _MID, _LIGHT = (0.04, 0.16, 0.03), (0.08, 0.28, 0.05), (0.20, 0.42, 0.08)
+_OLIVE, _BLUE = (0.22, 0.27, 0.14), (0.08, 0.22, 0.14)
 
 SPECIES: dict[str, Species] = {
     "orange-tree": Species(0.55, 1, 0.0, 0.05, 0.009, 0.5, 0.0,

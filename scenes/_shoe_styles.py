@@ -15,31 +15,36 @@ REGIONS = ("sole", "toe_cap", "upper", "tongue", "heel_counter")
 
 @dataclass(frozen=True)
 class ShoeForm:
-    """The form of a shoe. Lengths in metres; heights above the ground under the foot.
-
-    length: heel to toe of the upper. width: at the ball of the foot. heel_width: at the heel.
-    collar_height: top line at the ankle. throat_height: top line where the tongue begins.
-    toe_height: of the toe box. sole_heel, sole_fore: thickness of the sole under heel and ball.
-    wall: thickness of upper, toe cap, tongue and heel counter.
-    opening: where the collar opening ends, as a fraction of the length from the heel.
-    toe_spring: how far the toe stands off the ground. arch: how far the waist does.
-    flare: how far the sole stands out beyond the upper. bend: sideways curve of the centre line.
-    """
+    """The form of a shoe."""
 
     length: float
+    """Length of the upper from heel to toe [m]."""
     width: float
+    """Width at the ball of the foot [m]."""
     heel_width: float
+    """Width at the heel [m]."""
     collar_height: float
+    """Height of the top line at the ankle above the ground under the foot [m]; so for the other heights."""
     throat_height: float
+    """Height of the top line where the tongue begins [m]."""
     toe_height: float
+    """Height of the toe box [m]."""
     sole_heel: float
+    """Thickness of the sole under the heel [m]."""
     sole_fore: float
+    """Thickness of the sole under the ball [m]."""
     wall: float
+    """Thickness of upper, toe cap, tongue and heel counter [m]."""
     opening: float
+    """End of the collar's opening, as a fraction of the length from the heel."""
     toe_spring: float
+    """Height of the toe's underside above the ground [m]."""
     arch: float
+    """Height of the waist's underside above the ground [m]."""
     flare: float
+    """Projection of the sole beyond the upper [m]."""
     bend: float
+    """Sideways deviation of the centre line [m]."""
 
 
 RANGES: dict[str, tuple[float, float]] = {
@@ -81,21 +86,20 @@ STYLES: dict[str, Style] = {
 
 @dataclass(frozen=True)
 class ShoeOptions:
-    """What is not form. style: key of `STYLES`. side: "left" or "right".
-
-    variation: form values the scene does not give are drawn within this fraction of the style's.
-    appearance_informative: probability that a region looks like what it is made of.
-    materials: "style", the style's own, whose colours and textures tell them; or "any", the parts but the sole of
-    mostly one class of
-    `_materials.TEXTURED`, whichever, in any colour, so that the texture alone tells it; or "graded", the same with the
-    moduli of `_materials.GRADED`.
-    """
+    """The parameters of a shoe besides its form."""
 
     style: str
+    """Key of `STYLES`."""
     side: str
+    """"left" or "right"."""
     variation: float
+    """Form values that the scene does not give are drawn within this fraction of the style's."""
     appearance_informative: float
+    """Probability that a region looks like its own material."""
     materials: str
+    """With "style" the style's own materials, which colour and texture indicate. With "any" all parts but the sole are
+    mostly of one class of `_materials.TEXTURED`, in any colour, so that only the texture indicates it. With "graded"
+    the same with the moduli of `_materials.GRADED`."""
 
 
 def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,

@@ -56,8 +56,8 @@ def test_a_finer_mesh_is_sound_keeps_its_nodes_and_its_symmetry(even, place, mir
                                              (wish,))
     assert np.array_equal(flat[:390], even.flat) and 400 < len(flat) < 2000
     # Euler's formula of a disc: no node hangs and no hole is left
-    assert len(faces) == 2 * len(flat) - 2 - len(rim) and np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0]
-                                                                 - 1.0).max() < 1e-12
+    assert len(faces) == 2 * len(flat) - 2 - len(rim)
+    assert np.abs((flat[rim] / [a, b]) ** 2 @ [1.0, 1.0] - 1.0).max() < 1e-12
     p, q, r = (flat[faces[:, k]] for k in range(3))
     area = 0.5 * ((q - p)[:, 0] * (r - p)[:, 1] - (q - p)[:, 1] * (r - p)[:, 0])
     quality = 4.0 * np.sqrt(3.0) * area / sum(((u - v) ** 2).sum(axis=1) for u, v in ((p, q), (q, r), (r, p)))
@@ -78,9 +78,8 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
         return membrane_refine.wishes(even.mesh.points, even.element_size, RigidBodies(shape),
                                       at(np.array(place), 0.005), edge)
 
-    assert asked(Sphere(0.03)) == () and asked(Sphere(0.003),
-                                               (0.0, 0.0, 0.06)) == () and asked(Plane()) == () and asked(Box((0.01,
-                                                                                                               0.01, 0.01))) == ()
+    assert asked(Sphere(0.03)) == () and asked(Sphere(0.003), (0.0, 0.0, 0.06)) == ()
+    assert asked(Plane()) == () and asked(Box((0.01, 0.01, 0.01))) == ()
     assert asked(Box((0.01, 0.01, 0.01)), edge=0.002)[0][0] == 0.002 and asked(Sphere(0.003), edge=0.05) == ()
 
 
@@ -104,9 +103,8 @@ def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     sums = FaceSums(table, patches, faces, nodes, device="cpu")
     columns = torch.tensor([0, 1])
     # rounding only
-    assert (sums.nodal(columns,
-                       torch.as_tensor(force)).numpy() == pytest.approx(np.einsum("bqs,bqc->bsc", points,
-                                                                                  force).reshape(2, -1), abs=1e-12))
+    nodal = np.einsum("bqs,bqc->bsc", points, force).reshape(2, -1)
+    assert sums.nodal(columns, torch.as_tensor(force)).numpy() == pytest.approx(nodal, abs=1e-12)
     whole = np.einsum("bqs,bqij,bqt->bsitj", points, stiff, points).reshape(2, 3 * nodes, 3 * nodes)
     assert sums.matrix(columns, torch.as_tensor(stiff)).numpy() == pytest.approx(whole, abs=1e-12)
     # of the nodes that a few faces push, and of nothing else

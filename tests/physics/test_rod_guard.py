@@ -40,8 +40,7 @@ def test_a_guarded_touch_keeps_its_frames_and_its_limit(guarded):
     force = np.linalg.norm(guarded.force[:, :, 0], axis=-1)
     assert ((guarded.frames == len(PLAN)).all() and (guarded.ended == Ended.WHOLE).all() and guarded.converged.all()
             and force.max() <= LIMIT)
-    assert (guarded.where[:, 0] == PLAN).all() and force[:,
-                                                         0].max() > 0.0, "the soft stem stays under the limit: all as planned"
+    assert (guarded.where[:, 0] == PLAN).all() and force[:, 0].max() > 0.0, "the soft stem stays below the limit"
     where = guarded.where[:, 1]
     top = where.max()
     first = int(np.argmax(force[:, 1] > 0.0))
@@ -49,10 +48,9 @@ def test_a_guarded_touch_keeps_its_frames_and_its_limit(guarded):
     assert top < 30.0 and force[turn, 1] > 0.75 * LIMIT, "it creeps up to the limit"
     assert (np.diff(where[:turn + 1]) >= 0.0).all() and (where[turn:turn + 1 + HOLD] == top).all()
     back = np.diff(where[turn + HOLD:])
-    assert len(back) > OUT and back == pytest.approx(np.full(len(back),
-                                                             back[0])), "the way back is spread evenly over all frames that are left"
-    assert where[-1] == pytest.approx(where[first - 1], abs=1e-12) and force[-1,
-                                                                             1] == 0.0, "to where nothing was met yet"
+    # the way back is spread evenly over all frames that are left, and ends where nothing had touched yet
+    assert len(back) > OUT and back == pytest.approx(np.full(len(back), back[0]))
+    assert where[-1] == pytest.approx(where[first - 1], abs=1e-12) and force[-1, 1] == 0.0
     assert (force[first:-1, 1] > 0.0).all() and (force[:, 1] > 0.0).sum() > 20
 
 
@@ -89,9 +87,8 @@ def test_touches_that_come_and_go_have_the_bits_of_those_alone(guarded, device):
             plant, some = inside.pop(key)
             frames = batch.take(some)
             seen.append(plant)
-            assert np.array_equal(frames.force[:, 0], guarded.force[:,
-                                                                    plant]) and np.array_equal(frames.where[:, 0],
-                                                                                               guarded.where[:, plant])
+            assert np.array_equal(frames.force[:, 0], guarded.force[:, plant])
+            assert np.array_equal(frames.where[:, 0], guarded.where[:, plant])
     assert sorted(seen) == [0, 0, 1, 1]
     batch.add(np.zeros(2, int), np.repeat(POSES, 2, axis=1), plan=np.tile(PLAN, (2, 1)))
     with pytest.raises(RodError, match="no room"):
@@ -116,8 +113,8 @@ def test_an_arm_that_hooks_something_on_its_way_back_comes_to_a_protective_stop(
     assert (whole.frames[0] == len(force) and whole.ended[0] == Ended.WHOLE and whole.converged.all()
             and force.max() > 1.5 * LIMIT)
     n = int(frames.frames[0])
-    assert n == int(np.argmax(force > 1.25
-                              * LIMIT)) and frames.ended[0] == Ended.FORCE and frames.converged[:n].all() and not frames.converged[n:].any()
+    assert n == int(np.argmax(force > 1.25 * LIMIT)) and frames.ended[0] == Ended.FORCE
+    assert frames.converged[:n].all() and not frames.converged[n:].any()
     assert np.array_equal(frames.force[:n], whole.force[:n]) and np.isnan(frames.force[n:]).all()
     assert (force[:n] > LIMIT).sum() >= 2, "past the limit, which is one of the way in, and under the stop it goes on"
 

@@ -37,6 +37,14 @@ def test_sections_are_those_of_beam_theory():
     assert np.abs(model.frame[2] - np.stack([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]], axis=1)).max() < 1e-12
 
 
+def test_an_incompressible_stem_twists_with_a_third_of_youngs_modulus():
+    """nu = 1/2 is no singularity for a beam: its shear modulus is E / 3, and nu changes nothing in bending."""
+    usual = stem(3, radius=0.004)
+    soft = build(dataclasses.replace(usual, poisson_ratio=0.4999))
+    assert soft.kphi[1, 0] == pytest.approx(1e9 / 3 * np.pi / 2 * 0.004**4 * 3 / 0.4, rel=1e-4)
+    assert np.array_equal(soft.kphi[:, 1:], build(usual).kphi[:, 1:])
+
+
 def test_energy_is_the_work_that_the_arm_does(device):
     """Frictionless: the integral of force over the capsule's way is the elastic energy, which ties forces to the
     potential; and the way back gives the same forces."""
@@ -141,13 +149,14 @@ def test_moduli_from_1e4_to_1e11_in_one_plant(device):
     solver = RodSolver([build(body)], [Capsule(0.03, 0.2)], device=device)
     frames = solver.run(np.zeros(3, int), poses, friction=0.4, keep_nodes=True)
     assert finite(frames)
-    # one touch drives the link into segments as thick as an arm of 1e11 Pa, which do not give way: 1e8 N, and what is
-    # deeper inside than 1 mm is no reading
+    # one touch drives the link into segments of 1e11 Pa as thick as an arm, which do not move: the force is 1e8 N, and
+    # frames with samples deeper than 1 mm are marked
     wrong_side = frames.reason == Reason.WRONG_SIDE
-    assert ((frames.reason > 0) == ~frames.converged).all() and (frames.converged
-                                                                 | wrong_side).mean() > 0.8 and frames.converged.mean() > 0.7
-    assert frames.penetration[frames.converged].max() <= 0.001 and np.linalg.norm(frames.force[wrong_side],
-                                                                                  axis=-1).max() > 1e6
+    assert ((frames.reason > 0) == ~frames.converged).all()
+    # measured: 0.764 of the frames converge, and all others are marked as on the wrong side
+    assert (frames.converged | wrong_side).mean() > 0.97 and frames.converged.mean() > 0.73
+    assert frames.penetration[frames.converged].max() <= 0.001
+    assert np.linalg.norm(frames.force[wrong_side], axis=-1).max() > 1e6
     print(f"converged {frames.converged.mean():.3f}, reasons {np.unique(frames.reason)}, largest force "
           f"{np.nanmax(np.abs(frames.force)):.3g} N")
 
@@ -211,12 +220,11 @@ def test_a_leaf_that_a_link_goes_through_is_marked_until_it_is_free(device):
     inside = frames.penetration[:, 0] > 0.001
     # the capsule's round end comes past the blade after 53 mm: until then an equilibrium, found and marked; a last
     # touch of its rim is marked too, as the sides may have changed
-    assert finite(frames) and inside[:9].all() and (frames.residual[:9,
-                                                                    0] < 1e-4).all() and (frames.reason[:9,
-                                                                                                        0] == Reason.WRONG_SIDE).all()
+    assert finite(frames) and inside[:9].all()
+    assert (frames.residual[:9, 0] < 1e-4).all() and (frames.reason[:9, 0] == Reason.WRONG_SIDE).all()
     free = frames.contacts[:, 0] == 0
-    assert (frames.converged[:, 0] == free).all() and free[11:].all() and np.abs(frames.nodes[-1, 0]
-                                                                                 - body.nodes).max() < 1e-12
+    assert (frames.converged[:, 0] == free).all() and free[11:].all()
+    assert np.abs(frames.nodes[-1, 0] - body.nodes).max() < 1e-12
 
 
 def test_a_touch_ends_before_its_force_limit(device):
@@ -321,11 +329,9 @@ def test_the_gradient_and_the_second_derivative_are_those_of_the_energy(bend, de
         place += [t * direction[:3], way + t * direction[6:9]]
         turn += [_times(_rotation(t * direction[3:6]), turn_p), _times(_rotation(t * direction[9:]), turn_c)]
     turn.append(frame)
-    energies, first, blocks = wp.zeros(5, dtype=wp.float64,
-                                       device=device), wp.zeros((5, 3), dtype=wp.vec3d,
-                                                                device=device), wp.zeros((5, 3),
-                                                                                         dtype=wp.spatial_matrixd,
-                                                                                         device=device)
+    energies = wp.zeros(5, dtype=wp.float64, device=device)
+    first = wp.zeros((5, 3), dtype=wp.vec3d, device=device)
+    blocks = wp.zeros((5, 3), dtype=wp.spatial_matrixd, device=device)
     wp.launch(_derivatives, dim=5, inputs=[wp.array(np.array(place), dtype=wp.vec3d, device=device),
                                            wp.array(np.array(turn), dtype=wp.quatd, device=device), wp.vec3d(*kd),
                                            wp.vec3d(*kphi)],

@@ -73,10 +73,10 @@ def test_the_figures_are_those_of_the_table():
                              (link.com, com),
                              (link.inertia_quaternion, turn), (link.inertia, inertia)):
             assert np.array_equal(np.atleast_1d(ours), theirs), name
-        assert link.joint_range == {"fixed": None,
-                                    "continuous": gen3.CONTINUOUS}.get(limits,
-                                                                       None if not limits.startswith("±")
-                                                                       else (-float(limits[1:]), float(limits[1:])))
+        if limits.startswith("±"):
+            assert link.joint_range == (-float(limits[1:]), float(limits[1:]))
+        else:
+            assert link.joint_range == {"fixed": None, "continuous": gen3.CONTINUOUS}[limits]
 
 
 def test_forward_kinematics_agree_with_a_product_of_transforms(arm, angles):
@@ -179,9 +179,8 @@ def test_a_base_elsewhere_carries_everything_along(angles):
     assert np.abs(there.gravity_torque(angles)
                   - here.gravity_torque(angles)).max() < 1e-9, "turned about the vertical it weighs the same"
     wall = load_arm(base=transform((0, 0, 1), (1, 1, 0, 0)))
-    assert np.abs(wall.gravity_torque(angles[1:2])[0,
-                                                   0]) > 1.0 > np.abs(here.gravity_torque(angles[1:2])[0,
-                                                                                                       0]), "on a wall joint 1 carries weight"
+    on_wall, on_table = (abs(a.gravity_torque(angles[1:2])[0, 0]) for a in (wall, here))
+    assert on_wall > 1.0 > on_table, "on a wall joint 1 carries weight"
 
 
 @pytest.mark.parametrize(("call", "said"), [

@@ -27,8 +27,8 @@ def test_gaps_are_mujocos(punyo):
             # MuJoCo stops at 1e-6 m where capsules are nearly parallel
             assert gaps[t, p] == pytest.approx(want, abs=2e-6)
         for m, k in enumerate(moving):
-            ends = data.geom_xpos[ids[k]][2] + np.array([-1,
-                                                         1]) * arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
+            half = arm.shapes[k].length / 2 * data.geom_xmat[ids[k]].reshape(3, 3)[2, 2]
+            ends = data.geom_xpos[ids[k]][2] + np.array([-half, half])
             assert table[t, m] == pytest.approx(ends.min() - arm.shapes[k].radius - 0.1, abs=1e-12)
 
 

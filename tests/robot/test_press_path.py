@@ -7,7 +7,7 @@ from vsfsim.core.rigid import PressSpec
 from vsfsim.core.rotation import between, rotation_matrix, rotation_vector
 from vsfsim.core.scene import TouchSpec, parse_scene
 from vsfsim.core.shape import Box, Capsule, Plane, Sphere
-from vsfsim.robot.path import FRAME_SECONDS, body_poses, press_path, straight, times, touch_path, turn_to
+from vsfsim.robot.path import body_poses, press_path, straight, times, touch_path, turn_to
 
 AXES = [[0, 0, -1], [0, 0, 1], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0.3, -0.9, 0.2], [1e-9, 1.0, 0.0], [-0.5, 0.1, -0.8]]
 
@@ -88,8 +88,7 @@ def test_touch_depth_may_be_cut():
 
 
 def test_time_runs_at_the_sensors_rate():
-    assert times(4) == pytest.approx(FRAME_SECONDS * np.array([0, 1, 2,
-                                                               3])) and pytest.approx(30.0) == 1.0 / FRAME_SECONDS
+    assert times(4) == pytest.approx(np.array([0, 1, 2, 3]) / 30.0)
 
 
 def test_rotation_vectors_there_and_back():
@@ -105,8 +104,8 @@ def test_rotation_vectors_there_and_back():
     assert rotation_matrix((0.0, 0.0, np.pi / 2)) @ [1, 0, 0] == pytest.approx([0, 1, 0])
     a, b = rotation_matrix((0.3, 0.1, -0.2)), rotation_matrix((0.1, 0.9, 0.4))
     assert between(a, b, 0.0) == pytest.approx(a) and between(a, b, 1.0) == pytest.approx(b, abs=1e-12)
-    assert between(a, b, 0.5) @ a.T @ between(a, b, 0.5) == pytest.approx(b,
-                                                                          abs=1e-12), "half way twice is the whole way"
+    half = between(a, b, 0.5)
+    assert half @ a.T @ half == pytest.approx(b, abs=1e-12), "half the way twice is the whole way"
 
 
 def test_a_path_with_corners_and_turns():
@@ -122,9 +121,8 @@ def test_a_path_with_corners_and_turns():
     assert np.array_equal(poses[7:12], poses[:5][::-1]) and poses[12, :3, 3] == pytest.approx(path[0])
     # more frames back than in: still on the path
     long = press_path(PressSpec(path, (2, 4), 0, 12, turns), Sphere(0.01))[6:]
-    assert long[1, :3, 3] == pytest.approx([0.015, 0, 0.06]) and long[9, :3,
-                                                                      3] == pytest.approx([0, 0, 0.065]) and long[-1,
-                                                                                                                  :3, 3] == pytest.approx(path[0])
+    for frame, place in ((1, [0.015, 0, 0.06]), (9, [0, 0, 0.065]), (-1, path[0])):
+        assert long[frame, :3, 3] == pytest.approx(place)
     # without rotation the probe keeps pointing along the first part
     assert (press_path(PressSpec(path, (2, 4)), Box((0.01, 0.02, 0.03)))[:, :3, :3] == np.eye(3)).all()
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from vsfsim.core.rotation import rotation_matrix, rotation_vector
-from vsfsim.robot import clearance, reach
+from vsfsim.robot import clearance
 from vsfsim.robot.arm import ArmError, load_arm
 from vsfsim.robot.gen3 import HOME
 from vsfsim.robot.inverse_kinematics import solve
@@ -83,16 +83,15 @@ def test_what_cannot_be_had_is_refused_with_its_reason(arm, start, stop, turn, l
     ((-1.611, -0.921, -0.503, 2.376, -0.258, 1.882, -2.95), (0.613, -0.563, -0.554)),
     ((0.443, 0.686, -2.002, -0.156, 3.092, -2.024, -0.811), (-0.684, -0.318, -0.656)),
 ])
-def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way, monkeypatch):
+def test_a_path_through_a_singular_posture_is_not_taken(arm, q, way):
     """On these two lines of 0.4 m the first postures found jump by 0.3 and 0.4 rad in a step of 5 mm; others lead along
     without."""
     poses = np.tile(arm.tool_jacobian(np.array(q))[0], (81, 1, 1))
     poses[:, :3, 3] += np.linspace(0.0, 0.4, 81)[:, None] * np.array(way) / np.linalg.norm(way)
     assert np.abs(np.diff(follow(arm, poses, table=None, restarts=3), axis=0)).max() < 0.25
-    # nothing may pass a limit that no step keeps to: then the reason is told
-    monkeypatch.setattr(reach, "JUMP", 1e-6)
+    # no step keeps to this limit, so the reason is reported
     with pytest.raises(Unreachable, match="would jump") as error:
-        follow(arm, poses, table=None, restarts=3)
+        follow(arm, poses, table=None, restarts=3, jump=1e-6)
     assert error.value.reason is Reason.SINGULAR
 
 

@@ -24,9 +24,9 @@ def elastica(tip: float, arm: float, length: float, stiffness: float) -> tuple[f
 
     whole = over(lambda t: 1.0)
     scale = arm / whole
-    return 0.5 * stiffness / scale**2, scale * over(np.sin) + (length
-                                                               - arm) * np.sin(tip), scale * over(np.cos) + (length
-                                                                                                             - arm) * np.cos(tip)
+    rest = length - arm
+    return (0.5 * stiffness / scale**2, scale * over(np.sin) + rest * np.sin(tip),
+            scale * over(np.cos) + rest * np.cos(tip))
 
 
 LENGTH, RADIUS, E = 0.4, 0.001, 1e9

@@ -61,7 +61,7 @@ def straight_touch(arm: Arm, start: np.ndarray, stop: np.ndarray, rotation: np.n
 
 def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table: float | None = 0.0,
            self_clearance: float = 0.005, table_clearance: float = 0.005, restarts: int = 12,
-           seed: int = 0) -> np.ndarray:
+           seed: int = 0, jump: float = JUMP) -> np.ndarray:
     """Joint angles (T, 7) [rad] that bring the tool to each of ``poses`` (T, 4, 4) [m], in the world, one after the
     other.
 
@@ -74,6 +74,7 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
         self_clearance, table_clearance: least gap between links that are not neighbours, and above the table [m].
         restarts: number of random postures at which the search begins again, besides a few that face the target.
         seed: of these postures.
+        jump: largest rotation of a joint in one step [rad].
 
     Raises:
         Unreachable: no posture leads along the whole path.
@@ -83,7 +84,7 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
     dense, number = _refined(poses)
     best: tuple[float, Reason, str] | None = None
     for q0 in _beginnings(arm, poses[0], near, restarts, seed):
-        found, reason, detail = _track(arm, dense, q0, table, self_clearance, table_clearance)
+        found, reason, detail = _track(arm, dense, q0, table, self_clearance, table_clearance, jump)
         if reason is None:
             q = found[number]
             _verify(arm, q, poses)
@@ -104,7 +105,7 @@ def follow(arm: Arm, poses: np.ndarray, *, near: np.ndarray | None = None, table
 
 
 def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, self_clearance: float,
-           table_clearance: float) -> tuple[np.ndarray, Reason | None, str]:
+           table_clearance: float, jump: float) -> tuple[np.ndarray, Reason | None, str]:
     """The joint angles (n, 7) up to the end of the path or the first obstacle, and what that is."""
     out: list[np.ndarray] = []
     solved: dict[bytes, np.ndarray] = {}
@@ -118,7 +119,7 @@ def _track(arm: Arm, dense: np.ndarray, q0: np.ndarray, table: float | None, sel
                 detail = f"the tool stays {s.position:.2g} m and {s.angle:.2g} rad away"
                 break
             known = s.q
-            if out and np.abs(known - out[-1]).max() > JUMP:
+            if out and np.abs(known - out[-1]).max() > jump:
                 reason, detail = (Reason.SINGULAR,
                                   f"joint {int(np.abs(known - out[-1]).argmax()) + 1} would jump by "
                                   f"{np.abs(known - out[-1]).max():.2g} rad")
