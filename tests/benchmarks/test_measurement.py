@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-import references
 from benchmarks.measurement import Column, Measurement, Table
 
 ROOT = Path(__file__).parents[2]
@@ -48,13 +47,3 @@ def test_an_installed_package_without_its_repository_says_where_the_scripts_are(
     out = subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()", "measure", "solver"],
                          capture_output=True, text=True, cwd=tmp_path, env={"PYTHONPATH": str(tmp_path)})
     assert out.returncode == 2 and "needs a checkout of the repository" in out.stderr and "benchmarks/" in out.stderr
-
-
-def test_every_reference_says_where_it_comes_from_and_is_in_the_index():
-    index = (ROOT / "references" / "README.md").read_text()
-    files = sorted((ROOT / "references").glob("*.json"))
-    assert files
-    for path in files:
-        assert references.load(path.stem)["origin"] and f"`{path.name}`" in index, path
-    for script in (ROOT / "references").glob("[!_]*.py"):
-        assert f"`{script.name}`" in index, script
