@@ -30,8 +30,8 @@ approach = 0.005
 
 
 @dataclasses.dataclass
-class Seen:
-    """A view as `aim` reads it: a cloud and where the camera is."""
+class CloudView:
+    """A view as `aim_probe` reads it: a cloud and where the camera is."""
 
     cloud: np.ndarray
     camera_pose: np.ndarray
@@ -60,7 +60,7 @@ def view(*, top=True, side=True, inside=False):
         parts.append(np.column_stack([a, b, np.full(len(a), 0.01)]))
     pose = np.eye(4)
     pose[:3, 3] = [0.2, 0.0, 0.25]
-    return Seen(np.concatenate(parts), pose)
+    return CloudView(np.concatenate(parts), pose)
 
 
 def streams(seed=0):

@@ -1,9 +1,18 @@
 """The seam between what touches and everything else.
 
-An *effector* is what touches an object: a rigid probe, an air-filled bubble, an arm. Each is one file of
-``vsfsim/generate/effectors/`` (or an entry point of the group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has
-the methods of `Effector`. `generate`, `press` and `inspect` know this protocol and no effector by name: a scene's
-``effector`` says which one it needs, and `effector_of` loads it.
+An *effector* is what touches an object: a rigid probe, an air-filled bubble, an arm. `generate`, `press` and `inspect`
+know the protocol `Effector` and no effector by name: a scene's ``effector`` says which one it needs, and `effector_of`
+loads it.
+
+A new effector, say ``[sensor] kind = "load-cell"``, is
+
+1. a file ``load_cell.py`` in ``vsfsim/generate/effectors/`` (or, in another package, an entry point ``load-cell`` of the
+   group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has the methods of `Effector`. It reads its own settings from
+   `Scene.effector_table`. One that differs from another effector in a few methods inherits or calls the others.
+2. a row ``touches/*/channels/NAME`` in `vsfsim.data.schema` for every new quantity that it records in `Touch.channels`,
+3. a row in `vsfsim.bench.observations` for every quantity that a task may ask for.
+
+``tests/generate/test_new_effector.py`` adds one.
 """
 
 from __future__ import annotations
