@@ -259,7 +259,8 @@ def test_a_sweep_through_the_whole_crown(step, device):
     assert ((frames.reason[:, 0] > 0) == ~frames.converged[:, 0]).all()
     print(f"{len(travel)} readings, {frames.converged.mean():.3f} converged, reasons {np.unique(frames.reason)}, "
           f"deepest {1e3 * np.nanmax(frames.penetration):.2g} mm, most contacts {frames.contacts.max()}")
-    assert frames.converged.mean() > 0.8 and frames.contacts.max() >= (4 if step > 0.001 else 1)
+    # all of them converge here; the margin is for a reading of 45 or of 300 that rounds otherwise elsewhere
+    assert frames.converged.mean() > 0.97 and frames.contacts.max() >= (4 if step > 0.001 else 1)
     if step > 0.001:
         assert frames.converged[-1, 0] and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-9
 

@@ -6,8 +6,8 @@ loads it.
 
 A new effector, say ``[sensor] kind = "load-cell"``, is
 
-1. a file ``load_cell.py`` in ``vsfsim/generate/effectors/`` (or, in another package, an entry point ``load-cell`` of the
-   group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has the methods of `Effector`. It reads its own settings from
+1. a file ``load_cell.py`` in ``vsfsim/generate/effectors/`` (in another package, an entry point ``load-cell`` of the
+   group ``vsfsim.effectors``) whose attribute ``EFFECTOR`` has the methods of `Effector`. It reads its settings from
    `Scene.effector_table`. One that differs from another effector in a few methods inherits or calls the others.
 2. a row ``touches/*/channels/NAME`` in `vsfsim.data.schema` for every new quantity that it records in `Touch.channels`,
 3. a row in `vsfsim.bench.observations` for every quantity that a task may ask for.
