@@ -41,8 +41,7 @@ class GaussianAverage(PosteriorAnswers):
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
         self.fit_std = fit_std
-        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device)
-        self._shelf = ObjectShelf(self._settings)
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
         self._prior: tuple[float, float] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
@@ -53,7 +52,7 @@ class GaussianAverage(PosteriorAnswers):
         """
         pooled = [np.zeros(0)]
         for specimen in specimens:
-            model = ParticleModel.behind(specimen.view, self._settings)
+            model = ParticleModel.behind(specimen.view, self.shelf.settings)
             posterior = Posterior.of(model, specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
             pooled.append(posterior.stiffness[posterior.touched()])
         values = np.concatenate(pooled)
@@ -68,7 +67,7 @@ class GaussianAverage(PosteriorAnswers):
             raise MethodError("the Gaussian prior was not estimated yet; call meta_fit or load first.")
         mean, variance = self._prior
         self._view = view
-        self._posterior = Posterior.of(self._shelf.get(view), support, prior_mean=mean, prior_var=variance)
+        self.posterior = Posterior.of(self.shelf.get(view), support, prior_mean=mean, prior_var=variance)
 
     def save(self, folder: Path) -> None:
         """Write the prior."""

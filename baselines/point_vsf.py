@@ -42,7 +42,7 @@ class PointVsf(PosteriorAnswers):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
         self.prior_std, self.estimator = prior_std, estimator
-        self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Nothing to learn."""
@@ -51,7 +51,7 @@ class PointVsf(PosteriorAnswers):
         """Fit the springs to the support touches."""
         self._view = view
         estimate = Filtered.online if self.estimator == "filter" else Posterior.of
-        self._posterior = estimate(self._shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
+        self.posterior = estimate(self.shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
 
 
 class DenseVsf(PointVsf):
@@ -71,4 +71,4 @@ class DenseVsf(PointVsf):
             raise MethodError(f"dense-vsf: skin_std is {skin_std!r}; it must be greater than 0, in newtons.")
         super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin,
                          table_height=table_height, device=device)
-        self._shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std))
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std))

@@ -133,21 +133,21 @@ class PosteriorAnswers:
     """What every particle method answers: the answers of the posterior that its `adapt` left."""
 
     _view: View
-    _posterior: Posterior
+    posterior: Posterior
     _search_seed = 0
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of touches not made yet."""
-        return self._posterior.predict(touches)
+        return self.posterior.predict(touches)
 
     def predict_std(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Standard deviations (T, d) of those readings."""
-        return self._posterior.predict_std(touches)
+        return self.posterior.predict_std(touches)
 
     def stiffness(self, points: np.ndarray) -> Estimate:
         """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
-        return self._posterior.density(points)
+        return self.posterior.density(points)
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
-        return self._posterior.locate(vertices, triangles, self._view, seed=self._search_seed)
+        return self.posterior.locate(vertices, triangles, self._view, seed=self._search_seed)

@@ -66,9 +66,8 @@ class Sbml(PosteriorAnswers):
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
-        self._settings = VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                     noise_share=noise_share)
-        self._shelf = ObjectShelf(self._settings)
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
+                                             noise_share=noise_share))
         self._search_seed = seed
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
@@ -89,7 +88,7 @@ class Sbml(PosteriorAnswers):
         if not specimens:
             raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the "
                               "folder of a saved prior (--set prior=FOLDER).")
-        models = [self._shelf.get(s.view) for s in specimens]
+        models = [self.shelf.get(s.view) for s in specimens]
         raw = [self._features(model, s.view) for model, s in zip(models, specimens)]
         self._normaliser = Normaliser.of(raw)
         parts = [Composition.of(self.structure, self._normaliser(f)) for f in raw]
@@ -105,16 +104,16 @@ class Sbml(PosteriorAnswers):
         """Prior from the view, then the support touches (eq. 16)."""
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior yet; call meta_fit or load first.")
-        model = self._shelf.get(view)
+        model = self.shelf.get(view)
         if id(model) not in self._priors:
             features = self._normaliser(self._features(model, view))
             self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
         self._view = view
-        self._posterior = Posterior.under(model, support, self._priors[id(model)])
+        self.posterior = Posterior.under(model, support, self._priors[id(model)])
 
     def share(self, other: Sbml) -> None:
         """Use the particles, rows and features of ``other``, which has the same settings."""
-        self._shelf = other._shelf
+        self.shelf = other.shelf
 
     def save(self, folder: Path) -> None:
         """Write the prior to a folder, which is made if missing: prior.json, and prior.npz with the weights."""
@@ -166,7 +165,7 @@ class Sbml(PosteriorAnswers):
         key = f"{self.features} {self.weights}"
         if key not in model.features:
             model.features[key] = particle_features(self.features, view, model.particles,
-                                                    spacing=self._settings.spacing, weights=self.weights,
+                                                    spacing=self.shelf.settings.spacing, weights=self.weights,
                                                     device=self.device)
         return model.features[key]
 
@@ -177,10 +176,9 @@ class Sbml(PosteriorAnswers):
         from vsfsim.vsf.meta.prior import MetaTask
 
         rows, z = model.stack(specimen.touches)
-        touch = np.repeat(np.arange(len(specimen.touches)), [int(t.valid.sum()) * t.action.size
-                                                             for t in specimen.touches])
-        evidence = Evidence.of(rows, z, noise_std=self._settings.noise_std, membership=part.membership, touch=touch,
-                               device=self.device)
+        counts = [int(t.valid.sum()) * t.action.size for t in specimen.touches]
+        evidence = Evidence.of(rows, z, noise_std=self.shelf.settings.noise_std, membership=part.membership,
+                               touch=np.repeat(np.arange(len(counts)), counts), device=self.device)
         features = self._normaliser(raw)[evidence.touched]
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device)
                           for x in (features, part.features)), evidence)

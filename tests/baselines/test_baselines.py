@@ -2,6 +2,7 @@
 claims."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -65,18 +66,24 @@ def test_zero_shot_of_a_zero_mean_is_zero(train, subject):
         assert all((answer == 0.0).all() for answer in method.predict([r.action for r in recording.readings]))
 
 
-def test_the_prior_is_the_spread_of_the_training_springs(train):
+def saved_prior(method, folder):
+    method.save(folder)
+    return json.loads((folder / "prior.json").read_text())
+
+
+def test_the_prior_is_the_spread_of_the_training_springs(train, tmp_path):
     average, zero = GaussianAverage(), GaussianZero()
     average.meta_fit(train)
     zero.meta_fit(train)
+    prior = saved_prior(average, tmp_path)
     # The mock's springs lie between 60 x 0.5 x 0.8 and 300 x 2 x 1.2 N/m; the fit smears them but keeps the level.
-    mean, variance = average._prior
-    assert 24.0 < mean < 720.0
-    assert zero._prior == (0.0, variance)
+    assert 24.0 < prior["mean"] < 720.0
+    assert saved_prior(zero, tmp_path) == {"mean": 0.0, "variance": prior["variance"]}
     twice = GaussianAverage()
     twice.meta_fit([dataclasses.replace(s, touches=tuple(dataclasses.replace(r, value=2.0 * r.value)
                                                          for r in s.touches)) for s in train])
-    assert twice._prior[0] == pytest.approx(2.0 * mean, rel=0.05), "forces twice as large are springs twice as stiff"
+    doubled = saved_prior(twice, tmp_path)
+    assert doubled["mean"] == pytest.approx(2.0 * prior["mean"], rel=0.05), "twice the force is twice the stiffness"
 
 
 def test_stiffness_finds_the_stiff_half(train, subject):
@@ -130,13 +137,13 @@ def test_the_filter_takes_frames_one_by_one_and_one_frame_as_the_batch_does(subj
     batch, online = PointVsf(), PointVsf(estimator="filter")
     for method in (batch, online):
         method.adapt(view, [last])
-    np.testing.assert_allclose(online._posterior.stiffness, batch._posterior.stiffness, rtol=1e-9, atol=1e-9)
-    points = batch._posterior.model.particles[:50]
+    np.testing.assert_allclose(online.posterior.stiffness, batch.posterior.stiffness, rtol=1e-9, atol=1e-9)
+    points = batch.posterior.model.particles[:50]
     np.testing.assert_allclose(online.stiffness(points).std, batch.stiffness(points).std, rtol=1e-6)
     for method in (batch, online):
         method.adapt(view, recording.readings[:4])
     # it forgets what a frame correlates
-    assert np.abs(online._posterior.stiffness - batch._posterior.stiffness).max() > 0.0
+    assert np.abs(online.posterior.stiffness - batch.posterior.stiffness).max() > 0.0
     asked = recording.readings[5].action
     assert np.isfinite(online.predict([asked])[0]).all() and (online.predict_std([asked])[0] >= 1.0).all()
     broken = dataclasses.replace(one, value=np.full_like(one.value, np.nan))

@@ -15,9 +15,9 @@ from vsfsim.core.errors import MethodError, VsfsimError
 
 METHODS = {
     "gaussian": {}, "gaussian-zero": {}, "point-vsf": {}, "dense-vsf": {}, "sbml": {"epochs": 1},
-           "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
+    "imaml": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
     "imaml-vision": {"epochs": 1, "inner_steps": 2, "cg_steps": 1},
-           "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
+    "grid-vsf": {"iterations": 3, "batch": 100, "samples": 5},
     "neural-vsf": {"iterations": 2, "batch": 100, "samples": 5}, "contact-points": {}}
 ARM = Chain(((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0)), ((0.0, 0.0, 0.2),) * 8,
             ((1.0, 0.0, 0.0, 0.0),) * 8, (-1, *range(7)),
@@ -67,7 +67,7 @@ def test_no_touch_and_silent_touches_have_an_answer(name, world):
 def test_an_object_of_one_particle(name, world):
     train, view, recording = world
     method = fitted(name, train)
-    model = method._shelf.get(view)
+    model = method.shelf.get(view)
     model.particles = model.particles[np.argmin(np.linalg.norm(model.particles - [0.0, 0.0, 0.03], axis=1))][None]
     for kept in (model.rows, model.features, getattr(method, "_priors", {})):
         kept.clear()  # mock objects look alike: the training objects were this model, too
@@ -75,7 +75,7 @@ def test_an_object_of_one_particle(name, world):
     before = method.predict([recording.readings[4].action])[0]
     method.adapt(view, recording.readings[:3])
     after = method.predict([recording.readings[4].action])[0]
-    assert method._posterior.stiffness.shape == (1,) and np.isfinite(after).all() and (after >= before - 1e-9).all()
+    assert method.posterior.stiffness.shape == (1,) and np.isfinite(after).all() and (after >= before - 1e-9).all()
     assert np.isfinite(method.stiffness(np.zeros((2, 3))).mean).all()
 
 
@@ -83,8 +83,8 @@ def test_an_object_of_one_particle(name, world):
 def test_a_sensor_that_a_method_does_not_know_is_named(name, world):
     train, view, recording = world
     method = fitted(name, train)
-    strange = dataclasses.replace(recording.readings[0], action=dataclasses.replace(recording.readings[0].action,
-                                                                                    observation="temperature"))
+    action = dataclasses.replace(recording.readings[0].action, observation="temperature")
+    strange = dataclasses.replace(recording.readings[0], action=action)
     with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
         method.adapt(view, [strange])
     with pytest.raises(MethodError, match="no observation rows for 'temperature'"):
@@ -145,8 +145,7 @@ def test_an_object_between_the_particles_is_said(name, world):
     mask = np.zeros_like(view.mask)
     mask[row, column] = True
     speck = dataclasses.replace(view, mask=mask)
-    method._settings = dataclasses.replace(method._shelf.settings, spacing=0.2)
-    method._shelf.settings = method._settings
+    method.shelf.settings = dataclasses.replace(method.shelf.settings, spacing=0.2)
     with pytest.raises(MethodError, match="no particle lies in or behind what the camera sees"):
         method.adapt(speck, recording.readings[:2])
 

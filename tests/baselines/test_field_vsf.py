@@ -114,7 +114,7 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     method.adapt(view, readings)
     left, right = (method.stiffness(np.array([[x, 0.0, 0.026]])).mean[0] for x in (-0.012, 0.012))
     assert right > 3.0 * left
-    model = method._shelf.get(view)
+    model = method.shelf.get(view)
     rows, values = [], []
     for r in readings:
         touch = dense_touch(r)
@@ -124,23 +124,22 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
     whole = map_estimate(sparse.vstack(rows).tocsr(), np.concatenate(values), noise_std=0.02, prior_mean=0.0,
                          prior_var=1000.0**2)
     # The few rows say what the many do, but for directions under 1e-6 of the strongest, which are left out.
-    np.testing.assert_allclose(method._posterior.stiffness, whole.mean, atol=1e-5 * whole.mean.max())
-    assert method._posterior.rows.shape[0] < 0.2 * sum(len(z)
-                                                       for z in values), "at most as many a touch as particles it moved"
+    np.testing.assert_allclose(method.posterior.stiffness, whole.mean, atol=1e-5 * whole.mean.max())
+    most = 0.2 * sum(len(z) for z in values)
+    assert method.posterior.rows.shape[0] < most, "at most as many a touch as particles it moved"
     plain = PointVsf()
     plain.adapt(view, readings)
-    assert plain._posterior.rows.shape[0] == sum(len(r.value) for r in readings)
+    assert plain.posterior.rows.shape[0] == sum(len(r.value) for r in readings)
     # A frame that was not read, of the skin or of all, is left out.
     part = [dataclasses.replace(r, valid=np.array([True, True, False, True, True])) for r in readings]
     method.adapt(view, part)
     assert np.isfinite(method.predict([readings[0].action])[0]).all()
     lost = np.where(np.arange(5)[:, None, None] == 3, np.nan, readings[0].surface.vertices)
-    method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost,
-                                                                         np.where(np.isnan(lost), np.nan,
-                                                                                  readings[0].surface.force)))])
+    force = np.where(np.isnan(lost), np.nan, readings[0].surface.force)
+    method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(lost, force))])
     blind = dataclasses.replace(readings[0], surface=Surface(np.full_like(lost, np.nan), lost))
     method.adapt(view, [blind])
-    assert method._posterior.rows.shape[0] == 0, "a skin that was never seen says nothing"
+    assert method.posterior.rows.shape[0] == 0, "a skin that was never seen says nothing"
     half = np.where(np.arange(lost.shape[1])[None, :, None] == 4, np.nan, readings[0].surface.force)
     with pytest.raises(MethodError, match="not finite in a frame that has others"):
         method.adapt(view, [dataclasses.replace(readings[0], surface=Surface(readings[0].surface.vertices, half))])
@@ -148,9 +147,8 @@ def test_points_read_the_skin_exactly_as_eq_3_has_it():
 
 def test_a_pressure_is_a_force_over_the_base():
     view, readings = mock_view(0).view, pressed()
-    as_force = [dataclasses.replace(r, surface=None, action=dataclasses.replace(r.action,
-                                                                                observation="force-magnitude"))
-                for r in readings]
+    actions = [dataclasses.replace(r.action, observation="force-magnitude") for r in readings]
+    as_force = [dataclasses.replace(r, surface=None, action=action) for r, action in zip(readings, actions)]
     as_pressure = [dataclasses.replace(r, value=r.value / PUNYO_RIM_AREA,
                                        action=dataclasses.replace(r.action, observation="pressure")) for r in as_force]
     vertices, triangles = dome(radius=0.03, height=0.015, rings=4)
@@ -158,12 +156,12 @@ def test_a_pressure_is_a_force_over_the_base():
     field = GridVsf(iterations=30, batch=500, samples=8)
     field.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, probe=bubble)) for r in as_pressure])
     peak = as_pressure[0].value.max()
-    assert 0.2 * peak < field.predict([dataclasses.replace(as_pressure[0].action,
-                                                           probe=bubble)])[0].max() < 5.0 * peak, "of the right size, in pascals"
+    predicted = field.predict([dataclasses.replace(as_pressure[0].action, probe=bubble)])[0].max()
+    assert 0.2 * peak < predicted < 5.0 * peak, "of the right size, in pascals"
     force, pressure = PointVsf(), PointVsf()
     force.adapt(view, as_force)
     pressure.adapt(view, as_pressure)
-    np.testing.assert_allclose(force._posterior.stiffness, pressure._posterior.stiffness, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(force.posterior.stiffness, pressure.posterior.stiffness, rtol=1e-6, atol=1e-9)
     for name in ("predict", "predict_std"):
         np.testing.assert_allclose(getattr(pressure, name)([as_pressure[0].action])[0],
                                    getattr(force, name)([as_force[0].action])[0] / PUNYO_RIM_AREA, rtol=1e-6)

@@ -90,12 +90,15 @@ def test_it_conforms(name):
     assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
 
 
-def test_the_paper_s_network():
+def test_the_paper_s_network(tmp_path):
     method = ImamlVision(epochs=0)
     task = parse_task(MOCK_TASK, "mock")
     method.meta_fit([specimen(mock_view(0, split="train"), task)])
-    token = len(method._scale["token_mean"])
-    assert method._network.shapes == [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
+    method.save(tmp_path)
+    with np.load(tmp_path / "imaml.npz") as saved:
+        token = len(saved["token_mean"])
+        shapes = [saved[f"theta{i}"].shape for i in range(0, 16, 2)]  # every second array is a bias
+    assert shapes == [(token, 64), (64, 7), (14, 32), (32, 128), (128, 64), (64, 32), (32, 16), (16, 1)]
 
 
 def test_it_learns_and_adapts():

@@ -92,10 +92,8 @@ def test_one_prior_over_two_families(train, task):
     other = parse_task(MOCK_TASK.replace("normal-force", "force-magnitude"), "mock")
 
     def bright(view):
-        return dataclasses.replace(view, view=dataclasses.replace(view.view,
-                                                                  rgb=np.minimum(view.view.rgb.astype(int) + 90
-                                                                                 * view.view.mask[..., None],
-                                                                                 255).astype(np.uint8)))
+        rgb = np.minimum(view.view.rgb.astype(int) + 90 * view.view.mask[..., None], 255).astype(np.uint8)
+        return dataclasses.replace(view, view=dataclasses.replace(view.view, rgb=rgb))
 
     family = [specimen(bright(mock_view(20 + i, split="train", touches=10, stiffness=10.0)), other) for i in range(5)]
     unified = Sbml(**{**FAST, "epochs": 150})
@@ -145,7 +143,7 @@ def test_refusals(fitted, train, task):
 def test_noise_in_proportion_to_a_touch(task):
     view = mock_view(5, touches=4)
     readings = record(view, task).readings
-    plain, shared = (Sbml(noise_std=2.0, noise_share=share)._shelf.get(view.view) for share in (0.0, 0.5))
+    plain, shared = (Sbml(noise_std=2.0, noise_share=share).shelf.get(view.view) for share in (0.0, 0.5))
     for reading in readings:
         (rows, z), (own_rows, own_z) = plain.stack([reading]), shared.stack([reading])
         factor = np.hypot(1.0, 0.5 * np.abs(z).max() / 2.0)

@@ -26,7 +26,10 @@ yaw = { uniform = [-3.0, 3.0] }
 [object.young_modulus]
 base = 1e5
 [object.young_modulus.inclusions]
-choice = [ [ { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 }, { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 } ] ]
+choice = [ [
+  { capsule = [-0.01, 0.0, 0.022, 0.012, 0.0, 0.022, 0.005], value = 1e7 },
+  { sphere = [0.012, 0.01, 0.022, 0.005], value = 1e7 },
+] ]
 """
 RECIPE = Recipe(scene="mock", scene_text=SCENE, seed=3, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
                 device="cpu", tier="vsf", precision="float64", renderer="warp")

@@ -62,14 +62,14 @@ def test_uncertainty_by_hand():
                             np.array([[0.0], [0.0], [0.0]]), np.array([True, True, False]))
     assert one["n"] == 2 and (one["in50"], one["in90"]) == (1, 1)
     log = np.log(2.0) + 0.5 * np.log(2 * np.pi)
-    assert record_scores(Answer.READING_STD, [one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log, "coverage50": 0.5,
-                                                        "coverage90": 0.5})
+    assert record_scores(Answer.READING_STD, [one]) == pytest.approx({"nll": 0.5 * (0.25 + 4.0) / 2 + log,
+                                                                      "coverage50": 0.5, "coverage90": 0.5})
     # A calibrated std: the shares are what they are called, and any other std costs likelihood.
     rng = np.random.default_rng(0)
     std = rng.uniform(0.5, 5.0, (20_000, 1))
     error, valid = std * rng.standard_normal((20_000, 1)), np.ones(20_000, bool)
-    right, bold, timid = (record_scores(Answer.READING_STD, [touch_uncertainty(error, f * std, np.zeros_like(error), valid)])
-                          for f in (1.0, 0.5, 2.0))
+    sums = [touch_uncertainty(error, f * std, np.zeros_like(error), valid) for f in (1.0, 0.5, 2.0)]
+    right, bold, timid = (record_scores(Answer.READING_STD, [one]) for one in sums)
     assert right["coverage50"] == pytest.approx(0.5, abs=0.02) and right["coverage90"] == pytest.approx(0.9, abs=0.01)
     assert right["nll"] < min(bold["nll"], timid["nll"])
 

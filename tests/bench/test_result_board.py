@@ -92,13 +92,12 @@ def test_the_same_dataset_from_a_machine_that_rounds_otherwise_is_ranked(results
 
 def test_how_far_readings_are_apart():
     one = {"object": ["x", "x"], "touch": [0, 3], "n": [2, 2], "ss": [9.0, 16.0]}
-    assert readings_apart({**one, "ss": [9.0, 25.0]},
-                          one) == pytest.approx(1.0 / 5.0) and readings_apart(one, one) == 0.0
+    assert readings_apart({**one, "ss": [9.0, 25.0]}, one) == pytest.approx(1.0 / 5.0)
+    assert readings_apart(one, one) == 0.0
     swapped = {"object": ["x", "x"], "touch": [3, 0], "n": [2, 2], "ss": [16.0, 9.0]}
     assert readings_apart(swapped, one) == 0.0, "by touch, not by row"
-    assert readings_apart({**one, "touch": [0, 4]}, one) is None and readings_apart({},
-                                                                                    one) is None and readings_apart(one,
-                                                                                                                    {}) is None
+    for a, b in (({**one, "touch": [0, 4]}, one), ({}, one), (one, {})):
+        assert readings_apart(a, b) is None
 
 
 def test_readings_are_the_true_ones_of_the_query_touches(results):
@@ -110,9 +109,8 @@ def test_readings_are_the_true_ones_of_the_query_touches(results):
     # of the method that says 1 everywhere, sum (1 - v)^2 lies between (|v| -+ sqrt n)^2
     sse = dict(zip(zip(*(results[1].queries[c] for c in ("object", "touch"))), results[1].queries["sse"]))
     for name, touch, n, ss in zip(*(kept[c] for c in READING_COLUMNS)):
-        assert (ss**0.5 - n**0.5) ** 2 <= sse[name, touch] * (1 + 1e-12) and sse[name,
-                                                                                 touch] <= (ss**0.5
-                                                                                            + n**0.5) ** 2 * (1 + 1e-12)
+        low, high = (ss**0.5 - n**0.5) ** 2, (ss**0.5 + n**0.5) ** 2
+        assert low / (1 + 1e-12) <= sse[name, touch] <= high * (1 + 1e-12)
 
 
 def test_two_rows_of_a_method_say_how_they_differ(results, task, tmp_path):
@@ -135,8 +133,8 @@ def test_a_result_from_before_a_parameter_existed_is_the_same_row(results, task,
     dataclasses.replace(results[0], parameters={"a": 1, "way": "old"}).save(tmp_path / "b.json")
     assert [dict(row.result.parameters) for row in leaderboard.collect(task, [tmp_path]).rows] == [{"a": 1}]
     dataclasses.replace(results[0], parameters={"a": 2, "way": "old"}).save(tmp_path / "b.json")
-    assert len(leaderboard.collect(task,
-                                   [tmp_path]).rows) == 2, "another value of a parameter that both know is another row"
+    rows = leaderboard.collect(task, [tmp_path]).rows
+    assert len(rows) == 2, "another value of a parameter that both have is another row"
 
 
 def test_a_task_that_names_its_dataset_ranks_only_that(results, task, tmp_path):

@@ -25,10 +25,8 @@ def test_a_task_that_is_superseded_keeps_its_identity():
     mended = load_task(load_task("inclusion-mini-v1").superseded_by)
     assert mended.name == "inclusion-mini-v2" and mended.superseded_by == ""
     without = text.replace('superseded_by = "inclusion-mini-v2"\n', "")
-    assert parse_task(text, "t").sha256 == parse_task(without,
-                                                      "t").sha256 != parse_task(without.replace("query = 10",
-                                                                                                "query = 9"),
-                                                                                "t").sha256
+    other = parse_task(without.replace("query = 10", "query = 9"), "t")
+    assert parse_task(text, "t").sha256 == parse_task(without, "t").sha256 != other.sha256
     assert "superseded_by" not in without
 
 
