@@ -95,6 +95,19 @@ def test_links_and_paths_lead_somewhere():
             assert made or (ROOT / path).exists(), (page.name, path)
 
 
+def test_the_tests_that_the_pages_name_exist():
+    """`file.py::test_name`, `::test_name` of a file named before, `test_name_...` for the beginning of a name."""
+    texts = {path.name: path.read_text() for path in (ROOT / "tests").rglob("test_*.py")}
+    pattern = r"`(?:[\w/]*/)?(test_\w+\.py)?(?:::)?(?:(test_\w+?)(_\.\.\.)?)?`"
+    named = [(page.name, *match) for page in PAGES for match in re.findall(pattern, page.read_text())]
+    assert sum(bool(name) for _, _, name, _ in named) > 30
+    for page, file, name, dots in named:
+        assert not file or file in texts, (page, file)
+        end = r"_\w+\(" if dots else r"\("
+        assert not name or any(re.search(f"def {name}{end}", text)
+                               for text in ([texts[file]] if file else texts.values())), (page, file, name)
+
+
 def test_no_page_has_a_conflict_left_by_a_merge():
     for page in PAGES:
         assert not re.findall(r"^(?:<{7}|={7}$|>{7}).*", page.read_text(), re.MULTILINE), page.name
