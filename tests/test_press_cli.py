@@ -7,6 +7,7 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
+import vsfsim.physics.runtime  # noqa: F401  Warp keeps its own cache, whatever folder a test sets for meshes
 from vsfsim.cli.main import app
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import find_scene
@@ -125,7 +126,7 @@ def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path
 def test_a_press_without_probe_and_path_is_refined(press):
     """The first mesh fixes what is assumed; the others are pressed along the same path."""
     scene = SCENE[:SCENE.index("[probe]")]
-    found = json.loads(press("--refine", "3", "--json", "-", tier="linear", size=0.02, text=scene).stdout)
+    found = json.loads(press("--refine", "3", "--json", "-", tier="linear", size=0.015, text=scene).stdout)
     assert len(found["refinement"]["edge"]) == 3
     paths = {note for mesh in found["refinement"]["meshes"] for note in mesh["notes"] if "No [press]" in note}
     assert len(paths) == 1 and len(found["depth"]) == 10
