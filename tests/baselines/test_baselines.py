@@ -41,13 +41,13 @@ def error(method, view, recording, support, query=range(14, 20)):
 
 
 @pytest.mark.parametrize("name", ["gaussian", "gaussian-zero", "point-vsf"])
-def test_the_baselines_conform_through_the_outsiders_door(name):
+def test_the_baselines_conform(name):
     findings = check(name)
     assert not [f for f in findings if f.outcome == "failed"], report(name, findings)
 
 
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf])
-def test_touches_teach(method, train, subject):
+def test_touches_reduce_the_error(method, train, subject):
     view, recording = subject
     fitted = method(noise_std=0.15)  # the mock is exactly of the model's kind: only the sensor errs
     fitted.meta_fit(train)

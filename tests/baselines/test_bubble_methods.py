@@ -40,7 +40,7 @@ def pressed(observation="pressure"):
 
 @pytest.mark.parametrize(("build", "skin"), [(PointVsf, False), (DenseVsf, True), (lambda: GridVsf(**QUICK), False),
                                              (lambda: GridVsf(**QUICK), True)])
-def test_a_stiff_half_is_felt(build, skin):
+def test_a_stiff_half_is_estimated_as_stiffer(build, skin):
     view, readings = mock_view(0).view, pressed()
     given = readings if skin else [Reading(r.action, r.value, r.valid) for r in readings]
     method = build()
@@ -54,7 +54,7 @@ def test_a_stiff_half_is_felt(build, skin):
         assert 0.2 * reading.value[-1, 0] < guess[-1, 0] < 5.0 * reading.value[-1, 0]
 
 
-def test_without_its_skin_a_field_is_fitted_to_the_total():
+def test_without_a_surface_a_field_is_fitted_to_the_total():
     """`skin=False` and readings without a surface are one and the same; with it the forces on the vertices are looked
     at."""
     view, readings = mock_view(0).view, pressed()

@@ -117,7 +117,7 @@ def test_contact_points_are_of_forces(world):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_view_that_shows_nothing_is_said(name, world):
+def test_a_view_that_shows_nothing_is_refused(name, world):
     train, view, recording = world
     method = fitted(name, train)
     empty = dataclasses.replace(view, mask=np.zeros_like(view.mask))
@@ -137,7 +137,7 @@ def test_a_view_that_shows_nothing_is_said(name, world):
 
 
 @pytest.mark.parametrize("name", PARTICLES)
-def test_an_object_between_the_particles_is_said(name, world):
+def test_an_object_between_the_particles_is_refused(name, world):
     train, view, recording = world
     method = fitted(name, train)
     # One pixel on the object and a grid of 20 cm: no ray through the mask meets a particle.

@@ -44,7 +44,7 @@ def test_it_conforms(name, values):
     assert not failed, failed
 
 
-def test_the_grid_tells_stiff_from_soft_by_totals(seen):
+def test_the_grid_separates_stiff_from_soft_by_total_forces(seen):
     view, recording = seen
     method = GridVsf(iterations=60, batch=400, samples=12, rate=0.3)
     method.adapt(view.view, recording.readings[:9])
@@ -108,7 +108,7 @@ def pressed(noise=0.0, touches=8):
     return readings
 
 
-def test_points_read_the_skin_exactly_as_eq_3_has_it():
+def test_surface_rows_are_equivalent_to_eq_3():
     view, readings = mock_view(0).view, pressed(noise=0.002)
     method = DenseVsf(skin_std=0.02)
     method.adapt(view, readings)

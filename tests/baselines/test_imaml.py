@@ -1,4 +1,4 @@
-"""iMAML: its implicit gradient against finite differences through a fully solved inner problem, and its manners."""
+"""iMAML: its implicit gradient against finite differences through a fully solved inner problem, and its errors."""
 
 import numpy as np
 import pytest
@@ -62,7 +62,7 @@ def test_the_written_out_derivatives_are_those_of_automatic_differentiation(toke
     torch.testing.assert_close(network.curvature(phi, b) @ v, list(product))
 
 
-def test_tasks_in_a_batch_do_not_feel_each_other_nor_the_padding():
+def test_tasks_in_a_batch_are_independent_of_each_other_and_of_the_padding():
     network = Network(2, 1, token=3, hidden=(5,), encoder=(4, 2))
     theta = network.start(torch.Generator().manual_seed(0))
     both = batch(1)

@@ -48,7 +48,7 @@ def test_it_conforms(structure):
     assert not [f for f in findings if f.outcome == "failed"], report("sbml", findings)
 
 
-def test_vision_tells_the_stiff_half_before_any_touch(fitted, train, task):
+def test_features_predict_the_stiff_half_before_any_touch(fitted, train, task):
     view = mock_view(5)
     fitted.adapt(view.view, [])
     points = view.truth.probe_points
@@ -77,7 +77,7 @@ def test_vision_helps_the_shape_of_the_answer(fitted, train, task):
     assert np.mean(ratio) < 0.7, ratio
 
 
-def test_touches_teach_and_shrink_the_std(fitted, task):
+def test_touches_reduce_the_error_and_the_std(fitted, task):
     errors = [error(fitted, task, range(k)) for k in (0, 13)]
     assert errors[1] < 0.4 * errors[0], errors
     point = np.array([[0.0, 0.0, 0.028]])
@@ -106,7 +106,7 @@ def test_one_prior_over_two_families(train, task):
     assert means[1] > 3.0 * means[0]
 
 
-def test_a_saved_prior_is_taken_up_instead_of_learning(fitted, tmp_path, task):
+def test_a_saved_prior_is_used_instead_of_learning(fitted, tmp_path, task):
     fitted.save(tmp_path)
     other = Sbml(**FAST, prior=str(tmp_path))
     other.meta_fit([])
