@@ -2,11 +2,11 @@
 `vsfsim measure methods --blind`.
 
 A stiff object of known shape lies 3 mm under the surface of a soft half-space; a dome presses it from above at random
-places (`palpate`). Every estimator of Neural VSF section IV-C is asked for the object's pose as in section III-E: points
-stiffer than a threshold, RANSAC and closest points, the loss of eq. 7, the best of 40 (`localise`). The contact points
-are registered without a stiffness, and the pressure-only baseline gets the size of the whole force instead of the
-vertices' forces. One rule for all: the threshold is four times the cover's density, which is known, as in the paper. The
-random search that `localise` adds is shown beside the papers' procedure.
+places (`palpate`). Every estimator of Neural VSF section IV-C is asked for the object's pose as in section III-E:
+points stiffer than a threshold, RANSAC and closest points, the loss of eq. 7, the best of 40 (`localise`). The contact
+points are registered without a stiffness, and the pressure-only baseline gets the size of the whole force instead of
+the vertices' forces. One rule for all: the threshold is four times the cover's density, which is known, as in the
+paper. The random search that `localise` adds is shown beside the papers' procedure.
 """
 
 from __future__ import annotations

@@ -157,25 +157,25 @@ def prepare(touches: int, *, frames: int = FRAMES, tier: str = TIER, resolution:
 
 
 def _run(s: _Subject, aims: list[Aim], tier: str, device: str,
-         told: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
+         progress: Callable[[int, float], None]) -> tuple[Frames, CoupledSolver]:
     poses = np.stack([touch_bubble.mount_path(s.spec, a) for a in aims], axis=1)
     solver = CoupledSolver(s.body, s.sensor, friction=s.scene.required_sensor.friction, device=device,
                            options=touch_bubble.solver_options(tier, device))
     began = time.perf_counter()
-    return solver.run(poses, progress=lambda t: told(t, time.perf_counter() - began)), solver
+    return solver.run(poses, progress=lambda t: progress(t, time.perf_counter() - began)), solver
 
 
 def poke(s: _Subject, tier: str, device: str, progress: Progress) -> Poke:
     """The first two touches, the second one measured."""
-    def tell(what: str) -> Callable[[int, float], None]:
+    def frame_of(what: str) -> Callable[[int, float], None]:
         return lambda t, seconds: progress(f"{what}: frame {t} after {seconds:.1f} s")
 
     began = time.perf_counter()
-    _run(s, s.aims[:1], tier, device, tell("first touch"))
+    _run(s, s.aims[:1], tier, device, frame_of("first touch"))
     first = time.perf_counter() - began
     clock.start()
     busy = time.process_time()
-    frames, solver = _run(s, s.aims[1:2], tier, device, tell("second touch"))
+    frames, solver = _run(s, s.aims[1:2], tier, device, frame_of("second touch"))
     busy = time.process_time() - busy
     parts = {part: spent for part, (_, spent) in clock.stop().items()}
     size = np.linalg.norm(frames.force[:, 0], axis=1)
@@ -197,13 +197,13 @@ def batch(s: _Subject, touches: int, tier: str, device: str, progress: Progress,
     """``touches`` of the object together; ``compare`` of them again on the CPU."""
     aims = s.aims[1:1 + touches]
 
-    def told(t: int, seconds: float) -> None:
+    def each_frame(t: int, seconds: float) -> None:
         total = sum(s.spec.frames)
         progress(f"batch of {touches}: frame {t} of {total} after {seconds:.1f} s, "
                  f"{60.0 * touches * t / total / max(seconds, 1e-9):.1f} touches a minute so far")
 
     began = time.perf_counter()
-    frames, _ = _run(s, aims, tier, device, told)
+    frames, _ = _run(s, aims, tier, device, each_frame)
     seconds = time.perf_counter() - began
     contact = np.linalg.norm(frames.force, axis=2) > 0.0
     names, counts = np.unique(frames.reason[frames.reason != Reason.NONE], return_counts=True)

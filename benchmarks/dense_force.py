@@ -1,11 +1,11 @@
 """Error of estimated contact forces of the bubble: `vsfsim measure dense-force`.
 
 The bubble is pressed on rigid balls with the simulator's mesh. An estimator reads the nodes of the coarser read-out
-mesh with white noise, and the pressure with the real sensor's 5.4 Pa. The truth is the simulator's contact forces, moved
-to the read-out mesh so that net force and moment are kept. E h and the force scale of `paper` and `taut` are calibrated
-by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor. `released` is
-taken as published. `membrane` knows the simulated skin, but on the coarser mesh, and also runs with an E h that is 10 %
-too large.
+mesh with white noise, and the pressure with the real sensor's 5.4 Pa. The truth is the simulator's contact forces,
+moved to the read-out mesh so that net force and moment are kept. E h and the force scale of `paper` and `taut` are
+calibrated by the net force of other presses with the smallest noise, as their owner would with a force-torque sensor.
+`released` is taken as published. `membrane` knows the simulated skin, but on the coarser mesh, and also runs with an E
+h that is 10 % too large.
 """
 
 from __future__ import annotations
@@ -92,9 +92,9 @@ def simulate(model: BubbleModel, plan: Plan, *, device: str = "cpu",
             points = model.mesh.points + np.stack([u[:, k].reshape(-1, 3) for u in solver.history])[good]
             # what the solver keeps is the force on the body, which is the bubble
             force = np.stack([f[..., k] for f in solver.surface_force])[good]
-            seen = readout.frames(points, force, gauge_pressure(model, points), rest_pressure=model.pressure)
-            out.append(PressRecord(spot.name, np.maximum(np.array(_FRAMES)[good], 0.0), seen.node_position,
-                                   seen.pressure_change + model.pressure, seen.node_force))
+            measured = readout.frames(points, force, gauge_pressure(model, points), rest_pressure=model.pressure)
+            out.append(PressRecord(spot.name, np.maximum(np.array(_FRAMES)[good], 0.0), measured.node_position,
+                                   measured.pressure_change + model.pressure, measured.node_force))
     return out
 
 
@@ -173,11 +173,11 @@ def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *
     """All estimators, calibrated on the noise-free ``presses``; ``calibration`` holds the true skin."""
     options = EstimatorOptions()
     rng = np.random.default_rng(1)
-    seen = [noisy(p, rng, displacement_std=options.displacement_std, pressure_std=PRESSURE_STD) for p in presses]
+    measured = [noisy(p, rng, displacement_std=options.displacement_std, pressure_std=PRESSURE_STD) for p in presses]
     fitted = {}
     for method in ("paper", "taut"):
         progress(f"calibrating {method}")
-        fitted[method] = calibrate(calibration, seen, method=method, options=replace(options, tolerance=1e-3))
+        fitted[method] = calibrate(calibration, measured, method=method, options=replace(options, tolerance=1e-3))
     out = [Contender("residual", "residual", fitted["paper"][0], options),
            Contender("released", "released", calibration, options)]
     out += [Contender(m, m, given, replace(how, tolerance=options.tolerance), error) for m,
@@ -199,14 +199,14 @@ def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise
     rows = []
     for level in noise:
         rng = np.random.default_rng(7)  # the same draws for every level and contender
-        seen = [noisy(p, rng, displacement_std=level, pressure_std=PRESSURE_STD if level else 0.0) for p in presses]
+        measured = [noisy(p, rng, displacement_std=level, pressure_std=PRESSURE_STD if level else 0.0) for p in presses]
         for one in field:
             progress(f"{one.label} at {1e3 * level:g} mm")
             options = replace(one.options, displacement_std=max(level, 1e-5))
             estimator = DenseForceEstimator(one.calibration, method=one.method, options=options)
             began = time.process_time()
-            found = [estimator.estimate(p.position, p.pressure) for p in seen]
-            spent = (time.process_time() - began) / sum(len(p.depth) for p in seen)
+            found = [estimator.estimate(p.position, p.pressure) for p in measured]
+            spent = (time.process_time() - began) / sum(len(p.depth) for p in measured)
             scores = [score(f.force, p.force) for f, p in zip(found, presses, strict=True)]
             rows += _bins(one.label, level, spent, presses, scores, [f.converged for f in found])
     return rows

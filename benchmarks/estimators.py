@@ -4,8 +4,8 @@ The literal forms are the papers' equations written with dense matrices over the
 eq. 15 with W B Sigma B^T W^T + Sigma_Z, its inverse and automatic differentiation; eq. 16 as one dense least squares
 problem with bounds; the diagonal Kalman filter with a dense gain. Each runs in a process of its own, so that its peak
 memory is its own. What takes less than some seconds runs again, and the fastest run counts. On a CPU the processor's
-time is compared, because other programs on the machine do not change it; the time on the clock stands beside it. Where a
-literal form would not fit, or would take minutes, both forms run on as many of the workload's touches as it can take,
+time is compared, because other programs on the machine do not change it; the time on the clock stands beside it. Where
+a literal form would not fit, or would take minutes, both forms run on as many of the workload's touches as it can take,
 and its time for the whole is estimated from its number of operations.
 """
 

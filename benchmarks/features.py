@@ -67,7 +67,7 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
     if on_test and len(asked) < 2:
         raise MethodError(f"measure features: {len(asked)} test object; an error of a difference needs at least two.")
     names = [*learned, *asked]
-    # Each round leaves some objects out of the learning and asks them.
+    # Each round leaves some objects out of the training and predicts them.
     rounds = [list(range(len(learned), len(names)))] if on_test else [list(range(fold, len(names), folds))
                                                                       for fold in range(folds)]
     views = [dataset.blind().load(name) for name in names]
@@ -91,7 +91,7 @@ def choose(task: Task, dataset: Dataset, *, features: Sequence[str], noises: Seq
                     method.share(first_of.setdefault(method.noise_std, method))
                 method.meta_fit([s for i, s in enumerate(specimens) if i not in out])
                 for i in out:
-                    errors[k, i] += np.array(_asked(method, views[i].view, recordings[i])) / seeds
+                    errors[k, i] += np.array(_errors(method, views[i].view, recordings[i])) / seeds
     errors = errors[:, sorted(i for out in rounds for i in out)]
     first = errors[1] if len(variants) > 1 else errors[0]
     count = np.sqrt(errors.shape[1])
@@ -119,13 +119,13 @@ def measure(task: Task, dataset: Dataset, **given: Any) -> Measurement:
                   on_test=bool(given.get("on_test", False)))
 
 
-def _asked(method, view, recording) -> tuple[float, float]:
+def _errors(method, view, recording) -> tuple[float, float]:
     """Errors on all touches: without any, and each half after the other."""
     usable = [i for i, r in enumerate(recording.readings) if r.valid.any()]
     zero, half = [], []
     for support, query in ((usable[::2], usable[1::2]), (usable[1::2], usable[::2])):
-        for seen, errors in (([], zero), (support, half)):
-            method.adapt(view, [recording.readings[i] for i in seen])
+        for given, errors in (([], zero), (support, half)):
+            method.adapt(view, [recording.readings[i] for i in given])
             answer = method.predict([recording.readings[i].action for i in query])
             rows = [touch_errors(a, recording.clean[i], recording.readings[i].valid) for a, i in zip(answer, query)]
             errors += [float(np.sqrt(row["sse"] / row["n"])) for row in rows]

@@ -1,10 +1,11 @@
 """The point VSF, the neural VSF and its fast variant on one buried rope: F1 of its mask, time, size on disk
 (`vsfsim measure methods --fields`).
 
-The case has the size of Neural VSF section IV-D: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope lies in
-a soft half-space; forces are those of the continuous VSF itself with 5 mN of noise a component (see `palpation`). F1 is
-that of its table I: seen from above at pixels of 3 mm, a pixel is stiff where the rope lies under it within the pressed
-depth; a method's pixel is the largest stiffness in its column, cut at the threshold that is best for the method.
+The case has the size of Neural VSF section IV-D: 66 touches, 1,010 frames, 217 vertices, 20,000 points. The rope lies
+in a soft half-space; forces are those of the continuous VSF itself with 5 mN of noise a component (see `palpation`). F1
+is that of its table I: seen from above at pixels of 3 mm, a pixel is stiff where the rope lies under it within the
+pressed depth; a method's pixel is the largest stiffness in its column, cut at the threshold that is best for the
+method.
 """
 
 from __future__ import annotations
@@ -36,8 +37,8 @@ FRAMES = ((46, 15), (20, 16))
 BOUNDS = np.array([[-0.08, -0.06, -0.016], [0.08, 0.06, 0.001]])
 _EXTENT, _DEPTH, _NOISE = (0.11, 0.07), 0.012, 0.005
 _PIXEL = 0.003
-# Noise of the point model [N], some times the sensor's, because it cannot place forces finer than its particles; and the
-# prior's standard deviation over its mean, the soft ground.
+# Noise of the point model [N], some times the sensor's, because it cannot place forces finer than its particles; and
+# the prior's standard deviation over its mean, the soft ground.
 _MODEL_NOISE, _WIDTH = 0.02, 20.0
 
 
@@ -75,8 +76,8 @@ def check_device(device: str) -> None:
 
 
 def neural_fitting(device: str, iterations: int | None, rate: float) -> Fitting:
-    """Settings of the neural VSF: the paper's and 2,000 iterations, or on a CPU a tenth of the paper's work an iteration
-    and 400 of them."""
+    """Settings of the neural VSF: the paper's and 2,000 iterations, or on a CPU 400 iterations of a tenth of the work
+    each."""
     if torch.device(device).type != "cpu":
         return Fitting(iterations=iterations or 2000, rate=rate)
     return Fitting(iterations=iterations or 400, rate=rate, batch=300, samples=32)
@@ -175,10 +176,11 @@ def table(rows: Sequence[FieldRow], name: str, title: str) -> Table:
 def measure(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
             progress: Progress = lambda _: None) -> Measurement:
     """Every method on two ropes: the one that the settings of our field were chosen on, and a fresh one."""
-    found = [table(compare(device=device, iterations=iterations, rate=rate, fresh=fresh, progress=progress), name, title)
+    given = {"device": device, "iterations": iterations, "rate": rate}
+    found = [table(compare(**given, fresh=fresh, progress=progress), name, title)
              for fresh, name, title in ((False, "fields", "a rope under a soft layer"),
                                         (True, "fields_fresh", "another rope, that no setting was chosen on"))]
-    return Measurement.of("methods --fields", {"device": device, "iterations": iterations, "rate": rate}, found)
+    return Measurement.of("methods --fields", given, found)
 
 
 @dataclass(frozen=True)
@@ -218,7 +220,7 @@ class _Pixels:
         return float(np.max((2.0 * hit / (np.arange(1, len(hit) + 1) + self.stiff.sum()))[last]))
 
     def f1_of_points(self, place: np.ndarray, stiffness: np.ndarray) -> float:
-        """Of a point VSF: the nearest point speaks."""
+        """Of a point VSF: a query point has the stiffness of the nearest particle."""
         return self.f1(stiffness[cKDTree(place).query(self.points)[1]])
 
 

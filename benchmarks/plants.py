@@ -100,8 +100,8 @@ def measure(*, device: str = "cpu", scene: str = "plants", objects: int | None =
         clock["all records made"] = time.perf_counter() - start
         progress(f"{clock['all records made']:.1f} s: records and truth of {len(made)} views")
     numbers = {"scene": loaded.name, "device": device, "workers": count, "views": len(found), "views_asked": len(jobs),
-               "segments": segments, **_audit(found, rod_options(loaded.sample(0)).patience), "readings_planned": planned,
-               "touches_asked": recipe.touches * len(jobs), "views_made": len(made),
+               "segments": segments, **_audit(found, rod_options(loaded.sample(0)).patience),
+               "readings_planned": planned, "touches_asked": recipe.touches * len(jobs), "views_made": len(made),
                "records": sum(len(t.time) for view in made for t in view.touches), "compile_s": compiling,
                "wall_s": clock["all records made"], "clock_s": clock,
                "stages_s": {name: spent.spent[name] for name in WHAT},
@@ -191,6 +191,7 @@ def report(settings: dict[str, Any], found: dict[str, Any]) -> Measurement:
             Column("paper_cpu_s", "the papers' data set, CPU time", "s", "min", ".0f")), [{**found, **rates}],
             single=True),
         Table("stages, all processes together", (
-            Column("stage", "stage"), Column("clock", "time", "s", form=".2f"), Column("cpu", "CPU time", "s", form=".2f"),
-            Column("each", "CPU a reading", "s", "ms", ".3f"), Column("what", "what")), stages)],
+            Column("stage", "stage"), Column("clock", "time", "s", form=".2f"),
+            Column("cpu", "CPU time", "s", form=".2f"), Column("each", "CPU a reading", "s", "ms", ".3f"),
+            Column("what", "what")), stages)],
         notes=notes, numbers={**found, **rates})

@@ -5,9 +5,9 @@
     F_n / A    openvsf: dp = F_n / A_base, the force along the dome's axis over the area inside the rim
 
 A_base is 7.1827e-3 m^2 for openvsf's mesh of the bubble alone and 6.6019e-3 m^2 for its mesh on the arm
-(`references/openvsf_base_area.json`). Both laws get the simulator's true contact forces, so what remains is the law's own
-error and not that of a stiffness estimate. The truth is the gas: p V^gamma constant under the membrane's equilibrium, as
-the dataset stores it.
+(`references/openvsf_base_area.json`). Both laws get the simulator's true contact forces, so what remains is the law's
+own error and not that of a stiffness estimate. The truth is the gas: p V^gamma constant under the membrane's
+equilibrium, as the dataset stores it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.sensing.membrane_fe import SensorError
 
 BASE_AREA = references.load("openvsf_base_area")["bubble_alone"]["area_m2"]
-"""Area inside the Punyo's rim [m^2], of openvsf's mesh of the bubble alone; pi times 57.25 mm times 40 mm is 0.2 % more."""
+"""Area inside the Punyo's rim [m^2], of openvsf's mesh of the bubble alone; that of the ellipse is 0.2 % larger."""
 
 SEMI_AXIS = Bubble().semi_axes[0]
 """The Punyo's long one [m]."""
@@ -90,16 +90,16 @@ def readings(views: Iterable[ObjectView]) -> LawReadings:
         DatasetError: no touch has a pressure, or no frame is in contact.
     """
     parts: list[tuple[np.ndarray, ...]] = []
-    touch_number = seen = 0
+    touch_number = count = 0
     for view in views:
         for touch in view.touches:
-            seen += 1
+            count += 1
             if touch.pressure is None or touch.rest_pressure is None:
                 continue
             parts.append(_of_touch(touch, touch_number))
             touch_number += 1
     if not parts:
-        raise DatasetError(f"pressure law: none of {seen} touches has a pressure; the dataset must be made with a "
+        raise DatasetError(f"pressure law: none of {count} touches has a pressure; the dataset must be made with a "
                            f"bubble, a [sensor] in the scene.")
     out = LawReadings(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if not len(out.change):
@@ -182,8 +182,8 @@ def study(found: LawReadings, *, area: float = BASE_AREA, semi_axis: float = SEM
         semi_axis: the long one [m]; the bins are shares of it.
 
     Returns:
-        "laws": list of `Law` as dictionaries. "rings": list of {"from", "to" [m], "frames", "normal": best scale of F_n,
-        "summed": of sum|f| [Pa/N]}. "frames", "touches": numbers of them. "area" [m^2].
+        "laws": list of `Law` as dictionaries. "rings": list of {"from", "to" [m], "frames", "normal": best scale of
+        F_n, "summed": of sum|f| [Pa/N]}. "frames", "touches": numbers of them. "area" [m^2].
     """
     laws = [law("F_n / A_base", found.normal, found.change, scale=1.0 / area),
             law("F_n / A fitted", found.normal, found.change, scale=None)]

@@ -105,7 +105,8 @@ def train(particles: int, presses: int, frames: int, *, device: str = "cpu",
         prior = MetaPrior(FEATURES, shared=False, spread=Spread(_MEAN, _MEAN)).to(device)
         features = torch.randn(len(evidence.touched), FEATURES).to(device)
     none = torch.zeros(0, FEATURES, device=device)
-    optimiser, best, values, begun = torch.optim.Adam(prior.parameters(), lr=1e-4, foreach=True), np.inf, [], time.perf_counter()
+    optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, foreach=True)
+    best, values, begun = np.inf, [], time.perf_counter()
     while len(values) < _STEPS and (not values or time.perf_counter() - begun < _ENOUGH):
         start = time.perf_counter()
         loss = evidence.nll(*prior(features, none))

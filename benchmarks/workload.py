@@ -85,8 +85,8 @@ class Workload:
                 "frames_of_a_touch": self.frames, "rows_of_a_frame": self.frame, "noise_std_N": NOISE,
                 "prior_mean_N_per_m": MEAN, "prior_std_N_per_m": STD}, indent=1) + "\n")
         except OSError as error:
-            raise VsfError(f"measure methods: the workload cannot be written to '{folder}': {error}. Give a folder that "
-                           f"can be made.") from error
+            raise VsfError(f"measure methods: the workload cannot be written to '{folder}': {error}. Give a folder "
+                           f"that can be made.") from error
 
     @property
     def touches(self) -> int:

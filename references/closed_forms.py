@@ -153,11 +153,13 @@ def comparisons() -> list[tuple[str, float, float]]:
         name = f"gas sphere, ambient x {row['ambient_ratio']}, gamma {row['gamma']}"
         out += [(f"{name}, stretch", stretch, row["stretch"]), (f"{name}, Pa", pressure, row["gauge_pressure_Pa"])]
     top = 7.0 ** (1.0 / 6.0)
-    out.append(("gas sphere, largest p R / (mu h)", 2.0 * (1.0 / top - top**-7), data["limit_pressure_over_mu_h_per_R0"]))
+    out.append(("gas sphere, largest p R / (mu h)", 2.0 * (1.0 / top - top**-7),
+                data["limit_pressure_over_mu_h_per_R0"]))
     data = load("plate")
     given = {key.rsplit("_", 1)[0] if key.endswith(("_Pa", "_m")) else key: value
              for key, value in data["setting"].items()}
-    out += [(f"plate, {q} Pa", plate(q, **given), w) for q, w in zip(data["load_Pa"], data["deflection_m"], strict=True)]
+    out += [(f"plate, {q} Pa", plate(q, **given), w)
+            for q, w in zip(data["load_Pa"], data["deflection_m"], strict=True)]
     data = load("hertz_layer")
     given = data["setting"]
     hertz, force = hertz_layer(data["depth_m"][0], young_modulus=given["young_modulus_Pa"],

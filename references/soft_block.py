@@ -211,7 +211,8 @@ class Press:
     def to(self, depth: float) -> float:
         """Force [N] on the whole sphere (all four quarters) at ``depth`` [m] past first contact."""
         top = self.block.points[:, 2].max() + self.radius
-        for height in np.linspace(self.centre[2], top - depth, 1 + int(np.ceil((self.centre[2] - top + depth) / 6e-4)))[1:-1]:
+        strides = int(np.ceil((self.centre[2] - top + depth) / 6e-4))
+        for height in np.linspace(self.centre[2], top - depth, 1 + strides)[1:-1]:
             self.centre[2] = height
             self.equilibrium()
         self.centre[2] = top - depth
@@ -229,7 +230,8 @@ def curve(cell: float, depths: list[float], *, size: tuple[float, float, float],
           poisson_ratio: float, radius: float, even: float, growth: float = 1.4, face_points: int = 6) -> list[float]:
     """Forces [N] at increasing ``depths`` [m] on a mesh with cells of ``cell`` [m] at the contact."""
     press = Press(Block.of(size, cell, even, growth, face_points), young_modulus, poisson_ratio, radius)
-    print(f"cells of {1e3 * cell:g} mm: {len(press.block.cells)} elements, {len(press.block.free)} unknowns", flush=True)
+    print(f"cells of {1e3 * cell:g} mm: {len(press.block.cells)} elements, {len(press.block.free)} unknowns",
+          flush=True)
     out = []
     for depth in depths:
         began = time.perf_counter()

@@ -17,7 +17,7 @@ LAYERS = ("vsfsim/core", "vsfsim/data", "vsfsim/physics", "vsfsim/robot", "vsfsi
           "vsfsim/generate", "scenes")
 
 SHAPE = re.compile(r"\(\w[\w\s+]*,")  # (n,), (T, 3), (3 n,), (T + 1,)
-DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "see `", "unit of the")
+DIMENSIONLESS = ("relative", "fraction", "factor", "probability", " over ", "0..1", "0 to 1", "see `", "unit of the")
 """Words that stand for [-], or that send the reader to the class that says it."""
 
 

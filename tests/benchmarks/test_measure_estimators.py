@@ -70,7 +70,8 @@ def test_the_peak_is_that_of_the_work_alone():
     before = process_memory.held_memory(reset=True)
     rested = process_memory.peak_memory() - before
     held = _pages(10_000_000)
-    assert rested < 40.0 and 70.0 < process_memory.peak_memory() - before - rested < 120.0, "80 MB of doubles are 76 MiB"
+    assert rested < 40.0
+    assert 70.0 < process_memory.peak_memory() - before - rested < 120.0, "80 MB of doubles are 76 MiB"
     del held
 
 
@@ -105,16 +106,15 @@ def test_an_exported_workload_gives_an_outsider_the_same_answer(tmp_path):
     """The matrices, readings, noise and prior in the files are all that eq. 16 needs."""
     load = Workload.of(60, 2, 3)
     load.export(tmp_path / "new" / "folder")
-    told = json.loads((tmp_path / "new" / "folder" / "readings.json").read_text())
+    given = json.loads((tmp_path / "new" / "folder" / "readings.json").read_text())
     z = np.load(tmp_path / "new" / "folder" / "readings.npz")
     for name, mine in (("pressure", batch), ("dense", batch_dense)):
         w = sparse.load_npz(tmp_path / "new" / "folder" / f"{name}.npz").toarray()
-        a = np.concatenate([w / told["noise_std_N"], np.eye(w.shape[1]) / told["prior_std_N_per_m"]])
-        b = np.concatenate([z[name] / told["noise_std_N"], np.full(w.shape[1],
-                                                                   told["prior_mean_N_per_m"]
-                                                                   / told["prior_std_N_per_m"])])
+        a = np.concatenate([w / given["noise_std_N"], np.eye(w.shape[1]) / given["prior_std_N_per_m"]])
+        b = np.concatenate([z[name] / given["noise_std_N"],
+                            np.full(w.shape[1], given["prior_mean_N_per_m"] / given["prior_std_N_per_m"])])
         np.testing.assert_allclose(optimize.nnls(a, b)[0], mine(load)[1], rtol=1e-6, atol=1e-6)
-    assert w.shape[0] == len(z["touch"]) * told["rows_of_a_frame"] == 6 * told["rows_of_a_frame"]
+    assert w.shape[0] == len(z["touch"]) * given["rows_of_a_frame"] == 6 * given["rows_of_a_frame"]
     (tmp_path / "file").write_text("")
     with pytest.raises(VsfError, match="cannot be written"):
         load.export(tmp_path / "file" / "folder")

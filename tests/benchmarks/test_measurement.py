@@ -21,7 +21,8 @@ COLUMNS = (Column("name", "who"), Column("depth", "depth", "m", "mm", ".1f"), Co
 @pytest.fixture
 def measured():
     return Measurement.of("toy", {"device": "cpu", "size": 3}, [
-        Table("some rows", COLUMNS, ROWS, name="rows"), Table("one row", COLUMNS[:2], ROWS[:1], name="one", single=True),
+        Table("some rows", COLUMNS, ROWS, name="rows"),
+        Table("one row", COLUMNS[:2], ROWS[:1], name="one", single=True),
         Table("a view of them", COLUMNS[:1], ROWS)], notes=["It holds for toys."], numbers={"extra": 7})
 
 

@@ -152,11 +152,13 @@ def test_what_is_missing_is_named():
 
 
 def test_a_distribution_stands_wherever_a_value_may():
-    text = FULL.replace("count = 7", "count = { choice = [7, 9] }").replace("base = 1e5",
-                                                                            "base = { loguniform = [1e4, 1e6] }")
-    text = text.replace("pose = [0.1,",
-                        "pose = [{ uniform = [-0.1, 0.1] },").replace("{ capsule = [0.01, 0.02] }",
-                                                                      "{ choice = [{ sphere = { uniform = [0.01, 0.02] } }, { capsule = [0.01, 0.02] }] }")
+    text = FULL
+    for value, distribution in (
+            ("count = 7", "count = { choice = [7, 9] }"), ("base = 1e5", "base = { loguniform = [1e4, 1e6] }"),
+            ("pose = [0.1,", "pose = [{ uniform = [-0.1, 0.1] },"),
+            ("{ capsule = [0.01, 0.02] }",
+             "{ choice = [{ sphere = { uniform = [0.01, 0.02] } }, { capsule = [0.01, 0.02] }] }")):
+        text = text.replace(value, distribution)
     drawn = [parse_scene(text, Path("d.toml")).sample(seed) for seed in range(200)]
     assert {s.touches.count for s in drawn} == {7, 9}
     base = np.array([s.object.young_modulus.base for s in drawn])
@@ -243,8 +245,8 @@ def test_several_rigid_bodies():
 def test_paths():
     s = small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, 0.065]]\nframes = [5, 8]\nrotation = [[0, 0, "
               "0], [0, 0, 0], [0, 0, 0.5]]\nhold = 1\n").sample()
-    assert s.press.frames == (5, 8) and s.press.inward == 13 and s.press.stop == (0.01, 0.0,
-                                                                                  0.065) and s.press.rotation[2] == (0.0, 0.0, 0.5)
+    assert s.press.frames == (5, 8) and s.press.inward == 13
+    assert s.press.stop == (0.01, 0.0, 0.065) and s.press.rotation[2] == (0.0, 0.0, 0.5)
     assert small("[press]\npath = [[0, 0, 0.07], [0, 0, 0.065], [0.01, 0, "
                  "0.065]]\nframes = 4\n").sample().press.frames == (4, 4)
     assert small(PRESS + "rotation = [0.1, 0, 0]\n").sample().press.rotation == ((0.1, 0.0, 0.0),) * 2

@@ -1,5 +1,5 @@
-"""An arm as a dataset describes it: a chain of links with capsules, and its kinematics. A method needs no robot simulator
-for it."""
+"""An arm in a dataset: a chain of links with capsules. Joint angles give poses, axes and anchors; NumPy alone, so that
+a method needs no robot simulator."""
 
 from __future__ import annotations
 

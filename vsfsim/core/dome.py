@@ -1,5 +1,5 @@
-"""The front of a soft sensor as a dataset knows it: a surface mesh in the mount's frame. Numpy alone, so that a method
-needs no simulator."""
+"""The front of a soft sensor in a dataset: a surface mesh in the mount's frame. NumPy alone, so that a method needs no
+simulator."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Dome:
         return cls(tuple(map(tuple, rounded.tolist())), tuple(map(tuple, np.asarray(triangles, int).tolist())))
 
     def __repr__(self) -> str:
-        # hundreds of vertices in a message help nobody; the hash tells two domes apart
+        # A message is too short for hundreds of vertices; the hash distinguishes two domes.
         return (f"Dome({len(self.vertices)} vertices, {1e3 * self.height:.1f} mm high, "
                 f"{hash((self.vertices, self.triangles)) & 0xFFFFFFFF:08x})")
 

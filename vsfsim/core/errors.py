@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 class VsfsimError(Exception):
-    """A mistake in the input or the surroundings, told in one paragraph.
+    """A mistake in the input or the surroundings; its message is one paragraph.
 
     The command line prints the message and exits with code 2; ``--debug`` shows the traceback.
     Bugs of our own are ``AssertionError`` and the like, never this class.

@@ -15,7 +15,7 @@ from vsfsim.core.table import Table, numbers, whole
 
 Vector = tuple[float, float, float]
 ORIGIN: Vector = (0.0, 0.0, 0.0)
-MAX_BODIES = 64  # probe, parts and obstacles together; every contact point asks each of them
+MAX_BODIES = 64  # probe, parts and obstacles together; every contact point is compared with each of them
 MAX_FRICTION = 10.0
 
 

@@ -4,7 +4,7 @@ sequence, a point VSF, a mesh, a configuration.
     seq_<ID>/kinova_state.npy     (T, 7)      joint angles [rad]
              punyo_state.npy      (T, N, 3)   vertices of the bubble, in its body frame [m]
              punyo_force.npy      (T, N, 3)   force ON the bubble, in its body frame [N]
-             punyo_pressure.npy   (T, 1)      -(1/A) sum f . z_punyo [Pa], A the bubble's area seen along z
+             punyo_pressure.npy   (T, 1)      -(1/A) sum f . z_punyo [Pa], A the bubble's area projected along z
     object/vsf_empty.npz          points (n, 3) float64, world [m]; K (n,) [N/m], all zero
     assets/punyo.ply              the undented bubble, closed, in its body frame [m]
     openvsf.yaml                  for `punyo_force`; openvsf-pressure.yaml for `punyo_pressure`
@@ -151,7 +151,7 @@ def check_target(folder: Path, urdf: Path | None) -> tuple[str, list[str]]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if any(folder.iterdir()):
-            # every seq* that lies there would be loaded, those of an earlier run, too
+            # openvsf loads every seq* in the folder, also those of an earlier run
             raise DatasetError(f"openvsf: '{folder}' is not empty. Give a new folder, or empty it.")
     except OSError as error:
         raise DatasetError(f"openvsf: '{folder}' cannot be written: {error}. Give a folder that "

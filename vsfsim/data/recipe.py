@@ -70,7 +70,7 @@ class Recipe:
         return cls(**{name: table[name] for name in names})
 
     def differences(self, other: Recipe) -> list[str]:
-        """What ``other`` has otherwise, one phrase a field: "seed 0 there, 1 asked for"; self is what lies on disk."""
+        """Differences of ``other`` from this recipe, the one on disk; a phrase a field: "seed 0 there, 1 asked for"."""
         out = []
         mine, theirs = self.table(), other.table()
         for key in mine:

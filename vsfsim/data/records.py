@@ -168,7 +168,7 @@ class Truth:
 
 @dataclass(frozen=True)
 class ObjectView:
-    """One object seen once and touched many times: one file of a dataset."""
+    """One view of an object and the touches of it: one file of a dataset."""
 
     name: str
     """Unique in its dataset, e.g. "shoe-0007-v0"."""

@@ -162,7 +162,7 @@ class DatasetWriter:
                                f"check out that version to finish it, or delete the folder and start again.")
 
     def _begin(self) -> dict[str, str | None]:
-        self._refuse_other()  # again, now that nobody else can write
+        self._refuse_other()  # again, now that no other process can write
         self._finished: Dataset | None = None
         for part in self.path.iterdir():
             if _OUR_PART.search(part.name):
