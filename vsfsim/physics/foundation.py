@@ -4,9 +4,9 @@
 
 over the thickness of the body under a point of its surface, along the inward normal: layers in series, none of which
 moves sideways (Winkler 1867; Johnson 1985, section 4.3). It is a compressible layer that is held below and thinner than
-the contact is wide. It shows where and how deep the probe touches, and what lies under it; nothing that a point does to
-its neighbours: no bulging, no dent wider than the contact, no bending. Its force is off by tens of per cent on a thick
-body, and without bound as nu goes to 1/2.
+the contact is wide. It models where and how deep the probe touches and the layers under it. It does not couple
+neighbouring points: there is no bulging, no dent wider than the contact, and no bending. On a thick body the force has
+an error of tens of per cent, which grows without bound as nu goes to 1/2.
 """
 
 from __future__ import annotations
@@ -56,11 +56,12 @@ def foundation(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
     """An anchor on every node.
 
     A surface node carries its part of the surface. One inside carries kappa V with kappa = M / h^2, h the mean
-    thickness:
-    nothing touches it, and only gravity moves it.
+    thickness: nothing touches it, and only gravity moves it.
 
     Args:
-        mesh: placed. young_modulus: at the Gauss points (m, 4) [Pa]. poisson_ratio: nu, at most `MOST_POISSON_RATIO`.
+        mesh: the mesh in the world frame.
+        young_modulus: Young's modulus at the Gauss points (m, 4) [Pa].
+        poisson_ratio: nu, at most `MOST_POISSON_RATIO` [-].
     """
     a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
     outward = np.cross(b - a, c - a)

@@ -2,11 +2,9 @@
 
     E(u) = kappa V |u|^2 / 2
 
-kappa [N/m^4]: stiffness density, V [m^3]: the particle's volume. Neither is a modulus: an anchor knows its distance
-from home and nothing of its neighbours, so it resists a rigid motion too (a shift by d costs kappa V |d|^2 / 2; only u
-= 0 is free), and
-the ground holds it: its force is a support reaction. Linear, so the tangent is the rest stiffness everywhere, and
-positive.
+kappa is a stiffness density [N/m^4] and V the particle's volume [m^3]. Neither is a modulus: the force depends on the
+distance from the rest position only, not on the neighbours. So an anchor resists a rigid motion, too, and its force is
+a support reaction. It is linear: its tangent is the rest stiffness everywhere, and positive.
 
 (Z. Pan et al., visuo-tactile volumetric stiffness fields; as an elastic foundation: Winkler 1867, Johnson 1985 section
 4.3.)

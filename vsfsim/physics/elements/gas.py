@@ -1,17 +1,17 @@
 """Gas: the air in a closed surface, at one pressure everywhere.
 
     sealed: p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
-              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)     (gamma 1: p0 V0 ln(V0/V) + ambient (V -
-              V0))
-    open:   p - ambient is what the supply keeps, g:   E(V) = -g (V - V0)
+              = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)
+              = p0 V0 ln(V0/V) + ambient (V - V0)                             for gamma = 1
+    open:   the supply holds p - ambient at g,    E(V) = -g (V - V0)
 
-p, ambient absolute [Pa], V: the volume inside the surface plus a dead volume that does not change [m^3]; gamma 1
-isothermal, 1.4 adiabatic air.
-The surface volume is a sum of tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the
-gradient x1 x x2 / 6 at x0 and so on. A sheet is closed by a cap over its rim, so that a rigid motion leaves V as it is.
-Tangent: -g V'' + (-dp/dV) (grad V)(grad V)^T.
-The last term couples all nodes, and is a product of vectors (never a matrix); with g > 0 the first is not a bowl, and
-the projected tangent leaves it out.
+p and ambient are absolute pressures [Pa]. V is the volume inside the surface plus a dead volume that does not change
+[m^3]. gamma is 1 for isothermal and 1.4 for adiabatic air.
+
+The surface volume is a sum over tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the
+gradient x1 x x2 / 6 at x0 and so on. A cap over its rim closes a sheet, so that a rigid motion leaves V unchanged. The
+tangent is -g V'' + (-dp/dV) (grad V)(grad V)^T. Its last term couples all nodes and is applied as a product of vectors,
+never as a matrix. With g > 0 the first term is indefinite, and the projected tangent leaves it out.
 """
 
 import functools

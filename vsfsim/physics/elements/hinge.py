@@ -1,15 +1,15 @@
 """Hinge: the bending of a thin sheet, flat at rest, from the three hinges between a triangle and its neighbours.
 
-    E(x) = A D/2 [ (1 - nu) (|h11|^2 + |h22|^2 + 2 |h12|^2) + nu |h11 + h22|^2 ],    h_ab = d^2 x / dX_a dX_b,   D = E
-    h^3 / (12 (1 - nu^2))
+    E(x) = A D/2 [ (1 - nu) (|h11|^2 + |h22|^2 + 2 |h12|^2) + nu |h11 + h22|^2 ],
+    h_ab = d^2 x / dX_a dX_b,     D = E h^3 / (12 (1 - nu^2))
 
 h (three vectors) is the second derivative of the one quadratic map that takes the six nodes of the triangle and its
-three neighbours from their
-rest places X in the plane to where they are: exact for every quadratic deflection on any sound mesh (its six places not
-on a conic), so D is what it is called. A sum of k theta^2 over dihedral angles is not: its D depends on the mesh (on
-equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like a plate of Poisson's ratio -1/3, three times too stiff in a
-clamped disc; Seung and Nelson 1988, Phys. Rev. A 38; Grinspun et al. 2003). The patch of four triangles is that of
-Onate and Flores 2005 (the rotation-free triangle EBST, Comput. Methods Appl. Mech. Eng. 194).
+three neighbours from their rest places X in the plane to their present ones. It is exact for every quadratic
+deflection on any mesh whose six places are not on a conic, so D is the plate's bending stiffness. A sum of k theta^2
+over dihedral angles is not: its D depends on the mesh (on equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like
+a plate of Poisson's ratio -1/3, three times too stiff in a clamped disc; Seung and Nelson 1988, Phys. Rev. A 38;
+Grinspun et al. 2003). The patch of four triangles is that of Onate and Flores 2005 (the rotation-free triangle EBST,
+Comput. Methods Appl. Mech. Eng. 194).
 
 Vectors stand where a plate theory has curvatures n . h (as in Bergou et al. 2006, "A quadratic bending model for
 inextensible surfaces"): the energy is quadratic, so its tangent is constant and never negative, and a rotation costs

@@ -2,12 +2,11 @@
 
     E(x) = k/2 (l - L)^2,     l = |x_1 - x_0|,  n = (x_1 - x_0) / l
 
-Force on node 1's balance k (l - L) n. Tangent k n (x) n + k (1 - L/l) (I - n (x) n): along the spring, and the tension
-that turns it.
-A compressed spring (l < L) is unstable sideways, so the projected tangent takes max(0, 1 - L/l).
-At l = 0 the direction is lost and the force is taken as zero; the energy stays finite.
-A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio of an isotropic one is 1/4 (Love 1927, note
-B; `coefficients.SPRING_ALONG`) where its nodes follow a uniform strain; `network` says what is observed.
+The force in the balance of node 1 is k (l - L) n, and the tangent k n (x) n + k (1 - L/l) (I - n (x) n). A compressed
+spring (l < L) is unstable sideways, so the projected tangent uses max(0, 1 - L/l). At l = 0 there is no direction, and
+the force is zero; the energy stays finite. A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio
+of an isotropic one is 1/4 where its nodes follow a uniform strain (Love 1927, note B; `coefficients.SPRING_ALONG`);
+`network` says what is observed.
 """
 
 import functools

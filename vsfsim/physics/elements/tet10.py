@@ -1,33 +1,31 @@
 """Quadratic tetrahedron, stable neo-Hookean; at high Poisson's ratio most of the bulk stiffness acts on the element's
 mean volume.
 
-    Psi(F) = mu/2 (|F|^2 - 3) - mu (J - 1) + mu/2 (J - 1)^2 + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,     J =
-    det F
+    Psi(F) = mu/2 (|F|^2 - 3) - mu (J - 1) + mu/2 (J - 1)^2 + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,  J = det F
 
 Smith, de Goes and Kim, "Stable neo-Hookean flesh simulation" (2018), without the origin barrier and with the rest state
 moved back to F = I, so that small strains give exactly (mu, lambda) of linear elasticity. Finite at J <= 0: an
-inverted element has a finite energy and a force that turns it back.
+inverted element has a finite energy and a force that restores it.
 
 High Poisson's ratio: with J at four Gauss points the element has nearly as many constraints as freedoms, and locks;
 with the element's mean Jbar alone (Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985: one pressure an
-element) it is too soft. So lambda is divided:
-lambda_p = min(lambda, `POINTWISE` mu) at the Gauss points, lambda_m = the rest (its harmonic mean) on Jbar. This has no
-threshold in nu, and up to nu = 0.4 changes nothing. Measured: normal force of the block of
-scenes/indent-homogeneous.toml, 5 mm deep, tier `fem` (5,040 tetrahedra), against 384 hexahedra of 27 nodes and linear
-pressure under the same law (elements of 3.5 mm at the contact of a quarter block; at nu 0.45 within 0.1 % of the
-extrapolated 9.67 N of shared/physics.md, at nu 0.499 not refined further):
+element) it is too soft. So lambda is divided: lambda_p = min(lambda, `POINTWISE` mu) at the Gauss points, lambda_m =
+the rest (its harmonic mean) on Jbar. This has no threshold in nu, and up to nu = 0.4 changes nothing. Measured: normal
+force of the block of scenes/indent-homogeneous.toml, 5 mm deep, tier `fem` (5,040 tetrahedra), against 384 hexahedra
+of 27 nodes and linear pressure under the same law (elements of 3.5 mm at the contact of a quarter block; at nu 0.45
+within 0.1 % of the extrapolated 9.67 N of references/s1.json, at nu 0.499 not refined further):
 
     all at the points / divided / all on the mean:   nu 0.45   9.72 / 9.68 / 9.52 N   against  9.68 N
                                                      nu 0.499  10.31 / 10.18 / 10.02 N  against 10.17 N
 
 Tangent: H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p + mu and c = kappa (J - 1) - mu +
 lambda_m (Jbar - 1), and a part of rank one for the element. It is applied from F, which is recomputed; stored are c at
-the Gauss points and, with the mean, the gradient of Jbar. The first two terms are never negative. The third makes the
-tangent indefinite where |c| is large, so the projected tangent takes theta c for c, with theta <= 1 so small that no
-eigenvalue is negative (clamping each one, which takes a singular value decomposition and 45 numbers, saved no Newton
-step). The eigenvalues are known in closed form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion
-energies", 2019): twists and flips mu +- c s_k, and those of the 3 x 3 block of the stretches, with s_k the singular
-values of F.
+the Gauss points and, with the mean, the gradient of Jbar. The first two terms are positive semi-definite. The third
+makes the tangent indefinite where |c| is large, so the projected tangent takes theta c for c, with theta <= 1 so small
+that no eigenvalue is negative (clamping each one, which takes a singular value decomposition and 45 numbers, saved no
+Newton step). The eigenvalues are known in closed form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic
+distortion energies", 2019): twists and flips mu +- c s_k, and those of the 3 x 3 block of the stretches, with s_k the
+singular values of F.
 
 Ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides, four Gauss points, moduli per Gauss
 point.
@@ -153,10 +151,8 @@ def kernels(real: type) -> Any:
         s1 = s0
         s2 = s0
         if p > real(1e-12) * centre:
-            det = a * (b * e - m[1, 2] * m[1, 2]) - m[0, 1] * (m[0, 1] * e - m[1,
-                                                                               2] * m[2, 0]) + m[2,
-                                                                                                 0] * (m[0, 1] * m[1,
-                                                                                                                   2] - b * m[2, 0])
+            det = (a * (b * e - m[1, 2] * m[1, 2]) - m[0, 1] * (m[0, 1] * e - m[1, 2] * m[2, 0])
+                   + m[2, 0] * (m[0, 1] * m[1, 2] - b * m[2, 0]))
             turn = wp.acos(wp.clamp(real(0.5) * det / (p * p * p), real(-1.0), real(1.0))) / real(3.0)
             top = centre + real(2.0) * p * wp.cos(turn)
             low = wp.max(centre + real(2.0) * p * wp.cos(turn + third_turn), real(0.0))

@@ -1,16 +1,16 @@
 """Triangle: a membrane in plane stress with three nodes, at any stretch, flat and stress-free in a rest shape of its
 own.
 
-    E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values, A and R (2 x 2) of the
-    rest shape
+    E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values,
 
-W [J/m^2] is one of two laws, M = E h its modulus times thickness [N/m]:
+with A and R (2 x 2) of the rest shape. W [J/m^2] is one of two laws, with M = E h the modulus times the thickness
+[N/m]:
 
-    "neo-hookean":             mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),   mu h = M/3: incompressible, the thickness
-    follows the area "saint-venant-kirchhoff":  M/(2 (1 - nu^2)) (e1^2 + e2^2 + 2 nu e1 e2),   e = (l^2 - 1)/2: linear
-    elasticity of small strains
-                               in plane stress, at any rotation; for closed forms and plates, not for stretches of tens
-                               of per cent
+    "neo-hookean":             mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),                  mu h = M/3
+    "saint-venant-kirchhoff":  M/(2 (1 - nu^2)) (e1^2 + e2^2 + 2 nu e1 e2),             e = (l^2 - 1)/2
+
+The first is incompressible: the thickness follows the area. The second is the linear elasticity of small strains in
+plane stress at any rotation: for closed forms and plates, not for stretches of tens of per cent.
 
 A membrane too thin to carry compression wrinkles. Its *relaxed* energy (Pipkin 1986, "The relaxed energy density for
 isotropic elastic membranes", IMA J. Appl. Math. 36) is W where both stresses are tensions, the energy of simple tension
@@ -19,18 +19,18 @@ where the narrow side would be squeezed,
     neo-Hookean  mu h/2 (l1^2 + 2/l1 - 3)  for  l2 < l1^-1/2;      St Venant-Kirchhoff  M/2 e1^2  for  e2 < -nu e1,
 
 and 0 where both are slack. It is convex and never falls with l1 or l2, hence convex in the positions: its true tangent
-is never negative.
-`tension_field=False` keeps W, for sheets whose bending stiffness carries the compression; its tangent is projected.
+is positive semi-definite. `tension_field=False` keeps W, for sheets whose bending stiffness carries the compression;
+its tangent is projected.
 
 With the singular frame F = l1 u1 v1 + l2 u2 v2, n = u1 x u2, and g_i = dW/dl_i, the second derivative is diagonal but
 for one 2 x 2 block (the 3 x 2 case of Smith, de Goes and Kim 2019, "Analytic eigensystems for isotropic distortion
 energies", ACM Trans. Graph. 38):
 
-    {u1 v1, u2 v2}: (g11 g12; g12 g22)      (u1 v2 + u2 v1)/sqrt2: (g1 - g2)/(l1 - l2)      (u1 v2 - u2 v1)/sqrt2: (g1 +
-    g2)/(l1 + l2)
-    n v1: g1/l1      n v2: g2/l2
+    {u1 v1, u2 v2}:           (g11 g12; g12 g22)
+    (u1 v2 + u2 v1)/sqrt2:    (g1 - g2)/(l1 - l2)         n v1:  g1/l1
+    (u1 v2 - u2 v1)/sqrt2:    (g1 + g2)/(l1 + l2)         n v2:  g2/l2
 
-An incompressible sheet has det F = 1 and a small-strain one has no thickness to speak of: `det_out` is 1.
+An incompressible sheet has det F = 1, and the small-strain law does not model the thickness: `det_out` is 1.
 """
 
 import functools

@@ -1,5 +1,4 @@
-"""Nested dissection: an order of a mesh's nodes in which a Cholesky factor stays small, and the tree of dense fronts
-that it makes.
+"""Nested dissection: an order of a mesh's nodes that keeps a Cholesky factor small, and its tree of dense fronts.
 
 A set of nodes is cut in two where a plane across it crosses the fewest edges; the fewest nodes that touch all these
 edges (the least vertex cover of a bipartite graph, by König's theorem from a largest matching) part the halves, and are
@@ -16,28 +15,27 @@ from scipy.sparse.csgraph import maximum_bipartite_matching
 
 _LEAF = 12  # nodes that are not cut any further: a dense front of 36 unknowns
 _CUTS = (0.4, 0.5, 0.6)  # shares of the nodes on one side that are tried, along each axis
-_LARGE = 60  # nodes over which all of these are tried: where cuts cost most
+_LARGE = 60  # nodes above which all axes and shares are tried: there cuts cost most
 
 
 @dataclass(frozen=True)
 class Front:
-    """Nodes that are eliminated together.
-
-    own: these (p,). boundary: those eliminated later that they are tied to by then (q,), in the order of elimination.
-    children: fronts that come before (numbers).
-    """
+    """Nodes that are eliminated together."""
 
     own: np.ndarray
+    """The nodes (p,)."""
     boundary: np.ndarray
+    """Later nodes that they are connected to by then (q,), in the order of elimination."""
     children: tuple[int, ...]
+    """Numbers of the fronts that are eliminated before."""
 
 
 def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
     """Fronts of a graph in an order in which children come before their parents.
 
     Args:
-        graph: symmetric (n, n), nonzero where two nodes are tied. points: places of the nodes (n, 3), which only guide
-        the cuts.
+        graph: symmetric (n, n), nonzero where two nodes are connected.
+        points: places of the nodes (n, 3), which only guide the cuts.
     """
     graph = graph.tocsr()
     count = graph.shape[0]
@@ -45,7 +43,7 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
     children: list[tuple[int, ...]] = []
 
     def cut(nodes: np.ndarray) -> int:
-        """Take ``nodes`` apart; the number of the front that is eliminated last of them."""
+        """Cut ``nodes``; returns the number of the front of theirs that is eliminated last."""
         below: tuple[int, ...] = ()
         if len(nodes) > _LEAF:
             separator, parts = _halves(graph, points, nodes)
@@ -72,7 +70,7 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
 
 def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray,
                                                                                   tuple[np.ndarray, np.ndarray]]:
-    """The separator of ``nodes`` and the two parts that are left."""
+    """The separator of ``nodes`` and the two remaining parts."""
     part = graph[nodes][:, nodes].tocoo()
     at = points[nodes]
     extent = np.ptp(at, axis=0)

@@ -1,10 +1,10 @@
-"""The rest stiffness of a membrane over a gas: a sparse factor, and the gas's coupling of all nodes by the formula of
-Sherman and Morrison.
+"""The rest stiffness of a membrane over a gas: a sparse factor, and the gas's coupling of all nodes by the
+Sherman-Morrison formula.
 
     K = S + c g g^T,    K^-1 r = S^-1 r - S^-1 g (c g . S^-1 r) / (1 + c g . S^-1 g),    g = grad V,  c = -dp/dV
 
-S is sparse: elements, and the gas at constant pressure. It is positive as long as the free state bears its pressure,
-i.e. before the limit point.
+S is sparse: the elements, and the gas at constant pressure. It is positive definite before the limit point of
+inflation.
 """
 
 from __future__ import annotations
@@ -27,12 +27,14 @@ _factors: OrderedDict[str, MembraneFactor] = OrderedDict()
 class MembraneFactor(RestFactor):
     """As `RestFactor`, for S + c g g^T with the supports held; ``stiffness`` is S alone.
 
-    coupling: g, supports not held (3 n,) [m^2], and c [Pa/m^3].
-
     Args:
-        stiffness, free, surface_nodes: as `RestFactor`. gradient: g (3 n,) [m^2]. rate: c [Pa/m^3], 0 for an open
-        chamber.
+        stiffness, free, surface_nodes: as `RestFactor`.
+        gradient: g (3 n,) [m^2].
+        rate: c [Pa/m^3], 0 for an open chamber.
     """
+
+    coupling: tuple[np.ndarray, float]
+    """g, supports not held (3 n,) [m^2], and c [Pa/m^3]."""
 
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, gradient: np.ndarray,
                  rate: float):
@@ -45,10 +47,8 @@ class MembraneFactor(RestFactor):
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray,
-           gradient: np.ndarray | None = None,
-           rate: float = 0.0) -> MembraneFactor:
-        """The factor of this very matrix if this process has made it already, else a new one; arguments as the
-        class."""
+           gradient: np.ndarray | None = None, rate: float = 0.0) -> MembraneFactor:
+        """As `RestFactor.of`; arguments as the class."""
         assert gradient is not None
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes), gradient,

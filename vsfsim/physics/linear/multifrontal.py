@@ -1,15 +1,15 @@
-"""A Cholesky factor in sixteen bits, as a preconditioner on a CPU: what a solve costs is the reading of the factor, and
-this one is a quarter of the usual.
+"""A Cholesky factor in sixteen bits, as a preconditioner on a CPU: reading the factor is the cost of a solve, and this
+one has a quarter of the usual size.
 
-The matrix is eliminated front by front (Duff and Reid 1983) along a nested dissection, in double. Of a front with the
-pivots A and the rows B below them only A^-1 and G = B A^-1 are kept, so that a solve is products with dense blocks,
+The matrix is eliminated front by front (Duff and Reid 1983) along a nested dissection, in float64. Of a front with the
+pivots A and the rows B below them only A^-1 and G = B A^-1 are stored, so that a solve is products with dense blocks,
 
     x_B -= G x_A  (children first),     x_A = A^-1 x_A - G^T x_B  (parents first).
 
-With d the roots of A^-1's diagonal, A^-1 = d Q d and G = r P d, where the entries of Q and P are 1 at the most: these
-are kept as whole numbers of 2^-15.
-That rounds every entry by 1.5e-5 of what its unknowns' own compliances allow, so that soft parts beside stiff ones stay
-what they are; the long way from a support through a slender body is what it may lose. `trusted` finds out.
+With d the roots of the diagonal of A^-1, A^-1 = d Q d and G = r P d, where the entries of Q and P are at most 1: these
+are stored as integers, in units of 2^-15. That rounds every entry by 1.5e-5 relative to the compliances of its own
+unknowns, so soft parts beside stiff ones keep their accuracy. The compliance of a slender body far from its supports
+may be lost; `trusted` tests it.
 """
 
 import functools
@@ -24,22 +24,21 @@ from scipy.linalg import lapack
 from vsfsim.core.errors import MeshError
 from vsfsim.physics.linear.dissection import Front, fronts
 
-_PAD = 16  # numbers that a row is a multiple of: whole vectors of the processor
-_UNIT = 32767.0  # of the whole numbers that stand for 1
+_PAD = 16  # rows are padded to a multiple of this: whole vectors of the processor
+_UNIT = 32767.0  # the integer that represents 1
 _WIDE = 16  # right-hand sides that share one reading of the factor
-_FEW = 4  # fewer are answered one by one
-_ROWS = 4  # of a block that are unpacked together
-_TRUST = 2e-2  # relative error of an answer, in the energy norm, up to which it preconditions as well as the exact one
-_LOOSE = 1e15  # a pivot that is less of its unknown's own stiffness is what rounding leaves of none
+_FEW = 4  # fewer right-hand sides are solved one by one
+_ROWS = 4  # rows of a block that are unpacked together
+_TRUST = 2e-2  # relative error in the energy norm up to which the factor preconditions as well as the exact one
+_LOOSE = 1e15  # a pivot below this fraction of its diagonal entry (inverted) is treated as zero: it is rounding error
 
 
 class Multifrontal:
-    """(3 n, 3 n) symmetric positive definite, factorised; `solve` answers approximately.
-
-    size: 3 n. bytes: of the factor in memory.
+    """A symmetric positive definite matrix, factorised; `solve` is approximate.
 
     Args:
-        matrix: (3 n, 3 n), three unknowns a node. points: of the nodes (n, 3), which only guide the order.
+        matrix: (3 n, 3 n), three unknowns for each node.
+        points: places of the nodes (n, 3), which only guide the order.
 
     Raises:
         MeshError: the matrix is not positive definite.
@@ -91,17 +90,16 @@ class Multifrontal:
 
 @dataclass(frozen=True)
 class _Factor:
-    """blocks: Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-].
-    pivots: d of the padded pivots of all fronts (v,) [sqrt(m/N)].
-    rows: r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
-
     blocks: np.ndarray
+    """Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-]."""
     pivots: np.ndarray
+    """d of the padded pivots of all fronts (v,) [sqrt(m/N)]."""
     rows: np.ndarray
+    """r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
 
 
 def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray) -> bool:
-    """Does the factor answer ``loads`` (3 n, k) to `_TRUST` in the energy norm of the matrix?"""
+    """Whether the factor solves for ``loads`` (3 n, k) to `_TRUST` in the energy norm of the matrix."""
     x = factor.solve(loads)
     miss = loads - matrix @ x
     # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
@@ -120,7 +118,7 @@ def _unknowns(nodes: np.ndarray) -> np.ndarray:
 def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out: _Factor) -> None:
     """Fill ``out``, front by front."""
     local, diagonal = np.full(matrix.shape[0], -1), matrix.diagonal()
-    # of fronts whose parent is still to come: what they leave on their boundary
+    # updates of the boundaries of fronts whose parent comes later
     left: dict[int, tuple[np.ndarray, np.ndarray]] = {}
     for f, (front, (p, pw, q, qw, slot, first, below)) in enumerate(zip(tree, tables, strict=True)):
         own, boundary = _unknowns(front.own), _unknowns(front.boundary)
@@ -137,15 +135,14 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out
                 at = local[unknowns]
                 dense[np.ix_(at, at)] += update
         local[own] = local[boundary] = -1
-        if not p:  # the halves were not tied to each other
+        if not p:  # no edges connect the halves
             left[f] = dense, boundary
             continue
         lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
         inverse, _ = lapack.dpotri(lower, lower=True)
         if fault or (np.diag(inverse) * diagonal[own] > _LOOSE).any():
             raise MeshError("The stiffness of the body at rest is not positive definite: a part of it can move freely, "
-                            "or elements have no volume. "
-                            "Hold the body by more of its nodes, or mend the mesh.")
+                            "or elements have no volume. Hold the body by more of its nodes, or mend the mesh.")
         inverse = np.tril(inverse) + np.tril(inverse, -1).T
         ties = dense[p:, :p]
         gain = ties @ inverse
@@ -159,15 +156,16 @@ def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out
             left[f] = dense[p:, p:] - gain @ ties.T, boundary
 
 
-# Two ways through the fronts: for one right-hand side, and for sixteen of them in one vector. Four rows of a block are
-# read at a time: as four sums, or added up in what the rows below get. Both take their forces from ``right`` and leave
-# what they found in ``out``, each column by its own measure, since single precision has no room for forces that are far
-# below one.
+# Two sweeps through the fronts: for one right-hand side, and for sixteen in one vector. Four rows of a block are read
+# at a time. Both read the forces from ``right`` and write the result to ``out``, each column scaled by its largest
+# entry, since single precision underflows for forces that are far below one.
 _BEGIN = f"""
-    const long long* t = table.data; const int* below = rows.data; const int* place = places.data; const short* block = blocks.data;
+    const long long* t = table.data; const int* below = rows.data; const int* place = places.data;
+    const short* block = blocks.data;
     const float* pivot = pivots.data; const float* ratio = ratios.data; const double* b = right.data + start;
     const float unit = 1.0f / {_UNIT}f;
-    // numbers in a cache line; and how far ahead of its use one is asked for: the processor itself looks no further than a page, and rows are short
+    // numbers in a cache line, and how far ahead of its use a line is prefetched: the processor itself prefetches no
+    // further than a page, and rows are short
     const int LINE = 32, AHEAD = 4096, BEHIND = 2048;
 """
 _FRONT = """
@@ -179,19 +177,27 @@ _FRONT = """
         const int* at = below + t[7*f+6];
 """
 _SINGLE = _BEGIN + """
-    float* v = x.data; float* there = work.data; float* own = there + wide; double most = 1e-300; for (int i = 0; i <
-    size; ++i) { const double s = b[(long long)i * columns]; most = s > most ? s : (-s > most ? -s : most); } const
-    double scale = 1.0 / most; for (int i = 0; i < size; ++i) v[place[i]] = (float)(b[(long long)i * columns] * scale);
+    float* v = x.data; float* there = work.data; float* own = there + wide;
+    double most = 1e-300;
+    for (int i = 0; i < size; ++i) {
+        const double s = b[(long long)i * columns];
+        most = s > most ? s : (-s > most ? -s : most);
+    }
+    const double scale = 1.0 / most;
+    for (int i = 0; i < size; ++i) v[place[i]] = (float)(b[(long long)i * columns] * scale);
     for (int f = 0; f < fronts; ++f) {""" + _FRONT + """
         float* a = v + t[7*f+4];
         for (long long j = 0; j < p; ++j) a[j] *= d[j];
         for (long long k = 0; k < qw; ++k) there[k] = 0.0f;
         for (long long j = 0; j < p; j += 4) {
-            const long long left = p - j; const short* s0 = ties + j * qw; const short* s1 = s0 + (left > 1) * qw;
-            const short* s2 = s1 + (left > 2) * qw; const short* s3 = s2 + (left > 3) * qw; for (long long k = 0; k < 4
-            * qw; k += LINE) __builtin_prefetch(s0 + AHEAD + k); const float a0 = a[j], a1 = left > 1 ? a[j + 1] :
-            0.0f, a2 = left > 2 ? a[j + 2] : 0.0f, a3 = left > 3 ? a[j + 3] : 0.0f; for (long long k = 0; k < qw; ++k)
-            there[k] += (float)s0[k] * a0 + (float)s1[k] * a1 + (float)s2[k] * a2 + (float)s3[k] * a3;
+            const long long left = p - j;
+            const short* s0 = ties + j * qw; const short* s1 = s0 + (left > 1) * qw;
+            const short* s2 = s1 + (left > 2) * qw; const short* s3 = s2 + (left > 3) * qw;
+            for (long long k = 0; k < 4 * qw; k += LINE) __builtin_prefetch(s0 + AHEAD + k);
+            const float a0 = a[j], a1 = left > 1 ? a[j + 1] : 0.0f;
+            const float a2 = left > 2 ? a[j + 2] : 0.0f, a3 = left > 3 ? a[j + 3] : 0.0f;
+            for (long long k = 0; k < qw; ++k)
+                there[k] += (float)s0[k] * a0 + (float)s1[k] * a1 + (float)s2[k] * a2 + (float)s3[k] * a3;
         }
         for (long long k = 0; k < q; ++k) v[at[k]] -= r[k] * there[k];
     }
@@ -200,12 +206,15 @@ _SINGLE = _BEGIN + """
         for (long long k = 0; k < q; ++k) there[k] = r[k] * v[at[k]];
         for (long long k = q; k < qw; ++k) there[k] = 0.0f;
         for (long long j = p - 1; j >= 0; --j) {
-            const short* row = inverse + j * pw; const short* tie = ties + j * qw; for (long long k = 0; k < pw; k +=
-            LINE) __builtin_prefetch(row - BEHIND + k); for (long long k = 0; k < qw; k += LINE) __builtin_prefetch(tie
-            - BEHIND + k); float part[16] = {0}, other[16] = {0}, sum = 0.0f; for (long long k = 0; k < pw; k += 16)
-            for (int l = 0; l < 16; ++l) part[l] += (float)row[k + l] * a[k + l]; for (long long k = 0; k < qw; k +=
-            16) for (int l = 0; l < 16; ++l) other[l] += (float)tie[k + l] * there[k + l]; for (int l = 0; l < 16; ++l)
-            sum += unit * part[l] - other[l]; own[j] = d[j] * sum;
+            const short* row = inverse + j * pw; const short* tie = ties + j * qw;
+            for (long long k = 0; k < pw; k += LINE) __builtin_prefetch(row - BEHIND + k);
+            for (long long k = 0; k < qw; k += LINE) __builtin_prefetch(tie - BEHIND + k);
+            float part[16] = {0}, other[16] = {0}, sum = 0.0f;
+            for (long long k = 0; k < pw; k += 16) for (int l = 0; l < 16; ++l) part[l] += (float)row[k + l] * a[k + l];
+            for (long long k = 0; k < qw; k += 16)
+                for (int l = 0; l < 16; ++l) other[l] += (float)tie[k + l] * there[k + l];
+            for (int l = 0; l < 16; ++l) sum += unit * part[l] - other[l];
+            own[j] = d[j] * sum;
         }
         for (long long j = 0; j < p; ++j) a[j] = own[j];
     }
@@ -242,9 +251,9 @@ _MANY = _BEGIN + """
         for (long long k = 0; k < q; ++k) there[k] = none;
         const short* first = ties; const long long width = qw;
         for (long long j = 0; j < p; j += 4) {""" + _UNPACK + """
-            const lanes a0 = a[j], a1 = left > 1 ? a[j + 1] : none, a2 = left > 2 ? a[j + 2] : none, a3 = left > 3 ?
-            a[j + 3] : none; for (long long k = 0; k < q; ++k) there[k] += r0[k] * a0 + r1[k] * a1 + r2[k] * a2 + r3[k]
-            * a3;
+            const lanes a0 = a[j], a1 = left > 1 ? a[j + 1] : none;
+            const lanes a2 = left > 2 ? a[j + 2] : none, a3 = left > 3 ? a[j + 3] : none;
+            for (long long k = 0; k < q; ++k) there[k] += r0[k] * a0 + r1[k] * a1 + r2[k] * a2 + r3[k] * a3;
         }
         for (long long k = 0; k < q; ++k) v[at[k]] -= r[k] * there[k];
     }
@@ -257,11 +266,15 @@ _MANY = _BEGIN + """
             const long long width = half ? qw : pw, count = half ? q : p;
             const float sign = half ? -1.0f : unit;
             for (long long j = 0; j < p; j += 4) {""" + _UNPACK + """
-                lanes t0 = {0}, t1 = {0}, t2 = {0}, t3 = {0}; for (long long k = 0; k < count; ++k) { const lanes u =
-                with[k]; t0 += r0[k] * u; t1 += r1[k] * u; t2 += r2[k] * u; t3 += r3[k] * u; } own[j] = (half ? own[j]
-                : none) + sign * t0; if (left > 1) own[j + 1] = (half ? own[j + 1] : none) + sign * t1; if (left > 2)
-                own[j + 2] = (half ? own[j + 2] : none) + sign * t2; if (left > 3) own[j + 3] = (half ? own[j + 3] :
-                none) + sign * t3;
+                lanes t0 = {0}, t1 = {0}, t2 = {0}, t3 = {0};
+                for (long long k = 0; k < count; ++k) {
+                    const lanes u = with[k];
+                    t0 += r0[k] * u; t1 += r1[k] * u; t2 += r2[k] * u; t3 += r3[k] * u;
+                }
+                own[j] = (half ? own[j] : none) + sign * t0;
+                if (left > 1) own[j + 1] = (half ? own[j + 1] : none) + sign * t1;
+                if (left > 2) own[j + 2] = (half ? own[j + 2] : none) + sign * t2;
+                if (left > 3) own[j + 3] = (half ? own[j + 3] : none) + sign * t3;
             }
         }
         for (long long j = 0; j < p; ++j) a[j] = d[j] * own[j];

@@ -1,8 +1,8 @@
 """The rest-state stiffness, inverted once for an object: it serves every touch of it.
 
-On the CPU a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse under
-the patch; on a GPU the dense inverse, so that one product (n x n x B) answers all touches at once where triangular
-solves would crawl.
+On the CPU it is a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse
+under the patch. On a GPU it is the dense inverse, so that one product (n x n x B) serves all touches at once where
+triangular solves would be slow.
 """
 
 from __future__ import annotations
@@ -32,15 +32,18 @@ _factors: OrderedDict[str, RestFactor] = OrderedDict()
 class RestFactor:
     """Linear elasticity of the object at rest, with its supports held, factorised.
 
-    size: degrees of freedom, 3 n. seconds: what the factorisation took [s].
-    stiffness: the rest stiffness, supports not held (3 n, 3 n) [N/m].
-
     Args:
         stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
         surface_nodes: nodes (s,) that `compliance` may be asked for.
     """
 
+    size: int
+    """Degrees of freedom, 3 n."""
+    stiffness: sp.csr_matrix
+    """The rest stiffness, supports not held (3 n, 3 n) [N/m]."""
+    seconds: float
+    """Duration of the factorisation [s]."""
     _kept: type = np.float64  # of the whole columns
 
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
@@ -50,9 +53,8 @@ class RestFactor:
         self._begin(stiffness, free, surface_nodes)
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
-        self._solver = cholespy.CholeskySolverD(
-            self.size, k.row.astype(np.int32), k.col.astype(np.int32), k.data.astype(np.float64),
-                                                cholespy.MatrixType.COO)
+        self._solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
+                                                k.data.astype(np.float64), cholespy.MatrixType.COO)
         self.seconds = time.perf_counter() - began
 
     def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
@@ -71,8 +73,7 @@ class RestFactor:
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
-        """The factor of this very matrix if this process has made it already, else a new one; arguments as the
-        class."""
+        """The factor of this matrix: the one that this process made before, or a new one; arguments as the class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
             digest.update(np.ascontiguousarray(part).tobytes())
@@ -96,18 +97,19 @@ class RestFactor:
         return out
 
     def quick(self, points: np.ndarray) -> RestFactor:
-        """The same body answered to fewer digits, in a third of the time, to predict and to precondition with; this
-        very factor if that would not do.
+        """A factor of the same body with fewer digits, which takes a third of the time, for predictions and as a
+        preconditioner; this factor itself if the quick one is not accurate enough.
 
-        Made once and kept. points: of the nodes (n, 3) [m].
+        Args:
+            points: places of the nodes (n, 3) [m].
         """
         if self._quick is None:
             self._quick = QuickFactor.of_trusted(self, points) or self
         return self._quick
 
     def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
-        """Columns of the inverse at ``nodes`` (s,): their surface rows are kept, neighbouring touches share them; all
-        rows if ``whole``."""
+        """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
+        them; all rows if ``whole``."""
         known = self._whole if whole else self._columns
         missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
@@ -117,7 +119,7 @@ class RestFactor:
                 right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
             answer = self.solve(right)
             if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
-                # those asked for stay: their caller has sized them, `_COLUMNS_BYTES` at the most for all its touches
+                # those asked for stay: the caller has limited them to `_COLUMNS_BYTES` for all its touches
                 asked = {int(i) for i in nodes}
                 self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
@@ -153,7 +155,6 @@ class RestFactor:
             self._dense[device] = inverse * free * free[:, None]
         return self._dense[device]
 
-
     def stiffness_on(self, device: str) -> torch.Tensor:
         """The rest stiffness, supports not held, as a sparse matrix on a GPU."""
         if self._on != device:
@@ -163,8 +164,8 @@ class RestFactor:
 
 
 class QuickFactor(RestFactor):
-    """A rest-state factor whose answers come from `multifrontal`: to a percent or so, which is enough to predict and to
-    precondition with."""
+    """A rest-state factor by `multifrontal`: accurate to about one per cent, which is enough for predictions and as a
+    preconditioner."""
 
     _kept = np.float32
 
@@ -176,8 +177,8 @@ class QuickFactor(RestFactor):
 
     @classmethod
     def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
-        """The quick factor, or None if its few digits lose something of this body: tried with pushes along each axis on
-        all of it and with forces at random."""
+        """The quick factor, or None if it is not accurate enough for this body: tried with uniform forces along each
+        axis and with random ones."""
         solver = Multifrontal(exact._held, points)
         loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)),
                                 np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
@@ -189,32 +190,33 @@ class QuickFactor(RestFactor):
 
 
 class Response(Protocol):
-    """How the body at rest answers forces, for the touches of one run."""
+    """How the body at rest responds to forces, for the touches of one run."""
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
     def prepare(self, nodes: torch.Tensor) -> bool:
-        """Forces on these ``nodes`` (B, s) bool of the patches are about to be asked about; only a lazy `response` must
-        be told. True if `compliance` has more now."""
+        """Prepare for forces on these ``nodes`` (B, s) bool of the patches; only a lazy `response` needs it. Whether
+        `compliance` has changed."""
 
     def compliance(self) -> torch.Tensor:
-        """Of every touch's patch (B, 3 s, 3 s) [m/N]; 0 where held, where the patch is padded, and between nodes that
-        are not prepared."""
+        """Compliance of every patch (B, 3 s, 3 s) [m/N]; 0 where held, at padding, and between nodes that are not
+        prepared."""
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (k, 3 s) [N] on the patches of ``touches`` (k,)."""
 
 
 def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool = True, lazy: bool = False) -> Response:
-    """The answer of a body to forces on given patches.
+    """The response of a body to forces on given patches.
 
     Args:
-        factor: of the body. dof: degrees of freedom of the patches (B, 3 s), -1 pads. device: Warp device.
-        exact: `patch` in double; else single precision may do on a CPU, where reading the columns is what takes the
-        time
-            (good for predictions and as a preconditioner). lazy: what only some nodes need is made when
-            `Response.prepare` names them.
+        factor: the body's factor.
+        dof: degrees of freedom of the patches (B, 3 s); -1 is padding.
+        device: Warp device.
+        exact: whether `patch` is float64. Otherwise it may be float32 on a CPU, where reading the columns takes the
+            time; that is enough for predictions and as a preconditioner.
+        lazy: columns are made when `Response.prepare` names their nodes.
     """
     if device != "cpu" and factor.size <= _DENSE:
         return _Dense(factor, dof, device)
@@ -222,7 +224,8 @@ def response(factor: RestFactor, dof: torch.Tensor, *, device: str, exact: bool 
 
 
 def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
-    """Patch values (k, 3 s) in vectors of the whole body (size, k); dof (k, 3 s), -1 pads (values there must be 0)."""
+    """Patch values (k, 3 s) in vectors of the whole body (size, k); dof (k, 3 s), with -1 for padding (values there
+    must be 0)."""
     out = torch.zeros((size, len(dof)), dtype=values.dtype, device=values.device)
     return out.scatter_add_(0, dof.clamp(min=0).T, values.T)
 
@@ -230,7 +233,7 @@ def spread(dof: torch.Tensor, values: torch.Tensor, size: int) -> torch.Tensor:
 class _Sparse:
     """Triangular solves on the host; for few touches also the columns of the inverse under their patches.
 
-    ``lazy``: columns are there only for nodes that `prepare` was told of.
+    ``lazy``: only the nodes named to `prepare` have columns.
     """
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
@@ -276,7 +279,7 @@ class _Sparse:
 
     @staticmethod
     def _combine(columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
-        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is all the work: of a small
+        """Sum of the columns (3 s, 3 n) with the weights ``force`` (3 s,). Reading them is the cost: for a small
         contact only its own are read."""
         force = force.to(columns.dtype)
         used = force.nonzero()[:, 0]
@@ -291,7 +294,7 @@ class _Sparse:
 
 
 class _Dense:
-    """Products with the dense inverse on the GPU; forces on patches meet only the columns of all patches together."""
+    """Products with the dense inverse on the GPU; forces on patches multiply only the columns of all patches."""
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
         self._inverse = factor.dense(device)
@@ -307,10 +310,10 @@ class _Dense:
         return False
 
     def compliance(self) -> torch.Tensor:
-        real = (self._dof >= 0).to(torch.float64)
+        mask = (self._dof >= 0).to(torch.float64)
         index = self._dof.clamp(min=0)
         table = self._inverse[index[:, :, None], index[:, None, :]]
-        table = table * real[:, :, None] * real[:, None, :]
+        table = table * mask[:, :, None] * mask[:, None, :]
         return 0.5 * (table + table.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:

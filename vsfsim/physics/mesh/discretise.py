@@ -26,7 +26,7 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
 
     Args:
         spec: the object; only its shape is read.
-        resolution: edge length aimed at [m].
+        resolution: target edge length [m].
         rng: stream from which a family draws its materials and look; None is a stream of seed 0.
         cache: folder for filled mesh files, None for the user's cache folder.
         focus: points (k, 3) [m] in the object's frame near which a box keeps ``resolution`` while it
@@ -41,7 +41,7 @@ def build_solid(spec: ObjectSpec, *, resolution: float, rng: np.random.Generator
     if not (math.isfinite(resolution) and resolution > 0.0):
         raise SceneError(f"resolution is {resolution!r}; it must be an edge length in metres, greater than 0.")
     if isinstance(shape, MeshFile):
-        # scan pulls in trimesh; a box does not need it
+        # scan imports trimesh, which a box does not need
         from vsfsim.physics.mesh.scan import fill_mesh_file
         return fill_mesh_file(shape, resolution=resolution, cache=cache)
     if isinstance(shape, Family):
@@ -76,7 +76,5 @@ def _check_cells(shape: Box | Sphere | Cylinder | Rod, resolution: float) -> Non
     cells = math.prod(math.ceil(edge / resolution) for edge in edges)
     if cells > MAX_CELLS:
         raise SceneError(f"[object]: resolution {resolution:g} m cuts a body of "
-                         f"{' x '.join(f'{e:g}' for e in edges)} m "
-                         f"into about {cells:.1e} cells, and {MAX_CELLS:.0e} is the most; use a coarser "
-                         f"resolution, and check "
-                         "that both are in metres.")
+                         f"{' x '.join(f'{e:g}' for e in edges)} m into about {cells:.1e} cells, and "
+                         f"{MAX_CELLS:.0e} is the most; use a coarser resolution, and check that both are in metres.")

@@ -1,4 +1,4 @@
-"""Mesh vertices drawn onto the surfaces of inclusions, so that few elements hold two materials."""
+"""Mesh vertices moved onto the surfaces of inclusions, so that few elements have two materials."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ def snap_to_inclusions(solid: Solid, field: MaterialField, *,
     in its plane, or along the edge of two planes; where the boundary is curved or has a corner it stays.
 
     Args:
-        solid: the mesh. field: its inclusions, in the object's frame; boxes are left as they are.
+        solid: the mesh.
+        field: its inclusions, in the object's frame; boxes are left unchanged.
         worst_sine: smallest sine of a dihedral angle allowed [-].
 
     Returns:
@@ -98,7 +99,7 @@ def _onto(distance: Callable[[np.ndarray], np.ndarray], start: np.ndarray, slide
             return point
         gradient = slide @ ((d[1:4] - d[4:7]) / (2.0 * step))
         steep = float(gradient @ gradient)
-        # Sliding where the surface is nearly tangent would carry the vertex far for little.
+        # where the surface is nearly tangent, the vertex would slide far
         if steep < 0.05:
             return None
         point = point - d[0] / steep * gradient

@@ -2,9 +2,9 @@
 axes, and a closed sphere.
 
 The ellipse is laid out in rings, each the rim's ellipse with both semi-axes shorter by the same width, down to a line
-of nodes on the long axis.
-Every ring has a node on the long axis at both ends and a number of nodes that is even, so that the strip between two
-rings can be triangulated in one half and mirrored. Near the middle of a circle the line is one node.
+of nodes on the long axis. Every ring has a node on the long axis at both ends and a number of nodes that is even, so
+that the strip between two rings can be triangulated in one half and mirrored. Near the middle of a circle the line is
+one node.
 """
 
 from __future__ import annotations
@@ -24,17 +24,16 @@ _SMOOTHINGS = 30
 
 @dataclass(frozen=True)
 class TriangleMesh:
-    """Linear triangles in space, with the attributes that the solver asks of a mesh.
-
-    points: nodes (n, 3) [m]. faces: (f, 3), wound outwards. rim: nodes of the edge in order, counter-clockwise from
-    outside (r,); none if closed.
-    volume: inside the surface, closed by a cap over the rim (1,) [m^3].
-    """
+    """Linear triangles in space, with the attributes that the solver needs of a mesh."""
 
     points: np.ndarray
+    """Nodes (n, 3) [m]."""
     faces: np.ndarray
+    """Triangles, wound outwards (f, 3)."""
     rim: np.ndarray
+    """Nodes of the edge in order, counter-clockwise from outside (r,); none if the surface is closed."""
     volume: np.ndarray
+    """Volume inside the surface, closed by a cap over the rim (1,) [m^3]."""
 
     @classmethod
     def of(cls, points: np.ndarray, faces: np.ndarray, rim: np.ndarray) -> TriangleMesh:
@@ -74,15 +73,16 @@ def ellipse(a: float, b: float, nodes: int, *, rim: int | None = None) -> tuple[
     """A flat ellipse of exactly ``nodes`` nodes.
 
     Args:
-        a, b: semi-axes along x and y [m], a >= b. nodes: in all, 30 or more. rim: on the rim, a multiple of 4, or None
-        for equal edges.
+        a, b: semi-axes along x and y [m], a >= b.
+        nodes: number of nodes, 30 or more.
+        rim: number of nodes on the rim, a multiple of 4; None for equal edges.
 
     Returns:
         Points (n, 2) [m], the rim first; triangles (f, 3), counter-clockwise; the rim in order (r,).
     """
     assert a >= b > 0.0 and nodes >= 30
-    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / (nodes + 0.5 * _perimeter(a, b)
-                                                               / math.sqrt(math.pi * a * b / nodes)))
+    inside = nodes + 0.5 * _perimeter(a, b) / math.sqrt(math.pi * a * b / nodes)
+    edge = math.sqrt(2.0 / math.sqrt(3.0) * math.pi * a * b / inside)
     rim = max(8, 4 * round(_perimeter(a, b) / edge / 4)) if rim is None else rim
     rows = max(1, round(b / (edge * math.sqrt(0.75))))
     counts, middle = _counts(a, b, rim, nodes, rows)
@@ -115,7 +115,7 @@ def _counts(a: float, b: float, rim: int, nodes: int, rows: int) -> tuple[list[i
         row = b / rows
         middle_wish = max(1.0, 2.0 * (a - b) / (1.1 * row) + 1.0)
         middle = max(1, round(middle_wish))
-        # its remainder by 4 is what the rings cannot give; the nearest number that has it
+        # the rings have multiples of 4: the line gets the nearest number with the right remainder
         choice = [m for m in range(1, middle + 5) if (rest - m) % 4 == 0]
         middle = min(choice, key=lambda m: (abs(m - middle_wish), m))
         rings = (rest - middle) // 4

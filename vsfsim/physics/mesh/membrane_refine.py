@@ -101,9 +101,9 @@ def _cut(flat: np.ndarray, faces: np.ndarray, rim: np.ndarray, semi_axes: tuple[
     new_flat, new_dome = (np.concatenate([p, p[edges[halved]].mean(axis=1)]) for p in (flat, dome))
     m = number[edge_of]
     t, four = faces, count == 3
-    parts = [faces[count == 0], *(np.stack(way, axis=1)[four] for way in (
-        (t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]),
-                                                                          (m[:, 0], m[:, 1], m[:, 2])))]
+    quarters = ((t[:, 0], m[:, 0], m[:, 2]), (m[:, 0], t[:, 1], m[:, 1]), (m[:, 2], m[:, 1], t[:, 2]),
+                (m[:, 0], m[:, 1], m[:, 2]))
+    parts = [faces[count == 0], *(np.stack(quarter, axis=1)[four] for quarter in quarters)]
     for k in range(3):
         own = (count == 1) & (m[:, k] >= 0)
         a, b, c = (t[own, (k + j) % 3] for j in range(3))

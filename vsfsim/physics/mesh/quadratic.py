@@ -1,4 +1,4 @@
-"""From corner tetrahedra to the quadratic mesh that the solver works on."""
+"""From corner tetrahedra to the quadratic mesh of the solver."""
 
 from __future__ import annotations
 
@@ -21,19 +21,20 @@ FACE_NODES = np.array([
 
 @dataclass(frozen=True)
 class QuadraticMesh:
-    """Ten-node tetrahedra with straight sides, in the object's frame.
-
-    points: nodes (n, 3) [m], the corners first. tets: (m, 10), corners then the edges of `tet10_shape.EDGES`.
-    gradients: of the four barycentric coordinates (m, 4, 3) [1/m]. volume: (m,) [m^3].
-    faces: boundary triangles (f, 6), corners then edge nodes, wound outwards. owner: tetrahedron behind each (f,).
-    """
+    """Ten-node tetrahedra with straight sides, in the object's frame."""
 
     points: np.ndarray
+    """Nodes, the corners first (n, 3) [m]."""
     tets: np.ndarray
+    """Nodes of the tetrahedra (m, 10): corners, then the edges of `tet10_shape.EDGES`."""
     gradients: np.ndarray
+    """Gradients of the four barycentric coordinates (m, 4, 3) [1/m]."""
     volume: np.ndarray
+    """Volumes (m,) [m^3]."""
     faces: np.ndarray
+    """Boundary triangles, wound outwards (f, 6): corners, then edge nodes."""
     owner: np.ndarray
+    """Tetrahedron behind each boundary triangle (f,)."""
 
     def surface_nodes(self) -> np.ndarray:
         """Indices of the nodes on the boundary (s,), increasing."""

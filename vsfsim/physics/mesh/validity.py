@@ -1,6 +1,6 @@
-"""Whether tetrahedra make a body that a solver can hold: none folded over or flat, no part that nothing holds.
+"""Whether tetrahedra make a body that a solver can use: none folded over or flat, no part that nothing holds.
 
-Meshes of our own are sound by construction; a family of somebody else's, or a `Solid` made by hand, may not be.
+Meshes of this package are valid by construction; a user's family, or a `Solid` made by hand, may not be.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ FLAT = 1e-7
 
 
 def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
-    """Turn tetrahedra that are listed the wrong way round, leave out vertices that nothing uses, refuse what cannot be
-    mended.
+    """Turn inverted tetrahedra round, leave out unused vertices, refuse what cannot be mended.
 
     Args:
-        solid: any tetrahedra. where: file and section, for messages.
+        solid: any tetrahedra.
+        where: file and section, for messages.
 
     Returns:
         The solid, with a note for what was done, and which tetrahedra had their first two corners swapped (m,).
@@ -44,8 +44,7 @@ def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
     flat = np.flatnonzero(6.0 * np.abs(volume) <= FLAT * longest**3)
     if len(flat):
         raise MeshError(f"{where}: {len(flat)} of {len(tets)} tetrahedra are flat, the first at "
-                        f"{_place(corner[flat[0]])}; "
-                        "mesh the body again, or merge their corners.")
+                        f"{_place(corner[flat[0]])}; mesh the body again, or merge their corners.")
     turned = volume < 0.0
     notes = solid.notes
     if turned.any():
@@ -54,9 +53,8 @@ def sound(solid: Solid, where: str) -> tuple[Solid, np.ndarray]:
     doubled = _overlapping(tets)
     if len(doubled):
         raise MeshError(f"{where}: {len(doubled)} of {len(tets)} tetrahedra are folded over a neighbour or listed "
-                        f"twice, the first at "
-                        f"{_place(corner[doubled[0]])}: a vertex has passed through the face opposite. Mesh the "
-                        f"body again.")
+                        f"twice, the first at {_place(corner[doubled[0]])}: a vertex has passed through the face "
+                        f"opposite. Mesh the body again.")
     used, renumbered = np.unique(tets, return_inverse=True)
     if len(used) == len(vertices) and not turned.any():
         return solid, turned
@@ -71,8 +69,9 @@ def refuse_loose(points: np.ndarray, nodes: np.ndarray, held: np.ndarray, where:
     Parts are joined through faces; at a common vertex or edge one can turn against the other.
 
     Args:
-        points: (n, 3) [m]. nodes: of each tetrahedron, corners first (m, 4 or more). held: mask of the nodes supported
-        (n,).
+        points: nodes (n, 3) [m].
+        nodes: of each tetrahedron, corners first (m, 4 or more).
+        held: mask of the supported nodes (n,).
         where: file and section, for messages.
 
     Raises:
@@ -87,10 +86,9 @@ def refuse_loose(points: np.ndarray, nodes: np.ndarray, held: np.ndarray, where:
         if len(grip) < 3 or np.linalg.matrix_rank(grip - grip.mean(axis=0),
                                                   tol=1e-6 * float(np.ptp(points, axis=0).max())) < 2:
             raise SceneError(f"{where}: the body is in {body.max() + 1} parts that no face joins, and the part at "
-                             f"{_place(points[mine])} "
-                             f"({int((body == part).sum())} of {len(body)} tetrahedra) is held at {len(grip)} nodes, "
-                             f"too few to keep it in place. "
-                             "Join the parts, leave that one out, or let fixed hold each of them.")
+                             f"{_place(points[mine])} ({int((body == part).sum())} of {len(body)} tetrahedra) is held "
+                             f"at {len(grip)} nodes, too few to keep it in place. Join the parts, leave that one out, "
+                             f"or let fixed hold each of them.")
 
 
 def _overlapping(tets: np.ndarray) -> np.ndarray:

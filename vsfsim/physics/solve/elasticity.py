@@ -1,10 +1,11 @@
 """All elements of a body on the device: forces, energy, tangent products, for the columns of a batch.
 
-Every element writes its own forces; a node then adds up what its elements wrote, in a fixed order: the sum is the same
-on every run, which atomics would not promise.
+Every element writes its own forces, and a node then adds those of its elements in a fixed order: the sum is the same on
+every run, which atomics do not guarantee.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,12 +15,12 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.model import Model
 
-_CHUNKS = 64  # partial sums of energy for each touch: enough threads for a GPU, and the same sum on every device
+_CHUNKS = 64  # partial sums of the energy of a touch: enough threads for a GPU, and the same sum on every device
 
 
 @functools.cache
 def kernels(real: type) -> Any:
-    """What all elements share, for one scalar type."""
+    """The kernels that all elements share, for one scalar type."""
     vec3 = wp.types.vector(length=3, dtype=real)
     module = f"vsfsim_elasticity_{real.__name__}"
 
@@ -137,25 +138,24 @@ def kernels(real: type) -> Any:
     def mark(index: wp.array(dtype=wp.int32), value: wp.float64, out: wp.array(dtype=wp.float64)):
         out[index[wp.tid()]] = value
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.gather, out.remember, out.partial, out.whole = gather, remember, partial, whole
-    out.add_part, out.add_parts, out.mark = add_part, add_parts, mark
-    return out
+    return SimpleNamespace(gather=gather, remember=remember, partial=partial, whole=whole, add_part=add_part,
+                           add_parts=add_parts, mark=mark)
 
 
 class Collective:
-    """A block whose elements act through one number a touch, e.g. a gas through its volume; see `elements/block.py`.
-
-    number: the number at the last `evaluate` (B,). answer: what it brings about (ANSWERS, B); both float64 on the
-    device.
+    """A block whose elements act through one number for each touch, as a gas through its volume; see
+    `elements/block.py`.
 
     Args:
-        block: of the model. model: its nodes and parameters on the device. own, shared: kernels of the element and of
-        `Elasticity`.
+        block: a block of the model.
+        model: its nodes and parameters on the device.
+        own, shared: kernels of the element and of `Elasticity`.
     """
+
+    number: wp.array
+    """The number at the last `forces` (B,), float64."""
+    answer: wp.array
+    """What it causes (ANSWERS, B), float64."""
 
     def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
         self._rows, self._model, self._own, self._shared, self._device = len(block), model, own, shared, device
@@ -202,16 +202,20 @@ class Collective:
 
 
 class Elasticity:
-    """Device arrays of one model and one batch of touches. Everything stays on the device; nothing is read back here.
-
-    internal: nodal forces (3 n, B) [N], energy: elastic energy (B,) [J], least_det: least det F (B,) [-]; the columns
-    of the last
-    `forces` are renewed, the others stay as they were. pressure: gauge pressure (B,) [Pa] and volume: inside the
-    surface (B,) [m^3] of the (first) gas at the last `forces`, float64; None if there is none.
+    """Device arrays of one model and one batch of touches; nothing is read back to the host here.
 
     Args:
-        model: the body. device: Warp device. real: `wp.float32` or `wp.float64`.
+        model: the body.
+        device: Warp device.
+        real: `wp.float32` or `wp.float64`.
     """
+
+    internal: wp.array
+    """Nodal forces (3 n, B) [N]; `forces` renews its columns, the others stay."""
+    energy: wp.array
+    """Elastic energy (B,) [J], float64; likewise."""
+    least_det: wp.array
+    """Least det F (B,) [-]; likewise."""
 
     def __init__(self, model: Model, *, device: str, real: type):
         self.device, self.real = device, real
@@ -259,11 +263,13 @@ class Elasticity:
 
     @property
     def pressure(self) -> wp.array | None:
+        """Gauge pressure of the first gas at the last `forces` (B,) [Pa], float64; None without a gas."""
         gas = self._gas()
         return None if gas is None else gas.answer[0]
 
     @property
     def volume(self) -> wp.array | None:
+        """Volume of the first gas (B,) [m^3], likewise."""
         gas = self._gas()
         return None if gas is None else gas.number
 
@@ -298,8 +304,7 @@ class Elasticity:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
 
     def remembered(self, block: int) -> np.ndarray:
-        """What the tangents of the elements of one block remember (m, state_size, B), read back; for those who assemble
-        a matrix on the host."""
+        """The state of the tangents of one block (m, state_size, B), read back to assemble a matrix on the host."""
         return self._state[block].numpy()
 
     def multiply(self, index: wp.array, x: wp.array) -> wp.array:

@@ -1,4 +1,4 @@
-"""What goes into the solver besides the body, and what comes out: limits, and the frames of a batch of touches."""
+"""Limits of the solver, and its results: the frames of a batch of touches."""
 
 from __future__ import annotations
 
@@ -32,56 +32,63 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True)
 class SolverOptions:
-    """Limits and tolerances.
-
-    tolerance: largest sum of unbalanced nodal forces over the sum of contact (or weight) forces [-]; bounds the error
-    of the force balance. newton: iterations a step. cg: iterations a linear system. cg_tolerance: its relative residual
-    near the solution.
-    cg_far: looser by this factor far from it, where Newton's model is no better. cg_plain: the residual is measured by
-    its length, not in the preconditioner's norm, see `pcg.solve`.
-    cg_frame, newton_frame: conjugate gradients and Newton iterations that one touch may take in one frame, halved steps
-    included: what needs more is marked.
-    halvings: how often a failed step is halved. seconds: wall-clock limit of one frame of the batch [s].
-    """
+    """Limits and tolerances."""
 
     tolerance: float = 1e-4
+    """Largest sum of unbalanced nodal forces over that of the contact (or weight) forces [-]; it bounds the error of
+    the force balance."""
     newton: int = 40
+    """Newton iterations of a step."""
     cg: int = 150
+    """Conjugate-gradient iterations of a linear system."""
     cg_tolerance: float = 1e-2
+    """Relative residual of a linear system near the solution [-]."""
     cg_far: float = 10.0
+    """Factor on it far from the solution, where Newton's linear model is no more accurate [-]."""
     cg_plain: bool = False
+    """Measure that residual by its length, not in the preconditioner's norm, see `pcg.solve`."""
     cg_frame: int = 1500
+    """Conjugate-gradient iterations of one touch in one frame, halved steps included; a touch that needs more is
+    marked."""
     newton_frame: int = 10_000
+    """Newton iterations of one touch in one frame, likewise."""
     halvings: int = 5
+    """How often a failed step is halved."""
     seconds: float = 120.0
+    """Wall-clock limit of one frame of the batch [s]."""
 
 
 @dataclass(frozen=True)
 class Frames:
-    """What B touches of T frames by K rigid bodies gave; arrays (T, B) unless said.
-
-    force: on all bodies together (T, B, 3) [N]. body_force: on each (T, B, K, 3) [N].
-    body_moment: on each about its origin, in the world (T, B, K, 3) [N m]. reaction: of the supports on the object (T,
-    B, 3) [N].
-    converged: bool. reason: why not, `Reason`. residual: unbalanced over contact force [-]. iterations: Newton.
-    cg_iterations: conjugate gradients. force_balance: |force - reaction - weight| over the larger [-]. min_det_f: least
-    det F [-]. energy: elastic [J].
-    penetration: deepest point of the surface inside a body [m]. slipping: share of the points in contact that slip [-].
-    seconds: of the frame, shared by the batch (T,) [s].
-    """
+    """Results of B touches of T frames by K rigid bodies."""
 
     force: np.ndarray
+    """Force on all bodies together (T, B, 3) [N]."""
     body_force: np.ndarray
+    """Force on each body (T, B, K, 3) [N]."""
     body_moment: np.ndarray
+    """Moment on each body about its origin, world (T, B, K, 3) [N m]."""
     reaction: np.ndarray
+    """Force of the supports on the object (T, B, 3) [N]."""
     converged: np.ndarray
+    """Whether the frame is an equilibrium (T, B) bool."""
     reason: np.ndarray
+    """Why not, `Reason` (T, B)."""
     residual: np.ndarray
+    """Unbalanced over contact force (T, B) [-]."""
     iterations: np.ndarray
+    """Newton iterations (T, B)."""
     cg_iterations: np.ndarray
+    """Conjugate-gradient iterations (T, B)."""
     force_balance: np.ndarray
+    """|force - reaction - weight| over the largest of them (T, B) [-]."""
     min_det_f: np.ndarray
+    """Least det F (T, B) [-]."""
     energy: np.ndarray
+    """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
+    """Depth of the deepest surface point inside a body (T, B) [m]."""
     slipping: np.ndarray
+    """Share of the points in contact that slip (T, B) [-]."""
     seconds: np.ndarray
+    """Duration of the frame, shared by the batch (T,) [s]."""

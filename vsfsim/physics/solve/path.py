@@ -1,4 +1,4 @@
-"""The way of the rigid bodies between two poses, in pieces short enough that nothing slips through."""
+"""The path of the rigid bodies between two poses, in pieces so short that no contact is missed."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.model import Model
 
-# of the thinnest body's inner radius: a wall that is met then lies in its nearer half, and is pushed the right way;
-_PART = 0.5
-# and not further than the wall is thick, or its other side is met as well
+_PART = 0.5  # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body
 _MOST = 100  # pieces of one frame
-_DEEP = 0.2  # of the same radius: a first pose deeper than this is come to from outside
-_SAMPLES = 4000
+_DEEP = 0.2  # depth over the same radius above which a first pose is approached from outside
+_SAMPLES = 4000  # random points for the inner radius
 
 
 def stride(bodies: RigidBodies, thickness: float) -> float:
-    """Longest way [m] that the bodies may go in one step against an object of this mean ``thickness`` [m], see
-    `mean_thickness`."""
+    """Longest step of the bodies [m] against an object of this mean ``thickness`` [m] (see `mean_thickness`): a longer
+    one would meet the other side of a wall as well."""
     return min(thickness, _PART * min(_inner_radius(bodies, k) for k in range(len(bodies))))
 
 
 def mean_thickness(model: Model) -> float:
-    """Twice the volume over the surface [m]: of a sheet or a hollow body its wall. Of a membrane, a third of an
-    element: a tip that goes further in one step meets points that the prediction did not see, and nothing of the
-    sheet's own stiffness holds them apart. Where the mesh was made finer for the tip, a third of the mean of all
-    elements, and three quarters of those under it."""
+    """Twice the volume over the surface [m], which is the wall of a sheet or a hollow body.
+
+    For a membrane it is a third of an element: a tip that moves further in one step meets points that the prediction
+    did not include, and the sheet has no stiffness of its own across. Where the mesh was refined for the tip, it is a
+    third of the mean of all elements, or three quarters of those under the tip.
+    """
     if model.mesh.faces.shape[1] == 3:
         return min(model.mesh.edge() / 3.0, 0.75 * model.element_size)
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
@@ -68,8 +68,8 @@ def pieces(a: np.ndarray, b: np.ndarray, longest: float, bodies: RigidBodies) ->
 
 
 def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarray:
-    """How far the way second -> third goes on along first -> second, per touch (B,): 1 for even steps, at most 2, 0
-    when it turns back."""
+    """Length of the step second -> third over that of first -> second for each touch (B,) [-]: 1 for even steps, at
+    most 2, and 0 if it turns back."""
     last = (second - first)[..., :3, 3].reshape(len(second), -1)
     now = (third - second)[..., :3, 3].reshape(len(second), -1)
     size = np.linalg.norm(last, axis=1)
@@ -78,11 +78,14 @@ def ratio(first: np.ndarray, second: np.ndarray, third: np.ndarray) -> np.ndarra
 
 
 def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray) -> np.ndarray:
-    """First poses (B, K, 4, 4) to come in from: ``pose`` itself where it is clear of the object at rest or barely in
-    it, else moved straight out of it.
+    """First poses (B, K, 4, 4) to approach from: ``pose`` where it is clear of the object at rest or barely in it, else
+    a pose moved straight out of it.
 
     Args:
-        bodies: the bodies. model: the object. pose: (B, K, 4, 4). gap: least gap of each touch there (B,) [m].
+        bodies: the rigid bodies (K).
+        model: the object.
+        pose: poses (B, K, 4, 4).
+        gap: least gap of each touch there (B,) [m].
     """
     out = pose.copy()
     if (gap >= 0.0).all():
@@ -105,8 +108,8 @@ def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray
 
 def _way_out(depth: Callable[[np.ndarray], float], turn: np.ndarray, bodies: RigidBodies, k: int, local: np.ndarray,
              size: float) -> np.ndarray:
-    """The shortest straight shift [m] that frees a body, among the axes (not down) and away from the point that is
-    deepest in it."""
+    """The shortest straight shift (3,) [m] that frees a body, among the axes (not down) and away from its deepest
+    point."""
     deepest = local[bodies.distance(k, local).argmin()]
     h = 1e-6
     slope = np.array([bodies.distance(k, deepest + h * e) - bodies.distance(k, deepest - h * e) for e in np.eye(3)])

@@ -5,8 +5,8 @@ with the contact block added exactly (Woodbury):
 
     (K0 + S C S^T)^-1 = K0^-1 (1 - S T S^T K0^-1),   T = (C^-1 + A)^-1,   A = S^T K0^-1 S
 
-with S the patch's degrees of freedom and A its compliance. Columns stop together; one that is done is frozen by a zero
-step.
+with S the patch's degrees of freedom and A its compliance. Columns stop together; one that has converged takes zero
+steps.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from collections.abc import Callable
 import torch
 
 Operator = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
-_SHRINK = 0.7  # of the columns still run: then the others are left behind
+_COMPACT = 0.7  # share of running columns under which the others are dropped from the tensors
 
 
 def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
@@ -29,16 +29,17 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     """Solve A x = ``right`` from x = 0.
 
     Args:
-        multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument says which columns of
-        ``right`` those are (j,),
-            None for all.
-        right: (3 n, k). tolerance: relative residual, per column (k,). iterations: the limit.
+        multiply, precondition: A p and M^-1 r on tensors (3 n, j); their second argument names the columns of ``right``
+            (j,), or is None for all.
+        right: right-hand sides (3 n, k).
+        tolerance: relative residual of each column (k,).
+        iterations: limit.
         plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
-        preconditioner's norm.
+            preconditioner's norm.
 
     Returns:
-        x (3 n, k), iterations of every column (k,), and which columns met negative curvature (k,) bool: those keep what
-        they have so far (their first direction at the least).
+        x (3 n, k), iterations of each column (k,), and which columns met negative curvature (k,) bool: those keep their
+        last x, or the first direction.
     """
     which: torch.Tensor | None = None
     out = torch.zeros_like(right)
@@ -83,7 +84,7 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         p = z + beta * p
         rz = torch.where(running, fresh, rz)
         running = goes_on
-        if left < _SHRINK * len(running):
+        if left < _COMPACT * len(running):
             if which is not None:
                 out[:, which] = x
             keep = running.nonzero()[:, 0]
