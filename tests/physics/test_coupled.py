@@ -82,8 +82,8 @@ def test_a_frame_that_needs_more_iterations_than_it_may_take_is_marked(bubble, b
     assert few < many and free.converged.all()
     _, limited = press(block(1e5), bubble, depths, 2.0, device, newton_frame=many - 1)
     hard = int(free.iterations[:, 0].argmax())
-    assert limited.iterations[hard, 0] == many - 1 and limited.reason[hard,
-                                                                      0] == Reason.ITERATIONS and not limited.converged[hard, 0]
+    assert limited.iterations[hard, 0] == many - 1 and not limited.converged[hard, 0]
+    assert limited.reason[hard, 0] == Reason.ITERATIONS
     if hard == 1:
         assert limited.converged[0, 0] and np.array_equal(limited.force[0], free.force[0])
 

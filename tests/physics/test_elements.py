@@ -344,9 +344,9 @@ def test_observed_modulus_and_poisson_ratio_of_a_network_of_springs(block, devic
 
 
 def test_a_network_takes_no_notice_of_the_poisson_ratio_and_is_as_stiff_as_its_parts(block):
+    layers = lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E)  # noqa: E731
     soft, other, two = (block(SIZE, 0.01, young_modulus=e, poisson_ratio=nu, elements=spring_network)
-                        for e, nu in ((E, 0.25), (E, 0.45), (lambda x: np.where(x[..., 2] < 0.0125, E, 100.0 * E),
-                                                             0.25)))
+                        for e, nu in ((E, 0.25), (E, 0.45), (layers, 0.25)))
     assert np.array_equal(soft.blocks[0].parameters["stiffness"], other.blocks[0].parameters["stiffness"])
     middle = soft.mesh.points[soft.blocks[0].nodes].mean(axis=1)[:, 2]
     ratio = two.blocks[0].parameters["stiffness"] / soft.blocks[0].parameters["stiffness"]
@@ -402,9 +402,8 @@ def test_bulk_stiffness_is_divided_between_the_points_and_the_mean(block):
                             (0.4999, 0.999, 1.0)):
         made, = block(SIZE, 0.03, young_modulus=E, poisson_ratio=nu, elements=tetrahedra).blocks
         lam = float(lame(E, nu)[1])
-        assert made.parameters["lam"] + made.parameters["mean_lam"][:,
-                                                                    None] == pytest.approx(np.full((len(made), 4), lam),
-                                                                                           rel=1e-8)
+        whole = made.parameters["lam"] + made.parameters["mean_lam"][:, None]
+        assert whole == pytest.approx(np.full((len(made), 4), lam), rel=1e-8)
         assert least * lam <= made.parameters["mean_lam"].max() <= most * lam
 
 

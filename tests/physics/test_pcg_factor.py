@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+import warp as wp
 
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
@@ -10,6 +11,7 @@ from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear import rest_factor as factor
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
 from vsfsim.physics.solve import pcg
+from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 
@@ -20,9 +22,9 @@ def by_numpy(matrix, device):
 
 
 def solve(multiply, precondition, right, device, tolerance, iterations):
-    x, done, negative = pcg.solve(multiply, precondition, torch.as_tensor(right, device=device),
-                                  tolerance=torch.as_tensor(np.broadcast_to(tolerance, right.shape[1]).copy(),
-                                                            device=device), iterations=iterations)
+    limits = torch.as_tensor(np.broadcast_to(tolerance, right.shape[1]).copy(), device=device)
+    x, done, negative = pcg.solve(multiply, precondition, torch.as_tensor(right, device=device), tolerance=limits,
+                                  iterations=iterations)
     return x.cpu().numpy(), done.cpu().numpy(), negative.cpu().numpy()
 
 
@@ -177,22 +179,24 @@ def test_preconditioner_is_the_exact_inverse_at_rest_with_contact(model, device)
     solver = Solver(model, probe, device=device)
     solver.elasticity.begin(2)
     contact = RigidContact(model, RigidBodies(probe), np.zeros(1), poses[:, :, None], device=device)
-    balance = Equilibrium(model, solver.elasticity, contact, SolverOptions(cg_tolerance=1e-6, cg_far=1.0), floor=1e-12)
+    balance = Equilibrium(model, solver.elasticity, contact, SolverOptions(), floor=1e-12)
     contact.begin_step(poses[0][:, None], balance.u)
     contact.move(poses[0][:, None])
     state = balance.evaluate(balance.every)
     assert contact.touches(balance.every).all()
-    balance._tangent(balance.every, projected=False)
-    direction, steps, negative, stiffness = balance._direction(balance.every, state["residual"],
-                                                               torch.zeros(2, dtype=torch.bool, device=device))
+    every = balance.every
+    solver.elasticity.tangent(wp.from_torch(every.to(torch.int32)), wp.from_torch(balance.u), projected=False)
+    direction, steps, negative, stiffness = newton_direction(
+        solver.elasticity, contact, every, state["residual"], near=torch.zeros_like(every, dtype=torch.bool),
+        tolerance=torch.full((2,), 1e-6, dtype=torch.float64, device=device), iterations=150)
     assert (steps == 1).all() and not negative.any()
     # and it is the solution of that system
     for b in range(2):
         dof = contact.dof[b].cpu().numpy()
-        real = dof >= 0
+        used = dof >= 0
         d = direction[:, b].cpu().numpy()
         product = (model.factor.stiffness @ d) * model.free
-        product[dof[real]] += (stiffness[b].cpu().numpy()[:, real] @ d[dof[real]])[real]
+        product[dof[used]] += (stiffness[b].cpu().numpy()[:, used] @ d[dof[used]])[used]
         residual = state["residual"][:, b].cpu().numpy()
         assert np.abs(product - residual).max() < 1e-5 * np.abs(residual).max()
 

@@ -36,9 +36,9 @@ def run(name, tier, device, frames=10):
     return result.force[:, 2]
 
 
-# Relative errors at 2.5 and 5 mm, measured: the tests allow twice as much, or the reference's own error if that is more.
-# Elements of 10 mm (fem-coarse) resolve contacts of radius sqrt(R d) = 7 and 10 mm. At 1 mm the radius is 4.5 mm, less than
-# half an element, and the force is known to a fifth only.
+# Relative errors at 2.5 and 5 mm, measured: the tests allow twice as much, or the reference's own error if that is
+# more. Elements of 10 mm (fem-coarse) resolve contacts of radius sqrt(R d) = 7 and 10 mm. At 1 mm the radius is 4.5
+# mm, less than half an element, and the force is known to a fifth only.
 S1_ERRORS = {"linear": (0.05, 0.05), "fem-coarse": (0.05, 0.05), "fem": (0.05, 0.05), "fem-fine": (0.05, 0.05)}
 S2_ERRORS = {"linear": (0.05, 0.05), "fem-coarse": (0.05, 0.05), "fem": (0.05, 0.05), "fem-fine": (0.05, 0.05)}
 TIERS = ["linear", "fem-coarse", *(pytest.param(tier, marks=pytest.mark.slow) for tier in ("fem", "fem-fine"))]
@@ -99,7 +99,8 @@ def test_hertz_with_the_bonded_layers_correction(block, graded, device):
 # ------------------------------------------------------------------------------------------ 15 mm deep
 
 # S1 pressed on to 15 mm, three quarters of the probe's radius. The reference is this solver's own mesh limit
-# (references/s1_deep.json): it holds the default meshes to that limit, and the other tests hold the element and the law.
+# (references/s1_deep.json): it holds the default meshes to that limit, and the other tests hold the element and the
+# law.
 
 
 @pytest.mark.parametrize(("tier", "tolerance"), [

@@ -74,8 +74,8 @@ def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confin
         assert frames.force[t, 0] == pytest.approx([0.0, 0.0, exact], rel=2e-6, abs=2e-6 * exact)
         assert frames.min_det_f[t, 0] == pytest.approx(own * side**2, rel=1e-4)
         deformed = model.mesh.points + shift
-        homogeneous = (model.mesh.points - model.mesh.points.min(axis=0)) * [side, side,
-                                                                             own] + model.mesh.points.min(axis=0)
+        corner = model.mesh.points.min(axis=0)
+        homogeneous = (model.mesh.points - corner) * [side, side, own] + corner
         assert np.abs(deformed - homogeneous).max() < 1e-6 * SIZE[2]
 
 
@@ -135,8 +135,8 @@ def test_cantilever_under_its_own_weight(block, line, device, nu):
     tip, _ = beam(block, line, device, 0.01, nu=nu, length=length)
     load, area, inertia = 1e-3 * 1000.0 * side**2, side**2, side**4 / 12
     shear = 10 * (1 + nu) / (12 + 11 * nu)  # Cowper 1966, rectangle
-    exact = load * length**4 / (8 * young_modulus * inertia) + load * length**2 / (2 * shear * young_modulus
-                                                                                   / (2 * (1 + nu)) * area)
+    shear_modulus = young_modulus / (2 * (1 + nu))
+    exact = load * length**4 / (8 * young_modulus * inertia) + load * length**2 / (2 * shear * shear_modulus * area)
     # without Poisson's effect the two theories are one (what is left is shear near the clamp); with it the clamped face
     # hinders the section's contraction, which beam theory leaves out: E / (1 - nu^2) over ~0.3 sides of 20, where the
     # moment bends most: 4 * 0.3 / 20 * nu^2 = 0.5 %, and two elements through the thickness cost 0.2 %
@@ -158,11 +158,10 @@ def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
     errors = []
     for cells in (2, 4, 8):
         model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]),
-                      poisson_ratio=nu,
-                      density=density, gravity=(0, 0, -g))
+                      poisson_ratio=nu, density=density, gravity=(0, 0, -g))
         model = rollers(model, walls(model, all_sides=True))
-        frames = Solver(model, Sphere(0.01), device=device, options=SolverOptions(tolerance=1e-10,
-                                                                                  cg_tolerance=1e-6)).run(far_away(line, Sphere(0.01)))
+        options = SolverOptions(tolerance=1e-10, cg_tolerance=1e-6)
+        frames = Solver(model, Sphere(0.01), device=device, options=options).run(far_away(line, Sphere(0.01)))
         errors.append(abs(frames.energy[0, 0] / exact - 1.0))
     order = np.log2(np.array(errors[:-1]) / errors[1:])
     print(f"energy errors {errors}, orders {order}")
@@ -187,8 +186,8 @@ def test_order_of_convergence_of_a_bent_beam(block, line, device):
 
 def test_a_symmetric_press_has_no_sideways_force(block, line, device):
     model = block((0.06, 0.06, 0.03), 0.015)
-    frames = Solver(model, Sphere(0.02), device=device).run(line([[0, 0, 0.05 - d] for d in (0.002, 0.005)],
-                                                                 Sphere(0.02)))
+    poses = line([[0, 0, 0.05 - d] for d in (0.002, 0.005)], Sphere(0.02))
+    frames = Solver(model, Sphere(0.02), device=device).run(poses)
     assert frames.converged.all() and frames.force[-1, 0, 2] > 1.0
     # the mesh is its own mirror image: what is left is the unbalanced force, 1e-4 at most
     assert (np.abs(frames.force[:, 0, :2]).max(axis=1) < 1e-4 * frames.force[:, 0, 2]).all()

@@ -27,8 +27,8 @@ def _start() -> None:
 _start()
 
 
-def compile_kernels(kernels: list[Any], device: str, *, progress: Callable[[int, int, str],
-                                                                           None] | None = None) -> None:
+def compile_kernels(kernels: list[Any], device: str, *,
+                    progress: Callable[[int, int, str], None] | None = None) -> None:
     """Load the modules of ``kernels`` on ``device``, compiling what is not in Warp's cache (seconds each, then kept).
 
     Args:

@@ -27,6 +27,8 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import MeshFile
 from vsfsim.physics import disk_cache
+from vsfsim.physics.contact import closest_point
+from vsfsim.physics.mesh.winding import winding_number
 
 LONGEST, SHORTEST = 64, 20  # cells along the longest and the shortest edge of the bounding box
 MAX_NODES = 2_000_000
@@ -191,28 +193,10 @@ def exact_distance(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) 
     mesh = wp.Mesh(points=corners, indices=wp.array(faces.astype(np.int32).reshape(-1), dtype=wp.int32, device="cpu"),
                    support_winding_number=True)
     out = wp.array(np.full(len(points), np.nan), dtype=wp.float64, device="cpu")
-    wp.launch(kernel, dim=len(points), device="cpu", inputs=[mesh.id, wp.array(vertices, dtype=wp.vec3d, device="cpu"),
-                                                             wp.array(faces, dtype=wp.vec3i, device="cpu"),
-                                                             wp.array(points, dtype=wp.vec3d, device="cpu"), out])
+    exact = ((vertices, wp.vec3d), (faces, wp.vec3i), (points, wp.vec3d))
+    wp.launch(kernel, dim=len(points), device="cpu",
+              inputs=[mesh.id, *(wp.array(values, dtype=dtype, device="cpu") for values, dtype in exact), out])
     return out.numpy()
-
-
-def winding_number(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Generalised winding number (k,) of ``points`` (k, 3): 1 inside a simple solid, 0 outside, between for a surface
-    with holes.
-
-    Sum of the solid angles of all triangles over 4 pi (Van Oosterom and Strackee 1983), exact and slow.
-    """
-    out = np.empty(len(points))
-    for start in range(0, len(points), max(1, 2_000_000 // len(faces))):
-        part = points[start:start + max(1, 2_000_000 // len(faces))]
-        a, b, c = (vertices[faces[:, k]][None] - part[:, None] for k in range(3))
-        la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
-        top = np.einsum("pfc,pfc->pf", a, np.cross(b, c))
-        ab, bc, ca = (np.einsum("pfc,pfc->pf", u, v) for u, v in ((a, b), (b, c), (c, a)))
-        bottom = la * lb * lc + ab * lc + bc * la + ca * lb
-        out[start:start + len(part)] = 2.0 * np.arctan2(top, bottom).sum(axis=1) / (4.0 * np.pi)
-    return out
 
 
 def _fault(surface, vertices: np.ndarray, faces: np.ndarray) -> str:
@@ -249,38 +233,7 @@ def _volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 @functools.cache
 def _query():
-    @wp.func(module="vsfsim_distance_grid")
-    def nearest_on_triangle(p: wp.vec3d, a: wp.vec3d, b: wp.vec3d, c: wp.vec3d):
-        # Ericson 2005, Real-Time Collision Detection, section 5.1.5
-        zero = wp.float64(0.0)
-        ab = b - a
-        ac = c - a
-        ap = p - a
-        d1 = wp.dot(ab, ap)
-        d2 = wp.dot(ac, ap)
-        if d1 <= zero and d2 <= zero:
-            return a
-        bp = p - b
-        d3 = wp.dot(ab, bp)
-        d4 = wp.dot(ac, bp)
-        if d3 >= zero and d4 <= d3:
-            return b
-        vc = d1 * d4 - d3 * d2
-        if vc <= zero and d1 >= zero and d3 <= zero:
-            return a + ab * (d1 / (d1 - d3))
-        cp = p - c
-        d5 = wp.dot(ab, cp)
-        d6 = wp.dot(ac, cp)
-        if d6 >= zero and d5 <= d6:
-            return c
-        vb = d5 * d2 - d1 * d6
-        if vb <= zero and d2 >= zero and d6 <= zero:
-            return a + ac * (d2 / (d2 - d6))
-        va = d3 * d6 - d5 * d4
-        if va <= zero and d4 - d3 >= zero and d5 - d6 >= zero:
-            return b + (c - b) * ((d4 - d3) / ((d4 - d3) + (d5 - d6)))
-        total = va + vb + vc
-        return a + ab * (vb / total) + ac * (vc / total)
+    near = closest_point.functions(wp.float64, "vsfsim_distance_grid")
 
     @wp.kernel(module="vsfsim_distance_grid", enable_backward=False)
     def query(
@@ -297,7 +250,8 @@ def _query():
         if found.result:
             # the search is in single precision; the distance to the triangle that it found is computed again in double
             f = faces[found.face]
-            d = wp.length(x - nearest_on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]]))
+            m = near.on_triangle(x, vertices[f[0]], vertices[f[1]], vertices[f[2]])
+            d = wp.length(x - (m[0] * vertices[f[0]] + m[1] * vertices[f[1]] + m[2] * vertices[f[2]]))
             if found.sign < 0.0:
                 d = -d
             distance_out[i] = d

@@ -151,13 +151,14 @@ def functions(real: type, module: str) -> Any:
             sign = vec3(wp.sign(x[0]), wp.sign(x[1]), wp.sign(x[2]))
             q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
             out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
-            if wp.length(out) > tiny:
-                return wp.cw_mul(sign, unit(out))
-            if q[0] >= q[1] and q[0] >= q[2]:
+            far = wp.length(out)
+            if far > zero:
+                return wp.cw_mul(sign, out / far)
+            if q[2] >= q[0] and q[2] >= q[1]:
+                return vec3(zero, zero, sign[2])
+            if q[0] >= q[1]:
                 return vec3(sign[0], zero, zero)
-            if q[1] >= q[2]:
-                return vec3(zero, sign[1], zero)
-            return vec3(zero, zero, sign[2])
+            return vec3(zero, sign[1], zero)
         if kind == 2:
             side = vec3(x[0], x[1], zero)
             radial = wp.length(side)
@@ -166,18 +167,21 @@ def functions(real: type, module: str) -> Any:
             rim = vec2(wp.max(q0, zero), wp.max(q1, zero))
             a = zero
             b = zero
-            if wp.length(rim) > tiny:
+            if wp.length(rim) > zero:
                 a = rim[0] / wp.length(rim)
                 b = rim[1] / wp.length(rim)
-            elif q0 >= q1:
+            elif q0 > q1:
                 a = one
             else:
                 b = one
             across = vec3(one, zero, zero)
-            if radial > tiny:
+            if radial > zero:
                 across = side / radial
             return a * across + vec3(zero, zero, b * wp.sign(x[2]))
-        return unit(nearest(kind, s, x))
+        d = nearest(kind, s, x)
+        if kind == 1 and wp.length(d) == zero:
+            return vec3(one, zero, zero)  # on the axis any direction across it is as good
+        return unit(d)
 
     @wp.func(module=module)
     def analytic_curvature(kind: int, s: vec4, x: vec3):

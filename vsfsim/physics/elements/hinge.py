@@ -141,12 +141,11 @@ def kernels(real: type) -> Any:
             total = vec3()
             for c in range(1, 6):
                 i = 3 * nodes[t, c]
-                total += pull(plane, out, n, t, a, c, edges[t,
-                                                            c] + (vec3(u_in[i, b], u_in[i + 1, b],
-                                                                       u_in[i + 2, b]) - first))
+                moved = edges[t, c] + (vec3(u_in[i, b], u_in[i + 1, b], u_in[i + 2, b]) - first)
+                total += pull(plane, out, n, t, a, c, moved)
             j = 3 * nodes[t, a]
-            energy += real(0.5) * wp.dot(total, edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b],
-                                                                    u_in[j + 2, b]) - first))
+            own = edges[t, a] + (vec3(u_in[j, b], u_in[j + 1, b], u_in[j + 2, b]) - first)
+            energy += real(0.5) * wp.dot(total, own)
             for c in range(3):
                 force_out[t, 3 * a + c, b] = total[c]
         energy_out[t, b] = energy

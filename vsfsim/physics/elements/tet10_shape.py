@@ -5,6 +5,7 @@ The gradient of a quadratic field is linear in the element. With the barycentric
 far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q: the sum is made once, and the rest has few terms.
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -148,10 +149,5 @@ def functions(real: type, module: str) -> Any:
         f[9] += s[2] + s[3]
         return f
 
-    class Functions:
-        pass
-
-    out = Functions()
-    out.load, out.edge_sums, out.gradient, out.stresses, out.spread, out.finish = (load, edge_sums, gradient, stresses,
-                                                                                   spread, finish)
-    return out
+    return SimpleNamespace(load=load, edge_sums=edge_sums, gradient=gradient, stresses=stresses, spread=spread,
+                           finish=finish)

@@ -66,9 +66,8 @@ class Multifrontal:
         _eliminate(matrix, tree, tables, factor)
         self.bytes = sum(a.nbytes for a in (factor.blocks, factor.pivots, factor.rows))
         below_at = np.concatenate([*(place[_unknowns(front.boundary)] for front in tree), [0]])
-        self._arrays = [wp.array(a.ravel(), device="cpu") for a in (tables, below_at.astype(np.int32),
-                                                                    place.astype(np.int32), factor.blocks,
-                                                                    factor.pivots, factor.rows)]
+        arrays = (tables, below_at.astype(np.int32), place.astype(np.int32), factor.blocks, factor.pivots, factor.rows)
+        self._arrays = [wp.array(a.ravel(), device="cpu") for a in arrays]
         self._vectors: dict[int, list[wp.array]] = {}  # of a solve, by its width
 
     def solve(self, right: np.ndarray) -> np.ndarray:
@@ -294,19 +293,17 @@ def _kernels() -> dict[int, Any]:
 
 
 def _kernel(name: str, text: str) -> Any:
-    long, whole, short, single, double = (wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.int16, wp.float32,
-                                                                      wp.float64))
+    long, whole, short, single, double = (
+        wp.array(dtype=t) for t in (wp.int64, wp.int32, wp.int16, wp.float32, wp.float64))
 
     def sweep(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole,
-              blocks: short, pivots: single, ratios: single,
-              right: double, out: double, x: single, work: single): ...
+              blocks: short, pivots: single, ratios: single, right: double, out: double, x: single, work: single): ...
 
     sweep.__name__ = sweep.__qualname__ = f"sweep_{name}"
     native = wp.func_native(text)(sweep)
 
     def solve(fronts: int, size: int, wide: int, columns: int, start: int, table: long, rows: whole, places: whole,
-              blocks: short, pivots: single, ratios: single,
-              right: double, out: double, x: single, work: single):
+              blocks: short, pivots: single, ratios: single, right: double, out: double, x: single, work: single):
         native(fronts, size, wide, columns, start, table, rows, places, blocks, pivots, ratios, right, out, x, work)
 
     return wp.Kernel(solve, key=f"multifrontal_solve_{name}")

@@ -11,7 +11,6 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.metadata
-import math
 import subprocess
 import sys
 import tempfile
@@ -25,6 +24,7 @@ from vsfsim.core.shape import MeshFile
 from vsfsim.core.solid import Solid, tet_volumes
 from vsfsim.physics import disk_cache
 from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
+from vsfsim.physics.mesh.winding import winding_number
 
 FORMATS = (".obj", ".ply", ".stl")
 # A bounding box of more units than this is read as millimetres; nothing that a robot arm touches is larger.
@@ -177,13 +177,13 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
     cells = 3.0 * float(np.prod(surface.extents)) / resolution**3
     if cells > MAX_TETS:
         raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of "
-                        f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m "
-                        f"into about {cells:.1e} tetrahedra; use a coarser resolution, and check the scale.")
+                        f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m into about {cells:.1e} tetrahedra; use a "
+                        f"coarser resolution, and check the scale.")
     for envelope in _ENVELOPES:
         vertices, tets = _run_filler(surface, resolution,
                                      envelope * resolution / float(np.linalg.norm(surface.extents)), path)
-        if not surface.is_watertight or abs(np.abs(tet_volumes(vertices,
-                                                               tets)).sum() / surface.volume - 1.0) <= _VOLUME:
+        filled = np.abs(tet_volumes(vertices, tets)).sum()
+        if not surface.is_watertight or abs(filled / surface.volume - 1.0) <= _VOLUME:
             break
     volumes = tet_volumes(vertices, tets) if len(tets) else np.zeros(0)
     tets[volumes < 0.0] = tets[volumes < 0.0][:, [1, 0, 2, 3]]
@@ -289,8 +289,7 @@ def _load(path: Path) -> trimesh.Trimesh:
         mesh = trimesh.load(path, force="mesh", process=False)
     except Exception as error:  # a parser may fail in any way on a damaged file
         raise MeshError(f"mesh file '{path}' cannot be understood as {path.suffix[1:].upper()}: "
-                        f"{type(error).__name__}: {error}. "
-                        "Export it again.") from error
+                        f"{type(error).__name__}: {error}. Export it again.") from error
     if not isinstance(mesh, trimesh.Trimesh) or mesh.vertices is None or not len(mesh.faces):
         raise MeshError(f"mesh file '{path}' has no faces; a closed triangle surface is needed (a point cloud is "
                         f"not enough).")
@@ -309,20 +308,12 @@ def _signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def _is_cavity(mesh: trimesh.Trimesh, faces: np.ndarray) -> bool:
-    """Whether an inside-out part lies within the rest, which then is a hollow body and its cavity.
-
-    The solid angle that the rest subtends at a vertex of the part is about 4 pi (Van Oosterom and Strackee 1983).
-    """
+    """Whether an inside-out part is within the rest, which then is a hollow body with this cavity."""
     others = np.setdiff1d(np.arange(len(mesh.faces)), faces)
     if not len(others):
         return False
-    corner = mesh.vertices[mesh.faces[others]] - mesh.vertices[mesh.faces[faces[0], 0]]
-    a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
-    la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-    top = np.einsum("ij,ij->i", a, np.cross(b, c))
-    bottom = la * lb * lc + np.einsum("ij,ij->i", a, b) * lc + np.einsum("ij,ij->i", b,
-                                                                         c) * la + np.einsum("ij,ij->i", c, a) * lb
-    return bool(abs(np.arctan2(top, bottom).sum() * 2.0) > 2.0 * math.pi)
+    spot = mesh.vertices[mesh.faces[faces[0], 0]][None]
+    return bool(abs(winding_number(mesh.vertices, mesh.faces[others], spot)[0]) > 0.5)
 
 
 # ---------------------------------------------------------------------------------------------- the cache

@@ -244,10 +244,11 @@ class Elasticity:
         self._energies = wp.zeros((int(rows[-1]), batch), **new)
         self._dets = wp.zeros((int(rows[-1]), batch), **new)
         # the part of each block, as its element sees it
-        self._part = [(self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1],
-                                                                             batch)),
-                       self._energies[int(rows[i]):int(rows[i + 1])], self._dets[int(rows[i]):int(rows[i + 1])])
-                      for i, block in enumerate(self.blocks)]
+        self._part = []
+        for i, block in enumerate(self.blocks):
+            force = self._force[int(slots[i]):int(slots[i + 1])].reshape((len(block), 3 * block.nodes.shape[1], batch))
+            own = slice(int(rows[i]), int(rows[i + 1]))
+            self._part.append((force, self._energies[own], self._dets[own]))
         self._state = [wp.zeros((len(block), block.element.state_size(block), batch), **new) for block in self.blocks]
         self._at = wp.zeros((3 * self._points, batch), **new)
         self._partial_energy = wp.zeros((_CHUNKS, batch), dtype=wp.float64, device=self.device)

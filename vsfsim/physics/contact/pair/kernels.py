@@ -24,8 +24,7 @@ from typing import Any
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.contact import friction
-from vsfsim.physics.contact.pair import closest_point
+from vsfsim.physics.contact import closest_point, friction
 from vsfsim.physics.contact.rigid_kernels import FACING
 
 CANDIDATES = 12

@@ -1,4 +1,4 @@
-"""The nearest point of a surface triangle, flat or quadratic: Warp functions that a kernel module takes in."""
+"""The nearest point of a surface triangle, flat or quadratic: Warp functions for several kernel modules."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -15,7 +15,7 @@ def functions(real: type, module: str) -> Any:
     @wp.func(module=module)
     def on_triangle(p: vec3, a: vec3, b: vec3, c: vec3):
         # barycentric coordinates of the nearest point of a flat triangle, by Voronoi regions of its corners, edges and
-        # face
+        # face (Ericson 2005, Real-Time Collision Detection, section 5.1.5)
         ab = b - a
         ac = c - a
         ap = p - a
