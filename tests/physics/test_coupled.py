@@ -112,10 +112,10 @@ def test_the_way_to_first_contact(bubble, block):
     assert free_way(block(1e5), bubble, pose, np.array([0.0, 0.0, -1.0])) == np.inf
 
 
-def test_too_fine_a_sensor_is_refused(bubble, block, monkeypatch):
-    monkeypatch.setattr("vsfsim.physics.solve.coupled.SENSOR_NODES", 100)
-    with pytest.raises(SceneError, match="200 nodes"):
-        CoupledSolver(block(1e5), bubble)
+def test_too_fine_a_sensor_is_refused(bubble, block):
+    fine = dataclasses.replace(bubble, mesh=dataclasses.replace(bubble.mesh, points=np.zeros((3001, 3))))
+    with pytest.raises(SceneError, match="3001 nodes"):
+        CoupledSolver(block(1e5), fine)
 
 
 def test_complementarity_against_enumeration():

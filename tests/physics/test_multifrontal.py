@@ -8,8 +8,9 @@ import pytest
 import scipy.sparse as sp
 
 from vsfsim.core.errors import MeshError
-from vsfsim.physics.linear import dissection, multifrontal
+from vsfsim.physics.linear import dissection
 from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
+from vsfsim.physics.linear.rest_factor import QuickFactor
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_a_cover_is_the_least_one():
         left = np.arange(10) < 5
         ties = np.triu(rng.random((10, 10)) < 0.25, 1)
         part = sp.coo_matrix(ties | ties.T)
-        cover = dissection._cover(part, left)
+        cover = dissection.vertex_cover(part, left)
         edges = [(i, j) for i, j in zip(part.row, part.col, strict=True) if left[i] and not left[j]]
         assert all(cover[i] or cover[j] for i, j in edges)
         least = next(size for size in range(11) for chosen in itertools.combinations(range(10), size)
@@ -108,11 +109,9 @@ def test_a_long_way_from_the_support_is_not_trusted_to_sixteen_bits(count, good)
     assert trusted(matrix, Multifrontal(matrix, points), load) is good
 
 
-def test_a_body_that_few_digits_lose_keeps_its_exact_factor(model, monkeypatch):
-    monkeypatch.setattr(multifrontal, "_TRUST", 1e-12)
-    monkeypatch.setattr(model.factor, "_quick", None)
-    assert model.factor.quick(model.mesh.points) is model.factor
-    monkeypatch.setattr(model.factor, "_quick", None)
+def test_a_body_that_few_digits_lose_has_no_quick_factor(model):
+    assert QuickFactor.of_trusted(model.factor, model.mesh.points, within=1e-12) is None
+    assert QuickFactor.of_trusted(model.factor, model.mesh.points) is not None
 
 
 def test_a_loose_part_is_refused():

@@ -2,6 +2,7 @@
 files give."""
 
 import functools
+import shutil
 
 import numpy as np
 import pytest
@@ -253,27 +254,29 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     assert near.sum() > 100 and np.abs(grid.distance(x) - exact)[near].max() < 0.012 * RADIUS
 
 
-def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path, monkeypatch):
-    from vsfsim.physics.contact import distance_grid
-    monkeypatch.setattr(distance_grid, "_SLOW", 0.0)  # keep what a fast machine would sooner make again
+def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
     # with a note; the filler of holes would take its time, and close them a little otherwise each time
     mesh, _ = broken("inside out")
     mesh.apply_scale([2.5, 0.3, 0.3])  # long bodies have the smaller grids
     path = tmp_path / "b.ply"
     mesh.export(path)
     cache = tmp_path / "cache"
-    first = baked(MeshFile(str(path), 1.0), cache=cache)
-    stored = list(cache.glob("distance-*.npz"))
-    assert len(stored) == 1
-    distance_grid._baked.cache_clear()
-    again = baked(MeshFile(str(path), 1.0), cache=cache)
+
+    def grid(path):
+        return baked(MeshFile(str(path), 1.0), cache=cache, slow=0.0)
+
+    first = grid(path)
+    stored, = cache.glob("distance-*.npz")
+    # a copy is another file with the same content: found on disk, not in memory
+    shutil.copy(path, tmp_path / "c.ply")
+    again = grid(tmp_path / "c.ply")
     assert again is not first and (again.coefficients == first.coefficients).all() and again.notes == first.notes
-    stored[0].write_bytes(b"rubbish")
-    distance_grid._baked.cache_clear()
-    assert np.isfinite(baked(MeshFile(str(path), 1.0), cache=cache).coefficients).all()
+    stored.write_bytes(b"rubbish")
+    shutil.copy(path, tmp_path / "d.ply")
+    assert np.isfinite(grid(tmp_path / "d.ply").coefficients).all()
     mesh.apply_scale(1.5)
     mesh.export(path)
-    edited = baked(MeshFile(str(path), 1.0), cache=cache)
+    edited = grid(path)
     assert edited.upper == pytest.approx(1.5 * first.upper, rel=1e-6), "an edited file is read again"
 
 

@@ -39,7 +39,7 @@ _RIM = 4
 # size, and 1 / 40 takes minutes
 _CLOSED_EDGE = 1 / 8
 _ENVELOPE = 1e-3  # how far fTetWild may move a broken surface, over the diagonal of its bounding box
-_SLOW = 1.0  # a bake that took longer is kept on disk [s]
+_SLOW = 1.0  # duration of a bake above which it is kept on disk [s]
 _RECIPE = 1  # part of the cache key: raise it when the bake changes
 
 
@@ -96,24 +96,27 @@ def spacing_rule(size: np.ndarray) -> float:
     return wanted
 
 
-def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None = None) -> DistanceGrid:
+def baked(shape: MeshFile, *, spacing: float | None = None, cache: Path | None = None,
+          slow: float = _SLOW) -> DistanceGrid:
     """The grid of a mesh file, from memory, from disk, or made now.
 
     Args:
         shape: file and scale.
         spacing: of the grid [m], or None for the rule.
         cache: folder; None is that of filled meshes.
+        slow: duration of a bake above which it is kept on disk [s].
 
     Raises:
         MeshError: as `vsfsim.physics.mesh.scan.read_surface`, or a surface that cannot be closed.
     """
     path = Path(shape.path)
     stamp = path.stat().st_mtime_ns if path.is_file() else None
-    return _baked(shape, spacing, cache, stamp)
+    return _baked(shape, spacing, cache, slow, stamp)
 
 
 @functools.lru_cache(maxsize=16)
-def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: int | None) -> DistanceGrid:
+def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, slow: float,
+           stamp: int | None) -> DistanceGrid:
     # scan imports trimesh, which a sphere does not need. ``stamp`` is the file's time: an edited file is read again
     from vsfsim.physics.mesh import scan
 
@@ -139,7 +142,7 @@ def _baked(shape: MeshFile, spacing: float | None, cache: Path | None, stamp: in
                          f"diagonal, {1e3 * _ENVELOPE * np.linalg.norm(surface.extents):.2g} mm.")
         grid = bake(vertices, faces, spacing=spacing, centre=0.5 * (surface.bounds[0] + surface.bounds[1]),
                     notes=tuple(notes))
-        if broken or time.perf_counter() - began > _SLOW:
+        if broken or time.perf_counter() - began > slow:
             _write(stored, grid)
             # another worker may have been first; fTetWild never returns the same surface twice, so that one counts
             grid = _read(stored) or grid

@@ -81,7 +81,7 @@ def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tupl
         for share in _CUTS if len(nodes) > _LARGE else (0.5,):
             left = np.zeros(len(nodes), bool)
             left[order[:int(share * len(nodes))]] = True
-            separator = _cover(part, left)
+            separator = vertex_cover(part, left)
             sizes = (left & ~separator).sum(), (~left & ~separator).sum()
             # the front of the separator costs its cube, and the halves are no use if one of them is nearly all
             cost = separator.sum() * (1.0 + 4.0 * max(0.0, max(sizes) / len(nodes) - 0.6))
@@ -91,8 +91,13 @@ def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tupl
     return nodes[separator], (nodes[left & ~separator], nodes[~left & ~separator])
 
 
-def _cover(part: sp.coo_matrix, left: np.ndarray) -> np.ndarray:
-    """The least set of nodes (n,) bool that touches every edge between the two sides."""
+def vertex_cover(part: sp.coo_matrix, left: np.ndarray) -> np.ndarray:
+    """The smallest set of nodes (n,) bool that touches every edge between the two sides.
+
+    Args:
+        part: adjacency of the nodes (n, n), symmetric.
+        left: which nodes are on the one side (n,) bool.
+    """
     across = left[part.row] & ~left[part.col]
     row, col = part.row[across], part.col[across]
     out = np.zeros(len(left), bool)

@@ -29,7 +29,8 @@ _UNIT = 32767.0  # the integer that represents 1
 _WIDE = 16  # right-hand sides that share one reading of the factor
 _FEW = 4  # fewer right-hand sides are solved one by one
 _ROWS = 4  # rows of a block that are unpacked together
-_TRUST = 2e-2  # relative error in the energy norm up to which the factor preconditions as well as the exact one
+TRUST = 2e-2
+"""Relative error in the energy norm up to which the factor preconditions as well as the exact one [-]."""
 _LOOSE = 1e15  # a pivot below this fraction of its diagonal entry (inverted) is treated as zero: it is rounding error
 
 
@@ -97,13 +98,13 @@ class _Factor:
     """r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
 
 
-def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray) -> bool:
-    """Whether the factor solves for ``loads`` (3 n, k) to `_TRUST` in the energy norm of the matrix."""
+def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, within: float = TRUST) -> bool:
+    """Whether the factor solves for ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
     x = factor.solve(loads)
     miss = loads - matrix @ x
     # |e|_A^2 = e . A e with e = A^-1 miss, itself found by the factor; |x|_A^2 = x . b
     error, energy = np.einsum("ij,ij->j", factor.solve(miss), miss), np.einsum("ij,ij->j", x, loads)
-    return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= _TRUST**2 * energy).all())
+    return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= within**2 * energy).all())
 
 
 def _padded(count: int) -> int:

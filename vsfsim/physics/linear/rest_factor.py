@@ -16,11 +16,10 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
+from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
 _KEPT = 4  # factors kept in this process, by content
-_COLUMNS_BYTES = 512e6  # columns of the inverse kept for the touches of one run
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
 # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _ROWS, _SPARSE = 32, 0.4
@@ -44,6 +43,8 @@ class RestFactor:
     """The rest stiffness, supports not held (3 n, 3 n) [N/m]."""
     seconds: float
     """Duration of the factorisation [s]."""
+    columns_bytes: float = 512e6
+    """Memory for columns of the inverse, of the touches of one run [byte]."""
     _kept: type = np.float64  # of the whole columns
 
     def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
@@ -118,8 +119,8 @@ class RestFactor:
             for j, i in enumerate(part):
                 right[[3 * i, 3 * i + 1, 3 * i + 2], [3 * j, 3 * j + 1, 3 * j + 2]] = self.free[3 * i:3 * i + 3]
             answer = self.solve(right)
-            if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > _COLUMNS_BYTES:
-                # those asked for stay: the caller has limited them to `_COLUMNS_BYTES` for all its touches
+            if whole and self._kept().nbytes * self.size * 3 * (len(self._whole) + len(part)) > self.columns_bytes:
+                # those asked for stay: the caller has limited them to `columns_bytes` for all its touches
                 asked = {int(i) for i in nodes}
                 self._whole = {i: column for i, column in self._whole.items() if i in asked}
             surface = answer.reshape(-1, 3, 3 * len(part))[self._surface]
@@ -176,13 +177,14 @@ class QuickFactor(RestFactor):
         self.seconds = time.perf_counter() - began
 
     @classmethod
-    def of_trusted(cls, exact: RestFactor, points: np.ndarray) -> QuickFactor | None:
-        """The quick factor, or None if it is not accurate enough for this body: tried with uniform forces along each
-        axis and with random ones."""
+    def of_trusted(cls, exact: RestFactor, points: np.ndarray, *, within: float = TRUST) -> QuickFactor | None:
+        """The quick factor, or None if its relative error for this body is not ``within`` a limit: it is tried with
+        uniform forces along each axis and with random ones."""
         solver = Multifrontal(exact._held, points)
         loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)),
                                 np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
-        return cls(exact, solver) if trusted(exact._held, solver, loads * exact.free[:, None]) else None
+        accurate = trusted(exact._held, solver, loads * exact.free[:, None], within=within)
+        return cls(exact, solver) if accurate else None
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """As `RestFactor.solve`, approximately."""
@@ -240,7 +242,7 @@ class _Sparse:
         self._factor, self._dof = factor, dof
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
-        few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= _COLUMNS_BYTES
+        few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= factor.columns_bytes
         self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32,
                                   device=device) if few else None
         self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
