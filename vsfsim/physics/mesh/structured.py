@@ -172,7 +172,8 @@ def ball(radius: float, resolution: float, *, equal_volume: bool = False) -> tup
                 tets.append([vertex(face, w) for w in ((a, b, c), (a + 1, b, c), (a, b + 1, c), (a, b, c + 1))])
             if room >= 2:
                 octahedra.append([vertex(face, w) for w in (
-                    (a + 1, b, c), (a, b + 1, c + 1), (a, b + 1, c), (a + 1, b, c + 1), (a, b, c + 1), (a + 1, b + 1, c))])
+                    (a + 1, b, c), (a, b + 1, c + 1), (a, b + 1, c), (a + 1, b, c + 1), (a, b, c + 1),
+                    (a + 1, b + 1, c))])
             if room >= 3:
                 tets.append([vertex(face, w) for w in (
                     (a + 1, b + 1, c), (a + 1, b, c + 1), (a, b + 1, c + 1), (a + 1, b + 1, c + 1))])
