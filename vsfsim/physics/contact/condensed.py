@@ -41,7 +41,7 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
     if not contact.has_friction:
         return _newton(contact, columns, base, pushed, start, iterations, tolerance)
     contact.stick = STICK
-    answer, error = _newton(contact, columns, base, pushed, start, iterations, tolerance)
+    best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance)
     again = (error > tolerance).nonzero()[:, 0]
     if len(again):
         # the potential has a kink between stick and slip: approach it through smoother ones
@@ -51,8 +51,8 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
             part, new = _newton(contact, columns[again], base[again], pushed[again], part, 3 * iterations,
                                 tolerance if share == 1.0 else _STAGE_TOLERANCE)
         better = new < error[again]
-        answer[again[better]], error[again[better]] = part[better], new[better]
-    return answer, error
+        best_change[again[better]], error[again[better]] = part[better], new[better]
+    return best_change, error
 
 
 def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
@@ -66,7 +66,7 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
     error = best_error.clone()
     wrong_side = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
-    answer = best.clone()
+    best_change = best.clone()
     running = torch.ones_like(best_error, dtype=torch.bool)
     for _ in range(iterations):
         contact.evaluate(columns, trial)
@@ -83,7 +83,7 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
         size = miss.abs().amax(dim=1) / trial.abs().amax(dim=1).clamp(min=1e-9)
         fresh = running & ~far
         better = fresh & (size < error)
-        answer = torch.where(better[:, None], nodal - pushed, answer)
+        best_change = torch.where(better[:, None], nodal - pushed, best_change)
         error = torch.where(better, size, error)
         running = running & (far | (size >= tolerance))
         left = int(running.sum())
@@ -103,14 +103,14 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
         if left < _COMPACT * len(columns):
             keep = running.nonzero()[:, 0]
             where = slice(None) if live is None else live
-            best[where], best_error[where] = answer, error
+            best[where], best_error[where] = best_change, error
             live = keep if live is None else live[keep]
-            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, answer, wrong_side = (
+            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, best_change, wrong_side = (
                 x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error,
-                                  answer, wrong_side))
+                                  best_change, wrong_side))
             running = torch.ones_like(keep, dtype=torch.bool)
     where = slice(None) if live is None else live
-    best[where], best_error[where] = answer, error
+    best[where], best_error[where] = best_change, error
     return best, best_error
 
 

@@ -31,12 +31,12 @@ _CLOSE = 0.2  # of the margin of a step: nodes nearer than this are unknowns of 
 class LinkedContact(Contact, Protocol):
     """What this problem asks of a contact besides: `contact.PairContact` answers it."""
 
-    def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
-        """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``asked`` before."""
+    def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
+        """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``close`` before."""
 
-    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
+    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
                                                                                  torch.Tensor, torch.Tensor]:
-        """Links, gaps [m], penalty compliances [m/N] and contact (k, p) of the nodes ``asked``."""
+        """Links, gaps [m], penalty compliances [m/N] and contact (k, p) of the nodes ``close``."""
 
     def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:
         """Friction forces (k, 3 s) [N], and the links of their stiffness."""
@@ -49,7 +49,7 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
     q = torch.zeros_like(base)
     u = base.clone()
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
-    asked = None
+    close = None
     for step in range(min(iterations, _MOST_ITERATIONS)):
         contact.evaluate(columns, u)
         miss = compliance.respond(columns, contact.nodal(columns) - pushed - q)
@@ -59,8 +59,8 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
         error = torch.where(better, off, error)
         if bool(((error < _TIGHT) | (stuck & (error < tolerance))).all()):
             break
-        asked = contact.near(columns, _CLOSE, asked)
-        normal, gap, give, held = contact.meeting(columns, asked)
+        close = contact.close_nodes(columns, _CLOSE, close)
+        normal, gap, give, held = contact.gaps_of(columns, close)
         # rubber mostly sticks: begin with every point stuck, since one far from its anchor would be taken to slip
         drag, across = contact.tangential(columns, stuck=step == 0)
         change = base - u + compliance.respond(columns, drag - pushed)

@@ -355,17 +355,17 @@ class PairContact:
         """See `Contact`."""
         return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
 
-    def near(self, columns: torch.Tensor, part: float, asked: list[torch.Tensor] | None) -> list[torch.Tensor]:
+    def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
         """Nodes of both sides (k, Q) bool that are nearer to the other surface than ``part`` of the margin, and those
-        ``asked`` before."""
+        ``close`` before."""
         now = [side.state["gap"][columns] < part * self.surfaces.margin for side in self._sides]
-        return now if asked is None else [a | b for a, b in zip(now, asked, strict=True)]
+        return now if close is None else [a | b for a, b in zip(now, close, strict=True)]
 
-    def meeting(self, columns: torch.Tensor, asked: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
+    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
                                                                                  torch.Tensor, torch.Tensor]:
-        """The nodes ``asked``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
+        """The nodes ``close``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
         compliances (k, p) [m/N], and whether they touch (k, p) bool. Padding has a gap of 1 m."""
-        chosen = self._chosen(columns, asked)
+        chosen = self._chosen(columns, close)
         if not chosen:
             none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
             return None, none, none, none > 0.0
