@@ -170,11 +170,10 @@ def test_slivers(device):
 
 @pytest.mark.parametrize("young_modulus", [3e4, 3e3, 3e2])
 def test_heavy_sagging(device, young_modulus):
-    """rho g h / E = 0.01, 0.1, 1: the base carries all the weight in every frame that converged, pressed or not."""
+    """rho g h / E = 0.01, 0.1, 1: every frame converges, and the base carries all the weight, pressed or not."""
     model = body(lambda x: np.full(x.shape[:-1], young_modulus), nu=0.45, density=1000.0, gravity=(0.0, 0.0, -9.81))
     frames = press(model, [-0.5, 0.1], device)
-    good = frames.converged[:, 0]
-    assert good.all() or young_modulus < 1e3
+    assert frames.converged.all()
     weight = 9.81 * 1000.0 * np.prod(SIZE)
     # the tolerance of 1e-4 is of the sum of nodal forces, twice the weight with its signs
-    assert (frames.reaction[:, 0, 2] - frames.force[:, 0, 2])[good] == pytest.approx(weight, rel=1e-3)
+    assert frames.reaction[:, 0, 2] - frames.force[:, 0, 2] == pytest.approx(weight, rel=1e-3)
