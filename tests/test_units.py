@@ -44,7 +44,7 @@ def undocumented(text: str) -> list[str]:
             elif array and not SHAPE.search(text + head):
                 out.append(f"{node.name}.{field.name}: no shape in '{text}'")
             elif (number and "[" not in text and "metres" not in head
-                  and not any(word in f" {text} " for word in DIMENSIONLESS)):
+                  and not any(word in f" {text.lower()} " for word in DIMENSIONLESS)):
                 out.append(f"{node.name}.{field.name}: no unit in '{text}'")
     return out
 

@@ -67,23 +67,24 @@ class Plane:
 
 @dataclass(frozen=True)
 class MeshFile:
-    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a probe,
-    that of its bounding box.
-
-    path: the file, relative to the scene file. scale: [m] per unit of the file, or None to
-    decide from the size (a bounding box over 5 units is read as millimetres, and said so).
-    """
+    """A surface mesh of the user's own (OBJ, PLY, STL). As an object its origin is the centre of its base; as a
+    probe, that of its bounding box."""
 
     path: str
+    """The file, relative to the scene file."""
     scale: float | None = None
+    """Metres per unit of the file [m], or None to decide from the size: a bounding box over 5 units is read as
+    millimetres, with a note."""
 
 
 @dataclass(frozen=True)
 class Family:
-    """A procedural family in ``scenes/``: name and its own parameters (SI units)."""
+    """A procedural family in ``scenes/``."""
 
     name: str
+    """Of the family."""
     parameters: Mapping[str, Any]
+    """Its own, in SI units."""
 
 
 ObjectShape = Box | Sphere | Cylinder | Rod | MeshFile | Family
