@@ -114,9 +114,13 @@ def add_punyo(spec: mujoco.MjSpec) -> None:
 
 def quaternion(rotation: np.ndarray) -> np.ndarray:
     """w x y z (4,) of a rotation (3, 3), of the nearest one if it is rounded."""
+    import mujoco
+
     # The published rows are orthogonal to five digits only; scipy takes another rotation than the nearest, 2e-6 away.
     u, _, v = np.linalg.svd(rotation)
-    return np.roll(Rotation.from_matrix(u @ v).as_quat(), 1)
+    out = np.zeros(4)
+    mujoco.mju_mat2Quat(out, np.ascontiguousarray(u @ v).ravel())
+    return out
 
 
 def _add_capsules(body: Any, capsules: list[gen3.LinkCapsule] | tuple[gen3.LinkCapsule, ...], *,
