@@ -30,11 +30,16 @@ def make(name: str) -> None:
             places = {"OUT": str(out), "DATASET": str(Path(folder) / "dataset")}
             subprocess.run([sys.executable, "-c", "from vsfsim.cli.main import main; main()",
                             *(places.get(word, word) for word in words)], check=True)
-        image = Image.open(out).convert("RGB")
-        if image.width > WIDTH:
-            image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
-        palette = image.quantize(256)
-        image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(FOLDER / f"{name}.png", optimize=True)
+        shrink(out, FOLDER / f"{name}.png")
+
+
+def shrink(picture: Path, to: Path) -> None:
+    """Bring a picture to the size of a page and to 256 colours."""
+    image = Image.open(picture).convert("RGB")
+    if image.width > WIDTH:
+        image = image.resize((WIDTH, round(image.height * WIDTH / image.width)), Image.Resampling.LANCZOS)
+    palette = image.quantize(256, method=Image.Quantize.FASTOCTREE)  # median cut loses the colours of small parts
+    image.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(to, optimize=True)
 
 
 if __name__ == "__main__":
