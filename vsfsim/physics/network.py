@@ -8,8 +8,8 @@ multiplicative updates that keep every constant positive (Daube-Witherspoon and 
 
 An isotropic network has nu = 1/4 where its nodes follow a uniform strain. They do not exactly, as the network relaxes;
 this also lowers E, which `RELAXATION` corrects. Observed on blocks pulled along each axis: with 720 to 2,500 tetrahedra
-E within 2.5 % and nu 0.18 to 0.23, its mean 0.20; with 160 to 360 tetrahedra E within 5 % and nu 0.10 to 0.31. The shear
-modulus along the axes of the mesh is 10 to 15 % low.
+E within 2.5 % and nu 0.18 to 0.23, its mean 0.20; with 160 to 360 tetrahedra E within 5 % and nu 0.10 to 0.31. The
+shear modulus along the axes of the mesh is 10 to 15 % low.
 """
 
 from __future__ import annotations

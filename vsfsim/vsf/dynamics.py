@@ -165,7 +165,7 @@ def _reach(probe: ProbeShape) -> tuple[float, float]:
         case Plane():
             thin = math.inf
         case _:
-            raise VsfError("the particle model moves particles with a probe of simple shape, a bubble's dome or an arm.")
+            raise VsfError("the particle model moves particles with a simple probe, a bubble's dome or an arm.")
     return signed_distance.reach(probe), thin
 
 

@@ -105,9 +105,10 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
             where = slice(None) if live is None else live
             best[where], best_error[where] = best_change, error
             live = keep if live is None else live[keep]
-            columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error, best_change, wrong_side = (
-                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move, level, slope, step, error,
-                                  best_change, wrong_side))
+            columns, compliance, base, pushed, q, trial, dq, move = (
+                x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move))
+            level, slope, step, error, best_change, wrong_side = (
+                x[keep] for x in (level, slope, step, error, best_change, wrong_side))
             running = torch.ones_like(keep, dtype=torch.bool)
     where = slice(None) if live is None else live
     best[where], best_error[where] = best_change, error

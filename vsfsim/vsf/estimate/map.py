@@ -121,7 +121,8 @@ def posterior_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior_
 
 
 def _checked(where: str, w: sparse.csr_matrix, z: np.ndarray, noise_std: np.ndarray | float,
-             prior_mean: np.ndarray | float, prior_var: np.ndarray | float) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+             prior_mean: np.ndarray | float, prior_var: np.ndarray | float,
+             ) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     w = sparse.csr_matrix(w, dtype=np.float64, copy=True)
     w.sum_duplicates()
     w.eliminate_zeros()

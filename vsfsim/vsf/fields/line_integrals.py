@@ -46,8 +46,8 @@ class _Paths:
     @classmethod
     def of(cls, touches: Sequence[DenseTouch] | Sequence[TotalTouch], device: str) -> _Paths:
         if len({t.vertices.shape[1] for t in touches}) != 1:
-            raise VsfError("vsf.line_integrals: the touches have surfaces of different numbers of vertices; they must be of "
-                           "one sensor.")
+            raise VsfError("vsf.line_integrals: the touches have surfaces of different numbers of vertices; they must "
+                           "be of one sensor.")
         longest = max(len(t.vertices) for t in touches)
 
         def joined(parts: list[np.ndarray]) -> torch.Tensor:
