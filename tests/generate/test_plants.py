@@ -240,7 +240,8 @@ def test_the_dynamic_arm_reads_what_the_kinematic_one_does_but_for_friction_and_
     assert (a.force == b.force).all() and not np.array_equal(a.q, b.q) and np.abs(a.q - b.q).max() < 0.05
     gap = np.abs(a.torque - b.torque).max()
     print(f"largest difference {gap:.3f} N m of {np.abs(a.torque).max():.3f} N m")
-    assert 0.0 < gap < 3.5  # Coulomb friction of a large joint
+    # measured: 0.38. A large joint's sensor measures 0.1 of 3.5 N m and of 2 N m s/rad at 0.3 rad/s, 0.41 N m in all
+    assert 0.2 < gap < 0.5
 
 
 @pytest.mark.slow
