@@ -169,8 +169,6 @@ class RigidContact:
         self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
         self.compliance = self.response.compliance()
 
-    # ------------------------------------------------------------------------------------------ poses and history
-
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
         k = self.kernels
         return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device),
@@ -193,8 +191,6 @@ class RigidContact:
     def positions(self, displacement: torch.Tensor) -> torch.Tensor:
         """Positions (B, 3 s) [m] of the patches' nodes."""
         return self.rest + displacement
-
-    # ------------------------------------------------------------------------------------------ evaluation
 
     def _launch(self, kernel: object, columns: torch.Tensor, model: list[object], names: str,
                 *more: wp.array) -> None:
@@ -243,8 +239,6 @@ class RigidContact:
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         return self._relaxation.friction_residual(columns)
-
-    # ------------------------------------------------------------------------------------------ results
 
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -301,8 +295,6 @@ class RigidContact:
         inside = (self.gap[columns] < 0.0).sum(dim=1)
         return self.slips[columns].sum(dim=1) / inside.clamp(min=1)
 
-    # ------------------------------------------------------------------------------------------ stiffness
-
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
         """See `Contact`."""
         curved = geometric is not None and bool(geometric.any())
@@ -356,8 +348,6 @@ class RigidContact:
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`."""
         return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
-
-    # ------------------------------------------------------------------------------------------ between steps
 
     def remember(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`: the nodal forces (k, 3 s), since the patches stay the same."""

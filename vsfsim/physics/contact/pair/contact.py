@@ -64,6 +64,11 @@ class _Chosen:
         return self.side.memory["anchor_face"][self.at], self.side.memory["anchor_shape"][self.at]
 
 
+def _written(chosen: list[_Chosen], name: str) -> torch.Tensor:
+    """Vectors that the kernels wrote for all of them (k, a, 3), 0 at padding."""
+    return torch.cat([own.of(name) * own.on[:, :, None] for own in chosen], dim=1)
+
+
 class PairContact:
     """`Contact` of an object with the surface of a sensor (K = 1); the patch is that of the present step.
 
@@ -114,8 +119,6 @@ class PairContact:
         """See `Contact`."""
         return self._patch.free
 
-    # ------------------------------------------------------------------------------------------ steps
-
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
         """See `Contact`."""
         for side in self._sides:
@@ -163,16 +166,14 @@ class PairContact:
             out[at[change > _TURNED]] = True
         return out
 
-    # ------------------------------------------------------------------------------------------ evaluation
-
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`; the sensor's displacements are in its frame."""
         return u.gather(0, self._patch.index.T).T.to(torch.float64) * self.mask
 
     def _launch(self, kernel: Any, side: Side, columns: torch.Tensor, inputs: list[Any]) -> None:
         """Run a kernel over the nodes of a side of the touches ``columns`` (k,)."""
-        shared = [side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first]
-        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device, inputs=[*shared, *inputs])
+        wp.launch(kernel, dim=(side.stiffness.shape[1], len(columns)), device=self.device,
+                  inputs=[side.faces.shape[2], wp.from_torch(columns.to(torch.int32)), side.first, *inputs])
 
     def _positions(self, x: torch.Tensor) -> wp.array:
         return wp.from_torch(x, dtype=self._kernels.vec3)
@@ -226,8 +227,6 @@ class PairContact:
         for side, kept in zip(self._sides, state, strict=False):
             for key, value in kept.items():
                 side.memory[key][columns] = value[columns]
-
-    # ------------------------------------------------------------------------------------------ results
 
     def _sum(self, name: str, columns: torch.Tensor) -> torch.Tensor:
         return sum(side.state[name][columns].sum(dim=1) for side in self._sides)
@@ -299,12 +298,10 @@ class PairContact:
                              [r[:, :, :1] for r in roots])
         across = None
         if normal is not None:
-            pushes = [own.of("push") * own.on[:, :, None] for own in chosen]
-            push = self._share(columns, normal, torch.cat(pushes, dim=1))
+            push = self._share(columns, normal, _written(chosen, "push"))
             if self.has_friction:
                 across = self._links(columns, chosen, [own.anchor() for own in chosen], [r[:, :, 1:] for r in roots])
-                drags = [own.of("drag") * own.on[:, :, None] for own in chosen]
-                drag = self._share(columns, across, torch.cat(drags, dim=1))
+                drag = self._share(columns, across, _written(chosen, "drag"))
         self._evaluated = _Evaluated(columns.clone(), normal, across, push, drag)
         return self._evaluated
 
@@ -332,8 +329,6 @@ class PairContact:
         lever = self.surfaces.x[columns].gather(1, index) - self.surfaces.origins(columns)
         return torch.linalg.cross(lever, self._on_sensor(columns)).sum(dim=1, keepdim=True)
 
-    # ------------------------------------------------------------------------------------------ stiffness
-
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> LinkStiffness:
         """See `Contact`: an operator. It has no geometric term, and ``geometric`` is ignored."""
         return LinkStiffness(self._all_links(columns), self.free[columns])
@@ -347,8 +342,6 @@ class PairContact:
     def _all_links(self, columns: torch.Tensor) -> Links | None:
         found = self._in_contact(columns)
         return found.normal if found.normal is None or found.across is None else found.normal.beside(found.across)
-
-    # ------------------------------------------------------------------------------------------ the condensed problem
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -398,8 +391,6 @@ class PairContact:
         links = self._links(columns, chosen, [own.anchor() for own in chosen], [directions])
         slip = torch.cat([own.of("slip") for own in chosen], dim=1)
         return self._share(columns, links, -stiffness[:, :, None] * slip), links
-
-    # ------------------------------------------------------------------------------------------ between steps
 
     def remember(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`: nodal forces (3 N, B) [N] on all nodes of both bodies; ``columns`` are all touches."""
