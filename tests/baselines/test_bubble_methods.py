@@ -51,7 +51,8 @@ def test_a_stiff_half_is_estimated_as_stiffer(build, skin):
     for guess, reading in zip(asked, readings[8:], strict=True):
         assert guess.shape == reading.value.shape and np.isfinite(guess).all() and guess[0, 0] == 0.0
         # the ground goes on past what the small view shows, so only the size is asked for
-        assert 0.2 * reading.value[-1, 0] < guess[-1, 0] < 5.0 * reading.value[-1, 0]
+        # 0.82 to 1.40 of it over the four methods.
+        assert 0.6 * reading.value[-1, 0] < guess[-1, 0] < 1.8 * reading.value[-1, 0]
 
 
 def test_without_a_surface_a_field_is_fitted_to_the_total():

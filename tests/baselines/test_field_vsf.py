@@ -85,7 +85,8 @@ def test_forces_on_a_surface_are_used_where_there_are_any():
     method = GridVsf(iterations=60, batch=500, samples=16)
     method.adapt(view, readings)
     left, right = (method.stiffness(np.array([[x, 0.0, top - 0.004]])).mean[0] for x in (-0.015, 0.015))
-    assert right > 3.0 * left
+    # The truth is 10; over 8 seeds of the touches 9.5 to 14.
+    assert 7.0 < right / left < 20.0
     with pytest.raises(MethodError, match="knows the surface of a ball"):
         method.adapt(view, [dataclasses.replace(r, surface=None) for r in readings])
     triangulated = dense_touch(readings[0])
@@ -157,7 +158,8 @@ def test_a_pressure_is_a_force_over_the_base():
     field.adapt(view, [dataclasses.replace(r, action=dataclasses.replace(r.action, probe=bubble)) for r in as_pressure])
     peak = as_pressure[0].value.max()
     predicted = field.predict([dataclasses.replace(as_pressure[0].action, probe=bubble)])[0].max()
-    assert 0.2 * peak < predicted < 5.0 * peak, "of the right size, in pascals"
+    # 1.07 of the peak; over 8 seeds of the touches 0.56 to 1.19.
+    assert 0.5 * peak < predicted < 1.5 * peak
     force, pressure = PointVsf(), PointVsf()
     force.adapt(view, as_force)
     pressure.adapt(view, as_pressure)

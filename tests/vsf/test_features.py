@@ -39,8 +39,8 @@ def test_a_coarse_grid_of_features_reads_the_same_place(view):
     coarse = FeatureImage(np.stack([4.0 * columns + 1.5, 4.0 * rows + 1.5], axis=-1).astype(np.float32),
                           np.ones((16, 16), bool), np.zeros(1), stride=4.0, offset=1.5)
     projected = projection(view, particles(), 0.005)
-    seen = projected.visible
-    np.testing.assert_allclose(project(coarse, projected)[seen], projected.pixel[seen], atol=1e-4)
+    visible = projected.visible
+    np.testing.assert_allclose(project(coarse, projected)[visible], projected.pixel[visible], atol=1e-4)
 
 
 @pytest.mark.parametrize("name", ["local", "local-full", "xyzrgb"])

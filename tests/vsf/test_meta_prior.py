@@ -1,4 +1,4 @@
-"""The meta-prior: it starts as the naive Gaussian prior, learns what features tell by eq. 15, and stops in time."""
+"""The meta-prior: it starts as the naive Gaussian prior, learns stiffness from features by eq. 15, and stops early."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ torch.set_num_threads(1)
 
 
 def objects(count, seed, *, level=0.0, structure="HE"):
-    """Objects of 60 springs: 200 N/m where the first feature is positive, else 40, each times a factor of its own; 12
+    """Objects of 60 springs: 200 N/m where the first feature is positive, else 40, each times its own random factor; 12
     touches of 5 springs."""
     rng = np.random.default_rng(seed)
     out = []
@@ -41,38 +41,42 @@ def build(structure="HE", output="softplus", dropout=0.0):
 @pytest.mark.parametrize("output", ["softplus", "relu"])
 def test_it_starts_as_the_naive_prior(output):
     mean, var, _, _ = build(output=output)(torch.randn(500, 4), torch.zeros(0, 4))
-    assert mean.mean().item() == pytest.approx(120.0,
-                                               rel=0.1) and var.sqrt().mean().item() == pytest.approx(80.0, rel=0.1)
+    assert mean.mean().item() == pytest.approx(120.0, rel=0.1)
+    assert var.sqrt().mean().item() == pytest.approx(80.0, rel=0.1)
     assert mean.std() < 20.0
 
 
-@pytest.mark.parametrize("output", ["softplus", "relu"])
-def test_training_finds_what_the_feature_tells(output):
+@pytest.mark.parametrize("output, gain", [("softplus", 0.25), ("relu", 0.2)])
+def test_training_learns_the_stiffness_from_the_feature(output, gain):
     tasks = [row[0] for row in objects(40, 1)]
     prior = build(output=output)
     before = score(prior, tasks[30:])
     history = train(prior, tasks[:30], tasks[30:], rate=1e-3, epochs=60, patience=15)
-    # A touch of four readings tells one number; knowing it to 15 instead of 80 N/m a spring is worth log(80/15) / 4 =
-    # 0.4 a reading; half of it must be found.
-    assert score(prior, tasks[30:]) == pytest.approx(min(history.validation)) and min(history.validation) < before - 0.2
+    # The four readings of a touch determine one number, so a standard deviation of 15 instead of 80 N/m a spring is
+    # worth at most log(80/15) / 4 = 0.4 nats a reading. Gains over 20 seeds of objects and weights on an Intel Xeon, and
+    # over 14 on an AMD EPYC with and without ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE: softplus 0.32 +- 0.03, at
+    # least 0.28; relu 0.30 +- 0.03, at least 0.23.
+    assert score(prior, tasks[30:]) == pytest.approx(min(history.validation))
+    assert min(history.validation) < before - gain
     _, features, part = objects(1, 99)[0]
     found = prior.of(features, part)
     soft, stiff = found.total_mean()[features[:, 0] < -0.3].mean(), found.total_mean()[features[:, 0] > 0.3].mean()
-    assert 25.0 < soft < 60.0 and 170.0 < stiff < 230.0, (soft, stiff)
-    # What it is sure of: 10 % of scatter, far less than the 80 N/m it began with.
-    assert np.median(found.total_std()) < 40.0
+    # Over the same seeds: 35 to 49, 193 to 207 N/m, and a standard deviation of at most 29 N/m.
+    assert 28.0 < soft < 55.0 and 180.0 < stiff < 220.0, (soft, stiff)
+    assert np.median(found.total_std()) < 35.0
 
 
 def test_shared_components_learn_how_objects_differ_as_wholes():
-    rows = objects(12, 2, level=15.0, structure="HE+HO")
+    rows = objects(24, 2, level=15.0, structure="HE+HO")
     prior = build("HE+HO")
-    train(prior, [row[0] for row in rows], [], rate=2e-3, epochs=150)
+    train(prior, [row[0] for row in rows], [], rate=2e-3, epochs=75)
     found = prior.of(rows[0][1], rows[0][2])
-    assert 5.0 < np.sqrt(found.group_var[0]) < 40.0
-    rigid = objects(12, 3, level=0.0, structure="HE+HO")
+    # The truth is 15 N/m; over 20 seeds 7.4 to 16.4, and the variance without such differences at most 0.09 of it.
+    assert 6.0 < np.sqrt(found.group_var[0]) < 20.0
+    alike = objects(24, 3, level=0.0, structure="HE+HO")
     other = build("HE+HO")
-    train(other, [row[0] for row in rigid], [], rate=2e-3, epochs=150)
-    assert other.of(rigid[0][1], rigid[0][2]).group_var[0] < 0.25 * found.group_var[0]
+    train(other, [row[0] for row in alike], [], rate=2e-3, epochs=75)
+    assert other.of(alike[0][1], alike[0][2]).group_var[0] < 0.15 * found.group_var[0]
 
 
 def test_early_stopping_keeps_the_best_and_repeats():

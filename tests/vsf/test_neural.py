@@ -45,7 +45,7 @@ def test_a_uniform_field_answers_as_eq_4_says():
                                                                        dtype=torch.float32), atol=1e-6)
 
 
-def test_in_and_out_again_leaves_nothing():
+def test_in_and_out_again_leaves_no_force():
     touch = straight()
     both = DenseTouch(np.concatenate([touch.vertices, touch.vertices[::-1][1:]]), touch.triangles,
                       np.zeros((11, *touch.force.shape[1:])))
@@ -81,24 +81,18 @@ def probe(field):
     return points, field(points) > 1e9
 
 
-def test_the_fast_field_finds_the_rope():
+@pytest.mark.parametrize("kind, settings, least", [
+    ("grid", Fitting(iterations=150, batch=600, samples=25, rate=3e-2), 0.85),
+    ("nerf", Fitting(iterations=300, batch=300, samples=20, rate=3e-3), 0.7)])
+def test_a_field_finds_the_rope(kind, settings, least):
+    # Fewer steps than the papers', at a higher rate. F1 of the grid is 0.901 on an Intel Xeon, with and without
+    # ATEN_CPU_CAPABILITY=default; that of the papers' network is 0.845 and 0.888: its steps amplify rounding. Where the
+    # touches fall matters more: over 20 seeds the two have medians of 0.87 and 0.74.
     field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
     touches = palpate(field, touches=14, frames=8, extent=(0.08, 0.08), noise=0.002, rings=5)
-    model = fit("grid", touches, BOUNDS, Fitting(iterations=150, batch=600, samples=25, rate=3e-2))
     points, truth = probe(field)
-    assert f1(density(model, points), truth) > 0.7
-    assert f1(np.ones(len(points)), truth) < 0.5
-
-
-def test_the_papers_field_learns():
-    # Far fewer steps than it needs, at a higher rate: the misfit must fall a good way from that of the best uniform
-    # field.
-    field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
-    touches = palpate(field, touches=6, frames=6, extent=(0.05, 0.05), rings=4)
-    told = []
-    fit("nerf", touches, BOUNDS, Fitting(iterations=101, batch=200, samples=20, rate=3e-3), progress=lambda i, n,
-        text: told.append(float(text.split()[0])))
-    assert told[-1] < 0.7 * told[0], told
+    assert f1(np.ones(len(points)), truth) < 0.3
+    assert f1(density(fit(kind, touches, BOUNDS, settings), points), truth) > least
 
 
 def test_a_saved_field_is_under_a_hundred_kilobytes_and_keeps_its_weights(tmp_path):
@@ -142,7 +136,7 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     axis = np.array([0.0, 0.6, -0.8])
     total = TotalTouch(touch.vertices, touch.triangles, axis, np.append(-(touch.force.sum(axis=1) @ axis)[:-1], np.nan))
     each, together = VertexForces.of([touch]), TotalForces.of([total])
-    assert together.index.tolist() == [[0, t] for t in range(1, 5)], "frame 0 has no way, the last no reading"
+    assert together.index.tolist() == [[0, t] for t in range(1, 5)], "frame 0 has no path, the last no reading"
     _, factor, force = together.rows(torch.arange(4), 30)
     every = factor.sum(dim=1)[:, 0]
     _, single, _ = each.rows(torch.arange(len(each.index)), 30)
@@ -152,12 +146,13 @@ def test_totals_are_the_sum_of_the_vertices_along_the_axis():
     np.testing.assert_allclose(force[:, 0], total.force[1:5], rtol=1e-6)
 
 
-def test_a_soft_and_a_stiff_half_are_told_from_totals_alone():
+def test_a_soft_and_a_stiff_half_are_separated_by_totals_alone():
     touches = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=16, frames=6,
                       extent=(0.08, 0.08), rings=4)
     totals = [TotalTouch(t.vertices, t.triangles, np.array([0, 0, -1.0]), t.force.sum(axis=1)[:, 2]) for t in touches]
     model = fit("grid", totals, BOUNDS, Fitting(iterations=120, batch=600, samples=16, rate=3e-2))
     left, right = (density(model, np.array([[x, y, -0.004] for y in (-0.02, 0.0, 0.02)])).mean() for x in (-0.03, 0.03))
-    assert right > 3.0 * left
-    told = predict_totals(model, totals[0], samples=16)
-    assert told[0] == 0.0 and np.abs(told - totals[0].force).max() < 0.25 * np.abs(totals[0].force).max()
+    # The truth is 10. Over 20 seeds of the touches 7 to 24, and forces within 0.18 of the largest.
+    assert 6.0 < right / left < 30.0
+    predicted = predict_totals(model, totals[0], samples=16)
+    assert predicted[0] == 0.0 and np.abs(predicted - totals[0].force).max() < 0.2 * np.abs(totals[0].force).max()

@@ -35,8 +35,7 @@ _RANK = 1e-9
 """Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
 they add 1e-6 of the noise's variance."""
 _TINY = 1e-10
-"""Prior variances below this fraction of the largest, for which (1 - P^-1_jj) / d_j is a quotient of rounding
-errors."""
+"""Prior variances below this fraction of the largest, where (1 - P^-1_jj) / d_j is a quotient of rounding errors."""
 _CHUNK = 1024
 """Particles whose columns are processed at one time: allocating a copy of all would cost more than the arithmetic."""
 

@@ -1,7 +1,7 @@
 """Online estimation of a VSF: the diagonal Kalman filter (Neural VSF sections III-B and III-C).
 
-The stiffnesses are independent Gaussians. A frame of readings z = W K + noise updates them exactly, and the
-correlations that it introduces are then dropped:
+The stiffnesses are independent Gaussians. A frame of readings z = W K + noise updates them exactly; the correlations
+that this introduces are then dropped:
 
     M = W V W^T + S,   K += V W^T M^-1 (z - W K),   v_i -= v_i^2 w_i^T M^-1 w_i,   K = max(K, 0)
 

@@ -28,8 +28,8 @@ _COMPONENTS = 12
 _SAMPLE = 4000
 """The most particles that a mixture is fitted to; all particles are then assigned."""
 _FLOOR = 1e-3
-"""Added to the variances of a segment, as a fraction of the mean variance: it keeps a segment from collapsing onto a
-few particles."""
+"""Added to the variances of a segment, as a fraction of the mean variance: it keeps a segment from collapsing onto
+a few particles."""
 
 
 @dataclass(frozen=True)
