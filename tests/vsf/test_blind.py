@@ -58,7 +58,8 @@ def test_dense_forces_on_particles_find_it(scene):
                        t in zip(contacts, touches)]).tocsr()
     points, stiffness = point_estimate(scene, w, np.concatenate([t.force.ravel() for t in touches]), NOISE)
     shift, turn = errors(scene, stiffness_pose(known, points, stiffness, threshold=THRESHOLD))
-    assert shift < 0.015 and turn < 0.35
+    # 1.9 mm and 3.6 degrees. Of three seeds of the registration one ends turned over; the papers take the best of 40.
+    assert shift < 0.006 and turn < 0.15
 
 
 @pytest.mark.slow

@@ -53,9 +53,9 @@ def test_training_learns_the_stiffness_from_the_feature(output, gain):
     before = score(prior, tasks[30:])
     history = train(prior, tasks[:30], tasks[30:], rate=1e-3, epochs=60, patience=15)
     # The four readings of a touch determine one number, so a standard deviation of 15 instead of 80 N/m a spring is
-    # worth at most log(80/15) / 4 = 0.4 nats a reading. Gains over 20 seeds of objects and weights on an Intel Xeon, and
-    # over 14 on an AMD EPYC with and without ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE: softplus 0.32 +- 0.03, at
-    # least 0.28; relu 0.30 +- 0.03, at least 0.23.
+    # worth at most log(80/15) / 4 = 0.4 nats a reading. Gains over 20 seeds of objects and weights on an Intel Xeon and
+    # over 14 on an AMD EPYC, with and without ATEN_CPU_CAPABILITY=default MKL_CBWR=COMPATIBLE: softplus 0.32 +- 0.03,
+    # at least 0.28; relu 0.30 +- 0.03, at least 0.23.
     assert score(prior, tasks[30:]) == pytest.approx(min(history.validation))
     assert min(history.validation) < before - gain
     _, features, part = objects(1, 99)[0]

@@ -1,1 +1,1 @@
-"""Where a known object lies, from an estimate of stiffness."""
+"""The pose of a known object from an estimate of stiffness."""

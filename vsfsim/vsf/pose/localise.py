@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
-from trimesh.registration import icp, procrustes
+from trimesh.registration import procrustes
 
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors, rotation_matrix
@@ -198,9 +198,30 @@ def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: 
         cost = float(np.minimum(distances(trial), 0.05 * span).mean())
         if cost < least:
             best, least = trial, cost
-    best, _, _ = icp(cloud, surface, initial=best, threshold=1e-7 * span, max_iterations=60, reflection=False,
-                     scale=False)
+    best = _trimmed_closest_points(surface, tree, cloud, best, span)
     return np.linalg.inv(best), float(np.sqrt(np.mean(np.minimum(distances(best), 0.1 * span) ** 2)))
+
+
+def _trimmed_closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarray, transform: np.ndarray,
+                            span: float) -> np.ndarray:
+    """Iterative closest points from ``transform`` (4, 4), cloud to surface, without the points beyond a limit.
+
+    The limit falls from a fifth to a twentieth of ``span``, and at least half of the points count. `trimesh` and
+    `small_gicp` have no such limit; on clouds with stiff points outside the object they end in worse poses
+    (tests/vsf/test_blind.py).
+    """
+    limit, before = 0.2 * span, np.inf
+    for _ in range(60):
+        moved = cloud @ transform[:3, :3].T + transform[:3, 3]
+        distance, index = tree.query(moved)
+        near = distance <= max(limit, np.quantile(distance, 0.5))
+        error = float(np.sqrt(np.mean(np.minimum(distance, limit) ** 2)))
+        transform = procrustes(cloud[near], surface[index[near]], reflection=False, scale=False, return_cost=False)
+        limit = max(0.9 * limit, 0.05 * span)
+        if abs(before - error) < 1e-7 * span and limit <= 0.05 * span:
+            break
+        before = error
+    return transform
 
 
 def _edges(corners: np.ndarray) -> np.ndarray:
