@@ -1,1 +1,1 @@
-"""Baselines: one method a file, registered through entry points like an outsider's."""
+"""Baselines: one method a file, registered through entry points as any other method."""

@@ -3,6 +3,7 @@ leaderboard is scored again on that view."""
 
 import dataclasses
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,26 +25,49 @@ METHOD = "point-vsf"
 TOLERANCE = 1e-3
 """Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard._SAME_READINGS)."""
 
-SLOW = {"fewshot-shoes-mini-v1", "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2"}
-"""Tasks whose touches are nonlinear: a view takes minutes."""
+SLOW = {"fewshot-shoes-mini-v1", "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2", "inclusion-mini-v2",
+        "localization-mini-v2"}
+"""Tasks whose view takes more than ten seconds of a core with all of its touches."""
 
-RELEASED = [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in shelf.tasks()
-            if not load_task(name).superseded_by]
+RELEASED = [name for name in shelf.tasks() if not load_task(name).superseded_by]
 
 
-@pytest.fixture(scope="module", params=RELEASED)
+def shipped_row(task):
+    return Result.load(shelf.folder("leaderboard") / task.name / f"{METHOD}.json")
+
+
+def view_made_again(task, name, touches):
+    """The object view ``name`` of the task's dataset with its first ``touches`` touches, and the recipe."""
+    wanted = task.dataset
+    path = shelf.find_scene(wanted.scene)
+    recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects, views=wanted.views,
+                         touches=touches, tier=wanted.tier)
+    (job,) = (job for job in jobs_of(recipe, path, Path(), None) if job.name == name)
+    return effector_of(job.scene()).make_view(job, device="cpu"), recipe
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+                                        for name in RELEASED])
 def released(request, tmp_path_factory):
     """A released task, the shipped row, and a dataset of the row's first test object alone, made again."""
     task = load_task(request.param)
-    shipped = Result.load(shelf.folder("leaderboard") / task.name / f"{METHOD}.json")
-    wanted, name = task.dataset, shipped.readings["object"][0]
-    path, folder = shelf.find_scene(wanted.scene), tmp_path_factory.mktemp("released")
-    recipe = make_recipe(load_scene(path), seed=wanted.seed, objects=wanted.objects, views=wanted.views,
-                         touches=wanted.touches, tier=wanted.tier)
-    (job,) = (job for job in jobs_of(recipe, path, folder, None) if job.name == name)
-    with DatasetWriter(folder / "data", recipe, [name]) as writer:
-        writer.add(effector_of(job.scene()).make_view(job, device="cpu"))
+    shipped = shipped_row(task)
+    view, recipe = view_made_again(task, shipped.readings["object"][0], task.dataset.touches)
+    with DatasetWriter(tmp_path_factory.mktemp("released") / "data", recipe, [view.name]) as writer:
+        writer.add(view)
         return task, shipped, writer.finish()
+
+
+@pytest.mark.parametrize("name", ["fewshot-shoes-mini-v1", "inclusion-mini-v2"])
+def test_the_earliest_query_touch_is_made_again(name):
+    """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and
+    2e-13 on the linear slabs."""
+    task = load_task(name)
+    touch, view_name, n, ss = min(zip(*(shipped_row(task).readings[key] for key in ("touch", "object", "n", "ss")),
+                                      strict=True))
+    view, _ = view_made_again(task, view_name, touch + 1)
+    ((_, _, found_n, found_ss),) = zip(*readings_of([(record(view, task), [touch])]).values(), strict=True)
+    assert found_n == n and math.sqrt(found_ss) == pytest.approx(math.sqrt(ss), rel=TOLERANCE)
 
 
 def test_the_dataset_is_made_again(released):

@@ -146,7 +146,7 @@ def test_frictionless_capsule_moves_particles_to_its_nearest_surface_point():
     np.testing.assert_allclose(u, np.where(r < 0.01, away * (0.01 / r - 1), 0.0), atol=1e-9)
 
 
-def test_nothing_is_jumped_over_at_20_mm_a_frame():
+def test_no_particle_is_skipped_at_20_mm_a_frame():
     # One frame above, the next below: a thin plate of 2 mm carries along everything on its way.
     rng = np.random.default_rng(4)
     cloud = rng.uniform([-0.01, -0.01, -0.016], [0.01, 0.01, -0.002], (400, 3))
@@ -154,7 +154,7 @@ def test_nothing_is_jumped_over_at_20_mm_a_frame():
     np.testing.assert_allclose(u[:, 2], -0.02 - cloud[:, 2], atol=1e-12)
 
 
-def test_particle_at_the_very_centre_is_finite():
+def test_a_particle_at_the_exact_centre_is_finite():
     particles = np.array([[0, 0, 0.0], [0, 0, 1e-9]])
     for probe in (Sphere(R), Capsule(0.01, 0.03), Cylinder(0.01, 0.03), Box((0.02, 0.02, 0.02))):
         moved = simulate(particles, probe, path((0, 0, 0), (0.001, 0, 0)), friction=0.2)
@@ -255,7 +255,7 @@ def test_nothing_touched_is_empty():
     ({"max_step": 0.0}, "max_step"),
     ({"probe": "ball"}, "Sphere"),
 ])
-def test_bad_input_is_told(change, words):
+def test_bad_input_is_refused(change, words):
     given = {"particles": np.zeros((1, 3)), "probe": Sphere(R), "poses": path((0, 0, 1), (0, 0, 2)), "friction": 0.5,
              **change}
     with pytest.raises(VsfError) as error:

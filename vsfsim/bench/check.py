@@ -140,7 +140,7 @@ def _try(clause: str, test: Callable[[], str | None]) -> Finding:
         return Finding(clause, "not offered", str(reason))
     except VsfsimError as error:
         return Finding(clause, "failed", str(error))
-    except Exception as error:  # whatever an outsider's method raises is a finding, not our crash
+    except Exception as error:  # a method may raise anything, which is a finding
         return Finding(clause, "failed", f"{type(error).__name__}: {error}")
 
 

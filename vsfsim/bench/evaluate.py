@@ -41,7 +41,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
 
     Args:
         name: an installed method, or module:attribute.
-        task: what is asked. dataset: as `open_dataset` gives it.
+        task: the task.
+        dataset: as `open_dataset` returns it.
         parameters: of the method's constructor, over its defaults.
         seeds: draws of the support set, or None for the task's own number.
         progress: called with (adaptations done, of how many, what is going on).

@@ -136,7 +136,7 @@ def find_method(name: str) -> type:
             return getattr(importlib.import_module(module), attribute)
         except MissingPackage:
             raise
-        except Exception as error:  # an outsider's module may raise anything while it is imported
+        except Exception as error:  # a module may raise anything while it is imported
             raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give "
                               f"module:attribute of something importable from here.") from error
     shelf = methods()

@@ -1,4 +1,4 @@
-"""A result: one JSON file that says what was scored, how, on what, and every number behind the score."""
+"""A result: one JSON file with the task, the method, the dataset, the scores, and the raw numbers of every score."""
 
 from __future__ import annotations
 

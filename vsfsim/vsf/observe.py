@@ -96,7 +96,7 @@ def joint_torque_rows(displacements: Displacements, rest: np.ndarray, axes: np.n
     Args:
         displacements: of one touch. rest: positions of all particles, world (n, 3) [m].
         axes: unit axis of every joint in every frame, world (T, J, 3) [-]; zero for a joint past the touched link,
-        which feels nothing.
+        which has no torque.
         origins: a point on each of them, world (T, J, 3) [m].
 
     Returns:
