@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_elements import SIZE, Body, tet
+from element_body import SIZE, Body, tet
 
 from vsfsim.physics.coefficients import lame
 

@@ -11,6 +11,7 @@ a support reaction. It is linear: its tangent is the rest stiffness everywhere, 
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -89,9 +90,4 @@ def kernels(real: type) -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         return [wp.array(block.parameters["stiffness"], dtype=real, device=device)]
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.forces, out.tangent, out.multiply, out.parameters = forces, None, multiply, parameters
-    return out
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

@@ -15,6 +15,7 @@ never as a matrix. With g > 0 the first term is indefinite, and the projected ta
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -288,10 +289,5 @@ def kernels(real: type) -> Any:
     def law(block: Block, device: str) -> wp.array:
         return wp.array(block.parameters["law"], dtype=double, device=device)
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.share, out.respond, out.forces, out.share_change, out.multiply = share, respond, forces, share_change, multiply
-    out.tangent, out.parameters, out.law = None, parameters, law
-    return out
+    return SimpleNamespace(share=share, respond=respond, forces=forces, share_change=share_change, multiply=multiply,
+                           tangent=None, parameters=parameters, law=law)

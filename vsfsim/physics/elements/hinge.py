@@ -22,6 +22,7 @@ there. Free: it goes on straight.
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -185,9 +186,4 @@ def kernels(real: type) -> Any:
                 *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
                 wp.array(p["normal"], dtype=vec3, device=device)]
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.forces, out.tangent, out.multiply, out.parameters = forces, None, multiply, parameters
-    return out
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

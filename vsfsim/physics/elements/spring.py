@@ -10,6 +10,7 @@ of an isotropic one is 1/4 where its nodes follow a uniform strain (Love 1927, n
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -150,9 +151,4 @@ def kernels(real: type) -> Any:
         return [wp.array(p["edge"], dtype=vec3, device=device),
                 *(wp.array(p[name], dtype=real, device=device) for name in ("length", "stiffness"))]
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.forces, out.tangent, out.multiply, out.parameters = forces, tangent, multiply, parameters
-    return out
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

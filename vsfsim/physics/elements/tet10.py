@@ -33,6 +33,7 @@ Vectors are (3 n, B): degree of freedom by touch; node i owns rows 3 i, 3 i + 1,
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -344,9 +345,4 @@ def kernels(real: type) -> Any:
         return [wp.array(p["gradients"][:, 1:], dtype=mat33, device=device),
                 *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "mu", "lam", "mean_lam"))]
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.forces, out.tangent, out.multiply, out.parameters = forces, tangent, multiply, parameters
-    return out
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

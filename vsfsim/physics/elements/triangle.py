@@ -3,24 +3,7 @@ own.
 
     E(x) = A W(l1, l2),   F = [x1 - x0, x2 - x0] R^-1  (3 x 2),   l1 >= l2 its singular values,
 
-with A and R (2 x 2) of the rest shape. W [J/m^2] is one of two laws, with M = E h the modulus times the thickness
-[N/m]:
-
-    "neo-hookean":             mu h/2 (l1^2 + l2^2 + 1/(l1 l2)^2 - 3),                  mu h = M/3
-    "saint-venant-kirchhoff":  M/(2 (1 - nu^2)) (e1^2 + e2^2 + 2 nu e1 e2),             e = (l^2 - 1)/2
-
-The first is incompressible: the thickness follows the area. The second is the linear elasticity of small strains in
-plane stress at any rotation: for closed forms and plates, not for stretches of tens of per cent.
-
-A membrane too thin to carry compression wrinkles. Its *relaxed* energy (Pipkin 1986, "The relaxed energy density for
-isotropic elastic membranes", IMA J. Appl. Math. 36) is W where both stresses are tensions, the energy of simple tension
-where the narrow side would be squeezed,
-
-    neo-Hookean  mu h/2 (l1^2 + 2/l1 - 3)  for  l2 < l1^-1/2;      St Venant-Kirchhoff  M/2 e1^2  for  e2 < -nu e1,
-
-and 0 where both are slack. It is convex and never falls with l1 or l2, hence convex in the positions: its true tangent
-is positive semi-definite. `tension_field=False` keeps W, for sheets whose bending stiffness carries the compression;
-its tangent is projected.
+with A and R (2 x 2) of the rest shape. `plane_stress` has the laws W [J/m^2].
 
 With the singular frame F = l1 u1 v1 + l2 u2 v2, n = u1 x u2, and g_i = dW/dl_i, the second derivative is diagonal but
 for one 2 x 2 block (the 3 x 2 case of Smith, de Goes and Kim 2019, "Analytic eigensystems for isotropic distortion
@@ -34,16 +17,18 @@ An incompressible sheet has det F = 1, and the small-strain law does not model t
 """
 
 import functools
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements import plane_stress
 from vsfsim.physics.elements.block import Block, matrices_at_rest
+from vsfsim.physics.elements.plane_stress import LAWS
 
 NODES = 3
-LAWS = ("neo-hookean", "saint-venant-kirchhoff")
 _STATE = 18  # u1 u2 n (9), v1 (2), g11 g12 g22, flip, twist, g1/l1, g2/l2
 
 
@@ -122,10 +107,10 @@ def kernels(real: type) -> Any:
     mat22 = wp.types.matrix(shape=(2, 2), dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     module = f"vsfsim_triangle_{real.__name__}"
-    # a rest state is neither taut nor slack; within rounding of it the sheet counts as taut
-    slack = wp.constant(real(-1e-9 if real is wp.float64 else -1e-5))
     tiny = wp.constant(real(1e-30))
     zero, half, one, two, three = (wp.constant(real(v)) for v in (0.0, 0.5, 1.0, 2.0, 3.0))
+    laws = plane_stress.functions(real, module)
+    regime, law_of = laws.regime, laws.law_of
 
     @wp.func(module=module)
     def at(nodes: wp.array2d(dtype=wp.int32), x: wp.array2d(dtype=real), t: int, a: int, b: int):
@@ -172,50 +157,6 @@ def kernels(real: type) -> Any:
         n = wp.normalize(n)
         u2 = wp.cross(n, u1)
         return mat33(u1[0], u1[1], u1[2], u2[0], u2[1], u2[2], n[0], n[1], n[2]), v1, l1, l2
-
-    @wp.func(module=module)
-    def regime(l1: real, l2: real, law: int, nu: real, relaxed: int):
-        # 2: taut (or compression is carried), 1: wrinkled, 0: slack
-        out = int(2)  # noqa: UP018, RUF046  a Warp variable, not a constant
-        if relaxed == 1:
-            narrow = l1 * l2 * l2 - one
-            stretched = l1 - one
-            if law == 1:
-                narrow = half * (l2 * l2 - one) + nu * half * (l1 * l1 - one)
-            if narrow < slack:
-                out = 0
-                if stretched > zero:
-                    out = 1
-        return out
-
-    @wp.func(module=module)
-    def law_of(l1: real, l2: real, m: real, law: int, nu: real, state: int):
-        # W, g1, g2
-        w = zero
-        g1 = zero
-        g2 = zero
-        if law == 0:
-            mu = m / three
-            if state == 2:
-                j = one / (l1 * l1 * l2 * l2)
-                w = half * mu * (l1 * l1 + l2 * l2 + j - three)
-                g1 = mu * (l1 - j / l1)
-                g2 = mu * (l2 - j / l2)
-            if state == 1:
-                w = half * mu * (l1 * l1 + two / l1 - three)
-                g1 = mu * (l1 - one / (l1 * l1))
-        else:
-            e1 = half * (l1 * l1 - one)
-            e2 = half * (l2 * l2 - one)
-            if state == 2:
-                k = m / (one - nu * nu)
-                w = half * k * (e1 * e1 + e2 * e2 + two * nu * e1 * e2)
-                g1 = k * (e1 + nu * e2) * l1
-                g2 = k * (e2 + nu * e1) * l2
-            if state == 1:
-                w = half * m * e1 * e1
-                g1 = m * e1 * l1
-        return w, g1, g2
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
@@ -403,9 +344,4 @@ def kernels(real: type) -> Any:
                 wp.array(p["poisson_ratio"], dtype=real, device=device),
                 wp.array(p["tension_field"], dtype=wp.int32, device=device)]
 
-    class Kernels:
-        pass
-
-    out = Kernels()
-    out.forces, out.tangent, out.multiply, out.parameters = forces, tangent, multiply, parameters
-    return out
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

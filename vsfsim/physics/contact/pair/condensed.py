@@ -34,8 +34,8 @@ class LinkedContact(Contact, Protocol):
     def close_nodes(self, columns: torch.Tensor, part: float, close: list[torch.Tensor] | None) -> list[torch.Tensor]:
         """Nodes of both sides (k, Q) bool nearer than ``part`` of the margin, and those ``close`` before."""
 
-    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
-                                                                                 torch.Tensor, torch.Tensor]:
+    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor],
+                ) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Links, gaps [m], penalty compliances [m/N] and contact (k, p) of the nodes ``close``."""
 
     def tangential(self, columns: torch.Tensor, *, stuck: bool) -> tuple[torch.Tensor, Links | None]:

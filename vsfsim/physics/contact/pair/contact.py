@@ -14,6 +14,7 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact.pair import condensed
+from vsfsim.physics.contact.pair.chosen_nodes import choose, links_of, written
 from vsfsim.physics.contact.pair.links import LinkBlock, Links, LinkStiffness
 from vsfsim.physics.contact.pair.response import PairResponse
 from vsfsim.physics.contact.pair.sides import Side
@@ -39,34 +40,6 @@ class _Evaluated:
     """Nodal normal forces (k, 3 s) [N]."""
     drag: torch.Tensor
     """Nodal friction forces (k, 3 s) [N]."""
-
-
-@dataclass(frozen=True)
-class _Chosen:
-    """Some nodes of a side, padded to the largest number a of any touch."""
-
-    side: Side
-    at: tuple[torch.Tensor, torch.Tensor]
-    """Touches (k, 1) and nodes (k, a)."""
-    on: torch.Tensor
-    """1, or 0 at padding (k, a) [-]."""
-
-    def of(self, name: str) -> torch.Tensor:
-        """What the kernels wrote for them (k, a, ...)."""
-        return self.side.state[name][self.at]
-
-    def stiffness(self) -> torch.Tensor:
-        """Their penalty stiffness (k, a) [N/m]."""
-        return self.side.stiffness[self.at]
-
-    def anchor(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Their anchors: a face (k, a) and shape values (k, a, 6)."""
-        return self.side.memory["anchor_face"][self.at], self.side.memory["anchor_shape"][self.at]
-
-
-def _written(chosen: list[_Chosen], name: str) -> torch.Tensor:
-    """Vectors that the kernels wrote for all of them (k, a, 3), 0 at padding."""
-    return torch.cat([own.of(name) * own.on[:, :, None] for own in chosen], dim=1)
 
 
 class PairContact:
@@ -252,56 +225,24 @@ class PairContact:
         inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
         return self._sum("slips", columns) / inside.clamp(min=1)
 
-    def _chosen(self, columns: torch.Tensor, masks: list[torch.Tensor]) -> list[_Chosen]:
-        """The nodes of each side that its mask (k, Q) names; sides without any are left out."""
-        out = []
-        for side, mask in zip(self._sides, masks, strict=True):
-            most = int(mask.sum(dim=1).amax())
-            if most:
-                on, order = torch.sort(mask.to(torch.int8), dim=1, descending=True, stable=True)
-                out.append(_Chosen(side, (columns[:, None], order[:, :most]), on[:, :most].to(torch.float64)))
-        return out
-
-    def _links(self, columns: torch.Tensor, chosen: list[_Chosen], places: list[tuple[torch.Tensor, torch.Tensor]],
-               directions: list[torch.Tensor]) -> Links | None:
-        """Links of the chosen nodes to ``places`` on the other side, each a face (k, a) and shape values (k, a, 6),
-        with ``directions`` (k, a, m, 3) in the world."""
-        if not chosen:
-            return None
-        place = self._patch.place[columns]
-        rows = torch.arange(len(columns), device=self.device)[:, None, None]
-        width = 1 + max(own.side.faces.shape[2] for own in chosen)
-        nodes, weights = [], []
-        for own, (face, shape) in zip(chosen, places, strict=True):
-            side = own.side
-            there = place[rows, side.faces[columns[:, None], face.clamp(min=0).long()].long()]
-            node = torch.cat([place.gather(1, side.first + own.at[1])[:, :, None], there], dim=2)
-            held = (own.on * (face >= 0))[:, :, None]
-            weight = torch.cat([own.on[:, :, None], -shape[:, :, :side.faces.shape[2]] * held], dim=2)
-            spare = (0, width - node.shape[2])
-            nodes.append(torch.nn.functional.pad(node, spare))
-            weights.append(torch.nn.functional.pad(weight, spare))
-        world = torch.cat(directions, dim=1)
-        return Links.of(self._patch.split, self._patch.nodes.shape[1], torch.cat(nodes, dim=1),
-                        torch.cat(weights, dim=1), world, world @ self.surfaces.turn[columns][:, None])
-
     def _in_contact(self, columns: torch.Tensor) -> _Evaluated:
         """The points in contact, as they were evaluated last."""
         if self._evaluated is not None and torch.equal(self._evaluated.columns, columns):
             return self._evaluated
         push = torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device)
         drag = torch.zeros_like(push)
-        chosen = self._chosen(columns, [(side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0)
-                                        for side in self._sides])
+        active = [(side.state["gap"][columns] < 0.0) | (side.memory["limit"][columns] > 0.0) for side in self._sides]
+        chosen = choose(self._sides, columns, active)
         roots = [own.of("rows") * own.on[:, :, None, None] for own in chosen]
-        normal = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
-                             [r[:, :, :1] for r in roots])
+        normal = links_of(self.surfaces, columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
+                          [r[:, :, :1] for r in roots])
         across = None
         if normal is not None:
-            push = self._share(columns, normal, _written(chosen, "push"))
+            push = self._share(columns, normal, written(chosen, "push"))
             if self.has_friction:
-                across = self._links(columns, chosen, [own.anchor() for own in chosen], [r[:, :, 1:] for r in roots])
-                drag = self._share(columns, across, _written(chosen, "drag"))
+                across = links_of(self.surfaces, columns, chosen, [own.anchor() for own in chosen],
+                                  [r[:, :, 1:] for r in roots])
+                drag = self._share(columns, across, written(chosen, "drag"))
         self._evaluated = _Evaluated(columns.clone(), normal, across, push, drag)
         return self._evaluated
 
@@ -354,16 +295,16 @@ class PairContact:
         now = [side.state["gap"][columns] < part * self.surfaces.margin for side in self._sides]
         return now if close is None else [a | b for a, b in zip(now, close, strict=True)]
 
-    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor]) -> tuple[Links | None, torch.Tensor,
-                                                                                 torch.Tensor, torch.Tensor]:
+    def gaps_of(self, columns: torch.Tensor, close: list[torch.Tensor],
+                ) -> tuple[Links | None, torch.Tensor, torch.Tensor, torch.Tensor]:
         """The nodes ``close``, padded to the largest number p: their links along the normals, gaps (k, p) [m], penalty
         compliances (k, p) [m/N], and whether they touch (k, p) bool. Padding has a gap of 1 m."""
-        chosen = self._chosen(columns, close)
+        chosen = choose(self._sides, columns, close)
         if not chosen:
             none = torch.zeros((len(columns), 0), dtype=torch.float64, device=self.device)
             return None, none, none, none > 0.0
-        links = self._links(columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
-                            [own.of("normal")[:, :, None] for own in chosen])
+        links = links_of(self.surfaces, columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
+                         [own.of("normal")[:, :, None] for own in chosen])
         on = torch.cat([own.on for own in chosen], dim=1) > 0.0
         gap = torch.cat([own.of("gap") for own in chosen], dim=1)
         stiffness = self.softening[columns][:, None] * torch.cat([own.stiffness() for own in chosen], dim=1)
@@ -379,7 +320,7 @@ class PairContact:
         if not stuck or not self.has_friction:
             found = self._in_contact(columns)
             return found.drag, found.across
-        chosen = self._chosen(columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
+        chosen = choose(self._sides, columns, [side.memory["limit"][columns] > 0.0 for side in self._sides])
         if not chosen:
             return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
         penalty = torch.cat([own.stiffness() * own.on for own in chosen], dim=1)
@@ -388,7 +329,7 @@ class PairContact:
         axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
         first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
         directions = torch.stack([first, torch.linalg.cross(normal, first)], dim=2) * stiffness.sqrt()[:, :, None, None]
-        links = self._links(columns, chosen, [own.anchor() for own in chosen], [directions])
+        links = links_of(self.surfaces, columns, chosen, [own.anchor() for own in chosen], [directions])
         slip = torch.cat([own.of("slip") for own in chosen], dim=1)
         return self._share(columns, links, -stiffness[:, :, None] * slip), links
 

@@ -1,0 +1,56 @@
+"""A small body of one kind of element, and its energy, forces and tangent at given displacements."""
+
+import dataclasses
+
+import numpy as np
+import warp as wp
+
+from vsfsim.physics.coefficients import lame
+from vsfsim.physics.elements import tet10
+from vsfsim.physics.solve.elasticity import Elasticity
+
+SIZE = (0.02, 0.03, 0.025)
+"""Edges of the block [m]."""
+E = 2e4
+"""Young's modulus of the block [Pa]."""
+
+
+def tet(pointwise):
+    """Quadratic tetrahedra, with so much of lambda at the Gauss points (in units of mu) and the rest in the element's
+    mean volume."""
+    def make(mesh, young_modulus, poisson_ratio):
+        return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, *lame(young_modulus, poisson_ratio),
+                            pointwise=pointwise),)
+
+    return make
+
+
+class Body:
+    """A model without supports, and its elements for a batch of displacement fields."""
+
+    def __init__(self, model, device, real=wp.float64):
+        self.model = dataclasses.replace(model, free=np.ones_like(model.free))
+        self.elements, self.device, self.real = Elasticity(self.model, device=device, real=real), device, real
+        self.points = model.mesh.points
+
+    def index(self, columns):
+        return wp.array(np.asarray(columns), dtype=wp.int32, device=self.device)
+
+    def put(self, u):
+        return wp.array(u, dtype=self.real, device=self.device)
+
+    def __call__(self, u):
+        """Forces (3 n, B) [N], energy (B,) [J], least det F (B,) at u (3 n, B) [m]."""
+        self.elements.begin(u.shape[1])
+        self.elements.internal.fill_(np.nan)
+        self.elements.energy.fill_(np.nan)
+        self.elements.forces(self.index(range(u.shape[1])), self.put(u))
+        return tuple(a.numpy().astype(float) for a in (self.elements.internal, self.elements.energy,
+                                                       self.elements.least_det))
+
+    def tangent_times(self, u, x, *, projected):
+        """Tangent at u (3 n,) times x (3 n, k)."""
+        index = self.index(range(x.shape[1]))
+        self.elements.begin(x.shape[1])
+        self.elements.tangent(index, self.put(np.repeat(u[:, None], x.shape[1], axis=1)), projected=projected)
+        return self.elements.multiply(index, self.put(x)).numpy().astype(float)
