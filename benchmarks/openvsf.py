@@ -163,8 +163,8 @@ def _press(arm: Arm, rng: np.random.Generator, frames: int) -> np.ndarray:
     place = _PLACE + np.append(rng.uniform(-0.5, 0.5, 2) * _EXTENT, 0.0)
     lean = rng.uniform(-_TILT, _TILT, 2)
     c, s = np.cos(lean), np.sin(lean)
-    turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]],
-                                                                                [0, s[0], c[0]]])
+    about_x = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+    turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ about_x
     down = turn @ np.array([0.0, 0.0, -1.0])
     # the tool's z goes down; its x is the rim's long axis
     x = turn @ np.array([0.0, 1.0, 0.0])

@@ -59,8 +59,8 @@ class TrainingCost:
         return OBJECTS * (self.reduce + EPOCHS * self.step)
 
 
-def readings(particles: int, presses: int, frames: int, *, seed: int = 0) -> tuple[sparse.csr_matrix, np.ndarray,
-                                                                                   np.ndarray]:
+def readings(particles: int, presses: int, frames: int, *,
+             seed: int = 0) -> tuple[sparse.csr_matrix, np.ndarray, np.ndarray]:
     """Force sums W (m, n) [m] of straight presses all over a 16 x 12 x 1.5 cm volume, readings z (m,) [N] and the press
     of each (m,).
 

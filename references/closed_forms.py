@@ -57,8 +57,8 @@ def blown_disc(pole_stretch: float) -> tuple[float, float, float]:
             meridian, hoop = first / second - thin, second / first - thin
             widen = (first * math.cos(angle) - second) / radius
             change = first * math.cos(angle) * (hoop - meridian) / r
-            stretch = (change - (-first / second**2 + 3.0 * thin / second) * widen) / (1.0 / second
-                                                                                       + 3.0 * thin / first)
+            slope = 1.0 / second + 3.0 * thin / first
+            stretch = (change - (-first / second**2 + 3.0 * thin / second) * widen) / slope
             curvature = (pressure - hoop * math.sin(angle) / r) / meridian
             down = first * math.sin(angle)
             return [stretch, first * math.cos(angle), first * curvature, down, math.pi * r**2 * down]

@@ -56,9 +56,8 @@ def test_a_law_by_hand():
     assert x.bias == pytest.approx((600 - 620) / 620)
     assert x.rms == pytest.approx(np.sqrt((100 + 100 + 400) / 3))
     left = best * force - change
-    assert x.scatter == pytest.approx(left.std()) and x.relative == pytest.approx(left.std()
-                                                                                  / np.sqrt((110**2 + 190**2 + 320**2)
-                                                                                            / 3))
+    assert x.scatter == pytest.approx(left.std())
+    assert x.relative == pytest.approx(left.std() / np.sqrt((110**2 + 190**2 + 320**2) / 3))
 
 
 def test_the_true_law_has_no_scatter_and_the_other_is_told_apart(dataset, tmp_path):

@@ -193,8 +193,11 @@ time.sleep(20)
 
 def test_full_disk_leaves_nothing_half_written(tmp_path, monkeypatch):
     writer = DatasetWriter(tmp_path / "d", RECIPE, NAMES)
-    monkeypatch.setattr(os, "fsync", lambda handle: (_ for _ in ()).throw(OSError(errno.ENOSPC,
-                                                                                  "No space left on device")))
+
+    def full(handle):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(DatasetError, match=r"No space left on device .*MB were needed.*Free some space"):
         writer.add(VIEWS[0])
     monkeypatch.undo()

@@ -149,8 +149,8 @@ def test_the_punyo_sits_on_its_mount(angles):
     axis = want[:, :3, :3] @ [-0.39394, 0.0, 0.91914]
     assert np.abs(at.tool[:, :3, 2] - axis).max() < 2e-5
     rim = want @ [0.0157, 0.0, 0.0655, 1.0]
-    assert np.linalg.norm(at.tool[:, :3, 3] - rim[:, :3], axis=1) == pytest.approx(np.full(len(angles), 0.0305),
-                                                                                   abs=1e-5)
+    above = np.linalg.norm(at.tool[:, :3, 3] - rim[:, :3], axis=1)
+    assert above == pytest.approx(np.full(len(angles), 0.0305), abs=1e-5)
     # the stand-in's surface is at the apex
     _, chamber = carrying.capsules[-2], carrying.capsules[-1]
     assert chamber.link == "punyo"

@@ -25,8 +25,8 @@ def test_the_solver_sees_the_capsules_where_they_are():
             along = (b - a)[:3]
             s = np.clip((points - a[:3]) @ along / (along @ along), 0.0, 1.0)
             want = np.linalg.norm(points - a[:3] - s[:, None] * along, axis=1) - c.radius
-            assert bodies.distance(k, (points - poses[t, k, :3, 3]) @ poses[t, k, :3,
-                                                                            :3]) == pytest.approx(want, abs=1e-9)
+            local = (points - poses[t, k, :3, 3]) @ poses[t, k, :3, :3]
+            assert bodies.distance(k, local) == pytest.approx(want, abs=1e-9)
 
 
 def test_the_arm_presses_a_block_with_its_wrist(block, device):

@@ -106,8 +106,8 @@ def solid(rings: int, step: float, travel: np.ndarray):
     body = fork(rings, step)
     model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
                         where="fork")
-    solver = Solver(model, Capsule(0.02, 0.04), options=dataclasses.replace(tiers.options("fem"), newton=120,
-                                                                            seconds=600.0))
+    options = dataclasses.replace(tiers.options("fem"), newton=120, seconds=600.0)
+    solver = Solver(model, Capsule(0.02, 0.04), options=options)
     frames = solver.run(push(travel)[:, :, 0], keep=True)
     assert frames.converged.all(), frames.reason
     ends = [np.linalg.norm(model.mesh.points - (JOINT + BRANCH * axis), axis=1).argmin() for axis in AXES[1:]]

@@ -360,8 +360,8 @@ def test_wrinkles_bear_no_compression(law, device):
     points = np.column_stack([flat, np.zeros(len(flat))])
     block = triangle.block(faces, points, flat[faces], EH, law=law, poisson_ratio=nu)
     model = Model(None, (block,), np.ones(1), np.ones(points.size), np.zeros(points.size), np.ones(1), None, 1.0, None)
-    model = dataclasses.replace(model, mesh=membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int),
-                                                                       np.zeros(1)))
+    mesh = membrane_mesh.TriangleMesh(points, faces.astype(np.int32), np.zeros(0, int), np.zeros(1))
+    model = dataclasses.replace(model, mesh=mesh)
     elements = Elasticity(model, device=device, real=wp.float64)
     elements.begin(2)
     stretch = 1.4

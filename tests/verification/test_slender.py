@@ -94,9 +94,8 @@ def test_a_scanned_thin_plate_bends_as_plate_theory_says(tmp_path):
     length, width, thick, nu, gravity = 0.06, 0.04, 0.002, 0.3, 1e-4
     trimesh.creation.box((length, width, thick)).export(tmp_path / "plate.stl")
     scene = clamped(f'{{ mesh = "{tmp_path}/plate.stl" }}', -0.5 * length, nu=nu, gravity=gravity)
-    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object,
-                                                                  fixed=(-1.0, -1.0, -1.0, -0.5 * length + 1e-4, 1.0,
-                                                                         1.0)))
+    fixed = (-1.0, -1.0, -1.0, -0.5 * length + 1e-4, 1.0, 1.0)
+    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, fixed=fixed))
     model = tiers.build(scene, tiers.choose(scene), cache=tmp_path)
     u = model.factor.solve((model.load * model.free)[:, None]).reshape(-1, 3)
     # the filler may move the surface by a twentieth of an element

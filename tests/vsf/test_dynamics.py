@@ -23,9 +23,8 @@ def path(*corners: tuple, frames: int = 5, rotation: np.ndarray | None = None) -
     for a, b in itertools.pairwise(corners):
         for s in np.linspace(0, 1, frames + 1)[0 if not poses else 1:]:
             pose = np.eye(4)
-            pose[:3, :3], pose[:3,
-                               3] = (np.eye(3) if rotation is None else rotation,
-                                     np.asarray(a) + s * (np.asarray(b) - np.asarray(a)))
+            pose[:3, :3] = np.eye(3) if rotation is None else rotation
+            pose[:3, 3] = np.asarray(a) + s * (np.asarray(b) - np.asarray(a))
             poses.append(pose)
     return np.array(poses)
 

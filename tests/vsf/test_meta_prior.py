@@ -23,8 +23,8 @@ def objects(count, seed, *, level=0.0, structure="HE"):
         stiffness = np.where(features[:, 0] > 0, 200.0, 40.0) * rng.lognormal(0, 0.1, 60) + level * rng.normal()
         w = np.zeros((48, 60))
         for touch in range(12):
-            w[4 * touch:4 * touch + 4,
-              rng.choice(60, 5, replace=False)] = np.arange(1, 5)[:, None] * rng.uniform(0.001, 0.003, 5)
+            displacement = np.arange(1, 5)[:, None] * rng.uniform(0.001, 0.003, 5)
+            w[4 * touch:4 * touch + 4, rng.choice(60, 5, replace=False)] = displacement
         part = Composition.of(structure, features)
         evidence = Evidence.of(sparse.csr_matrix(w), w @ stiffness + 0.05 * rng.standard_normal(48), noise_std=0.05,
                                membership=part.membership, touch=np.arange(48) // 4)

@@ -102,9 +102,8 @@ def test_dense_forces_are_the_derivative_of_the_springs_energy():
         for axis in range(3):
             step = np.zeros_like(base)
             step[vertex, axis] = 1e-6
-            assert force[t, vertex,
-                         axis] == pytest.approx(-(energy(vertices[t] + step) - energy(vertices[t] - step)) / 2e-6,
-                                                rel=1e-6, abs=1e-9)
+            slope = (energy(vertices[t] + step) - energy(vertices[t] - step)) / 2e-6
+            assert force[t, vertex, axis] == pytest.approx(-slope, rel=1e-6, abs=1e-9)
     # Together they are the force of all springs.
     np.testing.assert_allclose(force[t].sum(axis=0), -(k[index, None] * contacts.displacement[part]).sum(axis=0),
                                rtol=1e-10)
@@ -118,8 +117,7 @@ def test_a_plate_takes_particles_along_from_where_it_met_them_and_lets_go():
     contacts = stick(particles, base + height[:, None, None] * [0, 0, 1.0], triangles)
     for t, z in enumerate(height):
         part = slice(contacts.pointer[t], contacts.pointer[t + 1])
-        expected = np.flatnonzero(particles[:, 2] > z) if t < 7 else np.flatnonzero((particles[:, 2] > z)
-                                                                                    & (particles[:, 2] > -0.010))
+        expected = np.flatnonzero(particles[:, 2] > (z if t < 7 else max(z, -0.010)))
         np.testing.assert_array_equal(contacts.particle[part], expected)
         # Straight down: stuck at its own place, and as deep as the plate.
         np.testing.assert_allclose(contacts.displacement[part][:, :2], 0, atol=1e-12)

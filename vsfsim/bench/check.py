@@ -111,8 +111,8 @@ def check(name: str, *, parameters: Mapping[str, Any] | None = None) -> tuple[Fi
         ("leaves its input alone", lambda: _leaves_alone(build_method(factory, values), _mock())),
         ("copes with frames that have no reading", lambda: _run(fitted(), mock, _with_gap(mock.support))),
         ("refuses a reading that is not a number", lambda: _refuses_nan(fitted(), mock)),
-        ("save and load keep what was learned", lambda: _save_load(fitted, lambda: build_method(factory, values),
-                                                                   mock)),
+        ("save and load keep what was learned",
+         lambda: _save_load(fitted, lambda: build_method(factory, values), mock)),
         ("stiffness is finite and not negative", lambda: _stiffness(fitted(), mock)),
         ("predict_std is finite and not negative", lambda: _predict_std(fitted(), mock)),
     )

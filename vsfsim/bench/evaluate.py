@@ -99,15 +99,15 @@ class _Run:
     """The answers so far, each record with its ``object``, ``shot`` and ``seed``."""
     readings: dict[str, list] = field(default_factory=dict)
     """As `Result.readings`."""
-    timing: dict[str, float] = field(default_factory=lambda: {"meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0,
-                                                              "adapts": 0, "predicts": 0})
+    timing: dict[str, float] = field(default_factory=lambda: {
+        "meta_fit_s": 0.0, "adapt_s": 0.0, "predict_s": 0.0, "adapts": 0, "predicts": 0})
     """As `Result.timing`."""
 
     def run(self) -> None:
         subjects = [self._subject(name) for name in self.dataset.names(self.task.protocol.test)]
         self.readings = readings_of([(subject.recording, subject.draw.query) for subject in subjects])
-        specimens = [specimen(view, self.task) for view in map(self.dataset.blind().load,
-                                                               self.dataset.names(self.task.protocol.train))]
+        blind = self.dataset.blind()
+        specimens = [specimen(blind.load(name), self.task) for name in self.dataset.names(self.task.protocol.train)]
         # A method without a `seed` must be deterministic (`vsfsim check` tests it), so a support set that is the same
         # for every seed needs only one adaptation.
         seeded = "seed" in inspect.signature(self.factory).parameters

@@ -121,8 +121,8 @@ def _mark(result: Result, task: Task, apart: float | None) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
     if apart is None or not apart < _SAME_READINGS:
-        return f"other dataset ({result.dataset_sha256[:12]}" + (")" if apart is None
-                                                                 else f", its readings are {100.0 * apart:.2g} % off)")
+        difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
+        return f"other dataset ({result.dataset_sha256[:12]}{difference})"
     if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:
         return f"no {task.primary} at {task.ranking_shot}-shot"
     return ""

@@ -45,8 +45,8 @@ def mock_view(index: int, *, split: str = "test", touches: int = 8, seed: int = 
 def particles() -> np.ndarray:
     """The block's particles (n, 3) [m], world."""
     half = 0.5 * SPACING
-    axes = [np.arange(low + half, high, SPACING) for low, high in ((-BLOCK[0] / 2, BLOCK[0] / 2),
-                                                                   (-BLOCK[1] / 2, BLOCK[1] / 2), (0.0, BLOCK[2]))]
+    axes = [np.arange(low + half, high, SPACING)
+            for low, high in ((-BLOCK[0] / 2, BLOCK[0] / 2), (-BLOCK[1] / 2, BLOCK[1] / 2), (0.0, BLOCK[2]))]
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 

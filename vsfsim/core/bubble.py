@@ -117,8 +117,8 @@ def parse_sensor(node: Any, path: Path) -> Bubble:
 def _camera(value: Any, where: str) -> tuple[int, int] | None:
     if isinstance(value, bool):
         return CAMERA if value else None
-    if not isinstance(value, list) or len(value) != 2 or any(isinstance(v, bool) or not isinstance(v, int)
-                                                             or not 8 <= v <= 4096 for v in value):
+    if (not isinstance(value, list) or len(value) != 2
+            or any(isinstance(v, bool) or not isinstance(v, int) or not 8 <= v <= 4096 for v in value)):
         raise SceneError(f"{where}: camera is {value!r}; it must be true (pictures of {CAMERA[0]} x {CAMERA[1]} pixels "
                          f"from inside the bubble), false, or [width, height] from 8 to 4096 pixels.")
     return int(value[0]), int(value[1])

@@ -58,8 +58,8 @@ def summary(path: str | Path) -> str:
         ("recipe", f"scene {recipe.scene}, seed {recipe.seed}, tier {recipe.tier}, {recipe.device}, "
                    f"{recipe.precision}, renderer {recipe.renderer}"),
         ("made by", f"vsfsim {dataset.made_by['vsfsim']}, commit {dataset.made_by['commit'] or 'unknown'}"),
-        ("objects", f"{objects} in {len(dataset)} views: " + ", ".join(f"{n} {split}" for split,
-                                                                       n in by_split.items())),
+        ("objects", f"{objects} in {len(dataset)} views: "
+                    + ", ".join(f"{n} {split}" for split, n in by_split.items())),
         ("touches", f"{touches}, {touches - touched} met nothing"),
         *([("ended early", f"{ended[1]} touches at the arm's protective stop, {ended[2]} with the solver's "
                            f"iterations used up")] if any(ended[1:]) else []),

@@ -186,9 +186,9 @@ class DatasetWriter:
                 self.notes.append(f"{entry.file} was missing or damaged and is made again.")
         if not (self.path / PART_MANIFEST).exists():
             self._fresh = True
-            write_atomic(self.path / PART_MANIFEST, manifest_bytes({"format": FORMAT, "schema_version": SCHEMA_VERSION,
-                                                                    "made_by": made_by(),
-                                                                   "recipe": self.recipe.table(), "names": self.names}))
+            write_atomic(self.path / PART_MANIFEST, manifest_bytes({
+                "format": FORMAT, "schema_version": SCHEMA_VERSION, "made_by": made_by(),
+                "recipe": self.recipe.table(), "names": self.names}))
         (self.path / MANIFEST).unlink(missing_ok=True)
         return made_by()
 

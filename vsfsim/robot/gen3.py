@@ -145,8 +145,8 @@ _DEEP, _HALF = PUNYO_HEIGHT - _DOME, 0.05725 - _DOME
 
 
 def _on_dome(side: float) -> Vector:
-    return tuple(c + _DEEP * a + side * _HALF * e for c, a, e in zip(PUNYO_RIM_CENTRE, PUNYO_AXIS, PUNYO_LONG_AXIS,
-                                                                     strict=True))  # type: ignore[return-value]
+    return tuple(c + _DEEP * a + side * _HALF * e  # type: ignore[return-value]
+                 for c, a, e in zip(PUNYO_RIM_CENTRE, PUNYO_AXIS, PUNYO_LONG_AXIS, strict=True))
 
 
 PUNYO_CAPSULES = (

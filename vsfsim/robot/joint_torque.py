@@ -76,8 +76,8 @@ def _turn(at: Postures, force: np.ndarray, moment: np.ndarray, point: np.ndarray
     """a . (m + (p - o) x f) of every contact and joint (T, n, 7)."""
     # a . (m + p x f) - (a x o) . f needs no array (T, n, 7, 3)
     about_base = moment + np.cross(point, force)
-    return np.einsum("tnc,tjc->tnj", about_base, at.axes) - np.einsum("tnc,tjc->tnj", force,
-                                                                      np.cross(at.axes, at.anchors))
+    return (np.einsum("tnc,tjc->tnj", about_base, at.axes)
+            - np.einsum("tnc,tjc->tnj", force, np.cross(at.axes, at.anchors)))
 
 
 def _moves(links: np.ndarray) -> np.ndarray:

@@ -42,8 +42,8 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     position, force, pressure, mount_pose = (np.asarray(x, np.float64) for x in (position, force, pressure, mount_pose))
     frames = len(position)
     good = np.ones(frames, bool) if converged is None else np.asarray(converged, bool)
-    if (mount_pose.shape, pressure.shape, good.shape, force.shape) != ((frames, 4, 4), (frames,), (frames,),
-                                                                       position.shape):
+    expected = ((frames, 4, 4), (frames,), (frames,), position.shape)
+    if (mount_pose.shape, pressure.shape, good.shape, force.shape) != expected:
         raise SensorError(f"bubble: positions {position.shape}, forces {force.shape}, pressure {pressure.shape}, mount "
                           f"poses {mount_pose.shape} and converged {good.shape} "
                           "must be (T, m, 3) twice, (T,), (T, 4, 4) and (T,).")

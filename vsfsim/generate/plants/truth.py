@@ -20,8 +20,8 @@ VSF_SPACING = 0.02
 FITTED_FRAMES = 40  # frames of a touch that the oracle is fitted to, evenly spread
 
 
-def nearest_material_points(model: RodModel, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray,
-                                                                          np.ndarray]:
+def nearest_material_points(model: RodModel,
+                            points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """The points of the plant's surface nearest to ``points`` (k, 3) [m].
 
     Returns:

@@ -122,10 +122,10 @@ def functions(real: type, module: str) -> Any:
             n = quadratic(at)
             c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
             # derivatives by the coordinates 1 and 2, coordinate 0 being what is left
-            tu = (one - four * at[0]) * x0 + (four * at[1] - one) * x1 + four * ((at[0] - at[1]) * x3 + at[2] * x4
-                                                                                 - at[2] * x5)
-            tv = (one - four * at[0]) * x0 + (four * at[2] - one) * x2 + four * (at[1] * x4 - at[1] * x3
-                                                                                 + (at[0] - at[2]) * x5)
+            tu = ((one - four * at[0]) * x0 + (four * at[1] - one) * x1
+                  + four * ((at[0] - at[1]) * x3 + at[2] * x4 - at[2] * x5))
+            tv = ((one - four * at[0]) * x0 + (four * at[2] - one) * x2
+                  + four * (at[1] * x4 - at[1] * x3 + (at[0] - at[2]) * x5))
             r = p - c
             a11 = wp.dot(tu, tu)
             a12 = wp.dot(tu, tv)

@@ -68,8 +68,8 @@ def fronts(graph: sp.csr_matrix, points: np.ndarray) -> list[Front]:
     return out
 
 
-def _halves(graph: sp.csr_matrix, points: np.ndarray, nodes: np.ndarray) -> tuple[np.ndarray,
-                                                                                  tuple[np.ndarray, np.ndarray]]:
+def _halves(graph: sp.csr_matrix, points: np.ndarray,
+            nodes: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """The separator of ``nodes`` and the two remaining parts."""
     part = graph[nodes][:, nodes].tocoo()
     at = points[nodes]

@@ -262,8 +262,8 @@ class _Sparse:
             at = torch.as_tensor((3 * np.flatnonzero(asked)[:, None] + np.arange(3)).ravel())
             if self._whole is not None:
                 self._whole[b, at] = torch.as_tensor(self._factor.whole_columns(new)).to(self._whole)
-            self._compliance[b, :3 * len(own),
-                             at] = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
+            columns = torch.as_tensor(self._factor.compliance(own, new)).to(self._compliance)
+            self._compliance[b, :3 * len(own), at] = columns
         return more
 
     def compliance(self) -> torch.Tensor:

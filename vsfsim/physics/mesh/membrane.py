@@ -216,8 +216,8 @@ def refine(points: np.ndarray, triangles: np.ndarray, rim: np.ndarray, a: float,
     return mesh, triangles, np.stack([rim, between], axis=1).ravel()
 
 
-def _cut_in_four(points: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray,
-                                                                     dict[tuple[int, int], int]]:
+def _cut_in_four(points: np.ndarray,
+                 triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[tuple[int, int], int]]:
     pairs = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
     m = len(points) + inverse.reshape(-1, 3)

@@ -354,8 +354,8 @@ class RodBatch:
         whole = force.sum(axis=2)
         gap = np.linalg.norm(whole - root - weight, axis=-1)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
-        floats = [np.where(solved, of(a), np.nan) for a in (out.residual, out.energy, out.penetration, out.slipping,
-                                                            out.where)]
+        floats = [np.where(solved, of(a), np.nan)
+                  for a in (out.residual, out.energy, out.penetration, out.slipping, out.where)]
         for array in (force, moment, root, root_moment):
             array[~solved] = np.nan
         self._taken[some] = False

@@ -312,8 +312,8 @@ class Elasticity:
         """Tangent times x (3 n, k) [m]: column j belongs to touch ``index[j]``; rows of held degrees of freedom are
         0."""
         out = wp.empty_like(x)
-        for i, (block, own, model, state, part) in enumerate(zip(self.blocks, self._of, self._model, self._state,
-                                                                 self._part, strict=True)):
+        each = zip(self.blocks, self._of, self._model, self._state, self._part, strict=True)
+        for i, (block, own, model, state, part) in enumerate(each):
             if i in self._together:
                 self._together[i].multiply(index, self._at, x, part[0])
             else:

@@ -92,8 +92,8 @@ def palpate(field: Field, *, touches: int, frames: int, extent: tuple[float, flo
         target = np.append(rng.uniform(-0.5, 0.5, 2) * extent, 0.0)
         lean = rng.uniform(-tilt, tilt, 2)
         c, s = np.cos(lean), np.sin(lean)
-        turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ np.array([[1, 0, 0], [0, c[0], -s[0]],
-                                                                                    [0, s[0], c[0]]])
+        about_x = np.array([[1, 0, 0], [0, c[0], -s[0]], [0, s[0], c[0]]])
+        turn = np.array([[c[1], 0, s[1]], [0, 1, 0], [-s[1], 0, c[1]]]) @ about_x
         travel = np.linspace(0.002, -depth, frames)
         base = shape @ turn.T + target
         vertices = base + travel[:, None, None] * turn[:, 2]
