@@ -20,9 +20,9 @@ AREA = np.pi * 0.03**2
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}
 
 
-def pressed(observation="pressure"):
-    """Touches of a dome on a ground that is stiff where x > 0."""
-    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=10, frames=5,
+def pressed(observation="pressure", touches=10):
+    """Touches of a dome on a ground that is ten times as stiff where x > 0."""
+    ground = palpate(lambda p: np.where(p[:, 2] > 0, 0.0, np.where(p[:, 0] > 0, 4e9, 4e8)), touches=touches, frames=5,
                      extent=(0.05, 0.04), rings=4, tilt=0.0)
     points, triangles = cap(rings=4)
     probe = Dome.of(points * [1.0, -1.0, -1.0] + [0.0, 0.0, 0.015], triangles)
@@ -38,21 +38,27 @@ def pressed(observation="pressure"):
     return readings
 
 
-@pytest.mark.parametrize(("build", "skin"), [(PointVsf, False), (DenseVsf, True), (lambda: GridVsf(**QUICK), False),
-                                             (lambda: GridVsf(**QUICK), True)])
-def test_a_stiff_half_is_estimated_as_stiffer(build, skin):
-    view, readings = mock_view(0).view, pressed()
+@pytest.mark.parametrize(("build", "skin", "least", "most"), [(PointVsf, False, 3.0, 15.0),
+                                                              (DenseVsf, True, 8.0, 20.0),
+                                                              (lambda: GridVsf(**QUICK), False, 2.0, 80.0),
+                                                              (lambda: GridVsf(**QUICK), True, 4.5, 10.5)])
+def test_a_stiff_half_is_estimated_as_stiffer(build, skin, least, most):
+    view, readings = mock_view(0).view, pressed(touches=24)
     given = readings if skin else [Reading(r.action, r.value, r.valid) for r in readings]
     method = build()
-    method.adapt(view, given[:8])
+    method.adapt(view, given[:20])
     stiffness = method.stiffness(np.array([[x, 0.0, 0.026] for x in (-0.012, 0.012)])).mean
-    assert stiffness[1] > 2.0 * stiffness[0]
-    asked = method.predict([r.action for r in readings[8:]])
-    for guess, reading in zip(asked, readings[8:], strict=True):
+    # The truth is 10. Over six seeds of the touches 5.7 to 11.4, 11.3 to 16.2, 4.4 to 24.9 and 5.8 to 8.7; the bounds
+    # are three standard deviations of the logarithm from its mean.
+    assert least < stiffness[1] / stiffness[0] < most
+    predictions = method.predict([r.action for r in readings[20:]])
+    peaks = []
+    for guess, reading in zip(predictions, readings[20:], strict=True):
         assert guess.shape == reading.value.shape and np.isfinite(guess).all() and guess[0, 0] == 0.0
-        # the ground goes on past what the small view shows, so only the size is asked for
-        # 0.82 to 1.40 of it over the four methods.
-        assert 0.6 * reading.value[-1, 0] < guess[-1, 0] < 1.8 * reading.value[-1, 0]
+        peaks.append(guess[-1, 0] / reading.value[-1, 0])
+    # A single touch may fall on ground that no other touched (0.61 to 1.54 over the six seeds). The mean of four is
+    # 0.85 to 1.11, with a standard deviation of at most 0.09 about 0.95 to 1.01.
+    assert 0.7 < np.mean(peaks) < 1.25
 
 
 def test_without_a_surface_a_field_is_fitted_to_the_total():
