@@ -86,7 +86,7 @@ class Sheet:
         self._elastic.tangent(self._index, self._at(u), projected=projected)
         parts = [block.element.matrices(block, self._elastic.remembered(i)[:, :, 0]) if constant is None else constant
                  for i, (block, constant) in enumerate(zip(self.blocks, self._constant, strict=True))]
-        parts.append(-(0.0 if projected else pressure) * gas.second(self.points + u.reshape(-1, 3), self.closed))
+        parts.append(-(0.0 if projected else pressure) * gas.hessian(self.points + u.reshape(-1, 3), self.closed))
         values = np.concatenate([part.ravel() for part in parts])
         return sp.coo_matrix((values, (self._rows, self._columns)), shape=(len(u), len(u))).tocsr()
 

@@ -2,12 +2,13 @@
 
     E(u) = kappa V |u|^2 / 2
 
-kappa is a stiffness density [N/m^4] and V the particle's volume [m^3]. Neither is a modulus: the force depends on the
-distance from the rest position only, not on the neighbours. So an anchor resists a rigid motion, too, and its force is
-a support reaction. It is linear: its tangent is the rest stiffness everywhere, and positive.
+kappa is a stiffness density [N/m^4] and V the particle's volume [m^3]. The force depends only on the displacement of
+the node itself, not on its neighbours, so kappa is not a modulus. An anchor therefore resists a rigid motion, and its
+force is a support reaction. The element is linear: its tangent is the rest stiffness at every displacement, and
+positive semi-definite.
 
-(Z. Pan et al., visuo-tactile volumetric stiffness fields; as an elastic foundation: Winkler 1867, Johnson 1985 section
-4.3.)
+Source: Z. Pan et al., visuo-tactile volumetric stiffness fields. The same model is an elastic foundation (Winkler 1867;
+Johnson 1985, section 4.3).
 """
 
 import functools
@@ -24,19 +25,24 @@ NODES = 1
 
 
 def block(nodes: np.ndarray, stiffness: np.ndarray) -> Block:
-    """A block of anchors. nodes: (m,). stiffness: kappa V of each (m,) [N/m], not negative."""
+    """A block of anchors.
+
+    Args:
+        nodes: (m,).
+        stiffness: kappa V of each anchor (m,) [N/m], not negative.
+    """
     stiffness = np.asarray(stiffness, float)
     assert (stiffness >= 0.0).all()
     return Block("anchor", np.asarray(nodes, np.int32).reshape(-1, 1), {"stiffness": stiffness})
 
 
 def state_size(block: Block) -> int:
-    """A tangent remembers nothing."""
+    """0: the tangent does not depend on the displacements."""
     return 0
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
-    """(m, 3, 3) [N/m]."""
+    """The tangent at every displacement (m, 3, 3) [N/m]."""
     return block.parameters["stiffness"][:, None, None] * np.eye(3)
 
 

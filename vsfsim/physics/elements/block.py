@@ -6,38 +6,43 @@ A file ``elements/NAME.py`` is found by its name. It provides
     block(...) -> Block          makes a block, and refuses what the element cannot be
     rest_stiffness(block)        (m, 3 a, 3 a) [N/m], rows node by node: the tangent at u = 0
     kernels(real)                Warp kernels for one scalar type, see below
-    state_size(block)            numbers that the tangent of one element and touch remembers, besides the displacements
+    state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 
 ``kernels(real)`` is an object with ``parameters(block, device)``, the element's own device arrays, which follow the
 nodes in
 
     forces   (nodes, *parameters, index, u_in, force_out, energy_out, det_out)
-    tangent  (nodes, *parameters, index, projected, u_in, state_out)          or None if there is nothing to remember
+    tangent  (nodes, *parameters, index, projected, u_in, state_out)          or None if state_size is 0
     multiply (nodes, *parameters, index, at_in, state_in, x_in, force_out)
 
 launched over (m elements, k touches), so that neighbouring threads are neighbouring touches and read neighbouring
-numbers. nodes (m, a) int32. index (k,) int32: the touch of each column. u_in, at_in (3 n, B) [m]: present
-displacements, and those of the tangent. force_out (m, 3 a, B) [N]: forces of the element on its nodes' balance, i.e.
-+dE/du; `multiply` writes column k, `forces` column index[k]. energy_out (m, B) [J]. det_out (m, B): least det F, 1
-where the element has none. state_out (m, state_size, B). projected (int): 1 for a positive semi-definite tangent, 0
-for the true one. x_in (3 n, k): one column each.
+numbers. Their arrays are
 
-An element whose law is long may also provide ``matrices(block, state)``, its tangents (m, 3 a, 3 a) from what they
-remember (m, state_size): then `matrices_at_rest` is its rest stiffness, and a host solver can assemble the tangent at
-any state.
+    nodes (m, a) int32           nodes of each element
+    index (k,) int32             the touch of each column
+    u_in, at_in (3 n, B)         present displacements, and those at which the tangent was taken [m]
+    force_out (m, 3 a, B)        +dE/du of the element [N]; `forces` writes column index[k], `multiply` column k
+    energy_out (m, B)            energy [J]
+    det_out (m, B)               smallest det F of the element, 1 where it has none [-]
+    state_out (m, state_size, B) what the tangent stores
+    projected (int)              1 for a positive semi-definite tangent, 0 for the true one
+    x_in (3 n, k)                the vectors to multiply
+
+An element may also provide ``matrices(block, state)``, its tangents (m, 3 a, 3 a) from their stored states
+(m, state_size). `matrices_at_rest` is then its rest stiffness, and a host solver can assemble the tangent at any state.
 
 A block that couples all of its nodes through one number, as a gas does through its volume (elements/gas.py), has
 ``COLLECTIVE = True`` in its file:
 
     share        (nodes, *parameters, index, u_in, share_out)
-    respond      (law, index, number_in, answer_out)
-    forces       (nodes, *parameters, index, u_in, answer_in, force_out, energy_out, det_out)
+    respond      (law, index, number_in, response_out)
+    forces       (nodes, *parameters, index, u_in, response_in, force_out, energy_out, det_out)
     share_change (nodes, *parameters, index, at_in, x_in, share_out)
-    multiply     (nodes, *parameters, index, at_in, answer_in, true_in, change_in, x_in, force_out)
+    multiply     (nodes, *parameters, index, at_in, response_in, true_in, change_in, x_in, force_out)
 
-share_out (m, B) float64: each element's part of the number, or of its change along x. answer_out (ANSWERS, B) float64:
-what the number causes. ``law(block, device)`` is the array that `respond` takes. `Elasticity` adds the shares in a
-fixed order.
+share_out (m, B) float64 is each element's part of the number, or of its change along x. response_out (RESPONSES, B)
+float64 is a function of the number, for a gas the pressure, its derivative and the energy. ``law(block, device)`` is
+the array that `respond` takes. `Elasticity` adds the shares in a fixed order.
 """
 
 from __future__ import annotations
@@ -59,16 +64,16 @@ class Block:
     nodes: np.ndarray
     """Nodes of each element (m, a), int32."""
     parameters: Mapping[str, np.ndarray]
-    """What the element needs besides, for each element (m, ...); the units are in the element's file."""
+    """Parameters of each element (m, ...); the element's file gives their units."""
 
     @property
     def element(self) -> ModuleType:
-        """The element's file."""
+        """The element's module."""
         return importlib.import_module(f"vsfsim.physics.elements.{self.kind}")
 
     @property
     def collective(self) -> bool:
-        """Whether all its elements act through one number that they add up to."""
+        """Whether the block couples all of its nodes through one number."""
         return getattr(self.element, "COLLECTIVE", False)
 
     def __len__(self) -> int:

@@ -1,17 +1,18 @@
-"""Gas: the air in a closed surface, at one pressure everywhere.
+"""Gas: the air inside a closed surface, at one uniform pressure.
 
     sealed: p V^gamma = p0 V0^gamma,    E(V) = integral from V to V0 of (p - ambient) dV
               = p0 V0 [(V0/V)^(gamma-1) - 1]/(gamma - 1) + ambient (V - V0)
               = p0 V0 ln(V0/V) + ambient (V - V0)                             for gamma = 1
     open:   the supply holds p - ambient at g,    E(V) = -g (V - V0)
 
-p and ambient are absolute pressures [Pa]. V is the volume inside the surface plus a dead volume that does not change
-[m^3]. gamma is 1 for isothermal and 1.4 for adiabatic air.
+p and ambient are absolute pressures [Pa], and g = p - ambient is the gauge pressure. V is the volume inside the surface
+plus a constant dead volume [m^3]. gamma is 1 for isothermal and 1.4 for adiabatic air.
 
-The surface volume is a sum over tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2) / 6, with the
-gradient x1 x x2 / 6 at x0 and so on. A cap over its rim closes a sheet, so that a rigid motion leaves V unchanged. The
-tangent is -g V'' + (-dp/dV) (grad V)(grad V)^T. Its last term couples all nodes and is applied as a product of vectors,
-never as a matrix. With g > 0 the first term is indefinite, and the projected tangent leaves it out.
+The volume inside the surface is a sum over the tetrahedra of its triangles and one fixed point, V = sum x0 . (x1 x x2)
+/ 6, with the gradient x1 x x2 / 6 at x0, and cyclically. A sheet is closed by a cap over its rim, so that a rigid
+motion leaves V unchanged. The tangent is -g V'' + (-dp/dV) (grad V)(grad V)^T. Its last term couples all nodes and is
+applied as a product of vectors, never as a matrix. The first term is indefinite for g > 0, and the projected tangent
+omits it.
 """
 
 import functools
@@ -26,35 +27,39 @@ from vsfsim.physics.elements.block import Block
 
 NODES = 3
 COLLECTIVE = True
-ANSWERS = 3  # gauge pressure [Pa], -dp/dV [Pa/m^3], energy [J]
-# of V0: air squeezed further is no state of a sensor; its energy counts as infinite, so no step leads there
-_LEAST = 1e-3
+RESPONSES = 3
+"""Rows of the response to a volume: gauge pressure [Pa], -dp/dV [Pa/m^3], energy [J]."""
+_SMALLEST_VOLUME = 1e-3
+"""Fraction of V0 below which the energy is `_INFINITE`, so that no step leads there; no sensor gets there."""
 _INFINITE = 1e30
 
 
 def block(faces: np.ndarray, points: np.ndarray, *, pressure: float, volume: float, gamma: float = 1.4,
-          ambient: float = 101325.0,
-          dead_volume: float = 0.0, sealed: bool = True) -> Block:
+          ambient: float = 101325.0, dead_volume: float = 0.0, sealed: bool = True) -> Block:
     """The gas of one chamber.
 
     Args:
-        faces: of the closed surface, wound outwards (m, 3). points: positions at u = 0 (n, 3) [m].
-        pressure: gauge pressure [Pa] at which the surface holds ``volume`` [m^3]; of an open chamber, always. gamma: of
-        p V^gamma.
-        ambient: absolute pressure outside [Pa]. dead_volume: of the chamber besides [m^3]. sealed: or open.
+        faces: of the closed surface, wound outwards (m, 3).
+        points: positions at u = 0 (n, 3) [m].
+        pressure: gauge pressure when the surface encloses ``volume`` [Pa]; in an open chamber it is constant.
+        volume: inside the surface at that pressure [m^3].
+        gamma: exponent of p V^gamma [-].
+        ambient: absolute pressure outside [Pa].
+        dead_volume: of the chamber outside the surface [m^3].
+        sealed: whether the chamber is sealed rather than open to its supply.
     """
     faces = np.asarray(faces, np.int32)
     whole = volume + dead_volume
     assert (whole > 0.0 and dead_volume >= 0.0 and gamma >= 1.0 and ambient >= 0.0
             and (not sealed or ambient + pressure > 0.0))
     local = points[faces] - points[np.unique(faces)].mean(axis=0)
-    return Block("gas", faces, {"points": local, "law": np.array([ambient + pressure, whole, gamma, ambient,
-                                                                  float(sealed), dead_volume])})
+    law = np.array([ambient + pressure, whole, gamma, ambient, float(sealed), dead_volume])
+    return Block("gas", faces, {"points": local, "law": law})
 
 
 def cap(rim: np.ndarray) -> np.ndarray:
-    """Triangles (r - 2, 3) that close the loop ``rim`` (r,), which runs counter-clockwise as seen from the side the
-    sheet bulges to."""
+    """Triangles (r - 2, 3) that close the loop ``rim`` (r,), which runs counter-clockwise when viewed from the side to
+    which the sheet bulges."""
     return np.array([(rim[0], rim[i + 1], rim[i]) for i in range(1, len(rim) - 1)], np.int32)
 
 
@@ -73,13 +78,13 @@ def gradient(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return out.ravel()
 
 
-def second(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Second derivatives of the volume, one matrix a triangle (m, 9, 9) [m]."""
+def hessian(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Second derivatives of the volume by the nodes' positions, one matrix per triangle (m, 9, 9) [m]."""
     x = points[faces] - points[np.unique(faces)].mean(axis=0)
     out = np.zeros((len(faces), 3, 3, 3, 3))
     for a in range(3):
         b, c = (a + 1) % 3, (a + 2) % 3
-        turn = np.zeros((len(faces), 3, 3))  # v -> v x x_c / 6, the change of the force on a by that of b
+        turn = np.zeros((len(faces), 3, 3))  # v -> v x x_c / 6: the gradient at a as a function of node b
         for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
             turn[:, i, j], turn[:, j, i] = x[:, c, k] / 6.0, -x[:, c, k] / 6.0
         out[:, a, :, b, :] = turn
@@ -87,8 +92,8 @@ def second(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return out.reshape(len(faces), 9, 9)
 
 
-def answer(block: Block, inside: float) -> tuple[float, float, float]:
-    """Gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] when the surface holds ``inside`` [m^3]."""
+def _response(block: Block, inside: float) -> tuple[float, float, float]:
+    """Gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] when the surface encloses the volume ``inside`` [m^3]."""
     p0, v0, gamma, ambient, sealed, dead = block.parameters["law"]
     now = inside + dead
     if not sealed:
@@ -99,8 +104,8 @@ def answer(block: Block, inside: float) -> tuple[float, float, float]:
     return p - ambient, gamma * p / now, p0 * v0 * work + ambient * (now - v0)
 
 
-def _placed(block: Block) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n', 3) at u = 0 and faces in their numbers; only those of the surface."""
+def _surface(block: Block) -> tuple[np.ndarray, np.ndarray]:
+    """The surface at u = 0: its nodes (n', 3) [m] and its triangles (m, 3), numbered among these nodes."""
     used, faces = np.unique(block.nodes, return_inverse=True)
     faces = faces.reshape(-1, 3)
     points = np.zeros((len(used), 3))
@@ -109,25 +114,26 @@ def _placed(block: Block) -> tuple[np.ndarray, np.ndarray]:
 
 
 def at_rest(block: Block) -> tuple[float, float, float, float]:
-    """Volume inside the surface [m^3] at u = 0, and `answer` there."""
-    inside = volume(*_placed(block))
-    return inside, *answer(block, inside)
+    """Volume inside the surface [m^3], gauge pressure [Pa], -dp/dV [Pa/m^3] and energy [J] at u = 0."""
+    inside = volume(*_surface(block))
+    return inside, *_response(block, inside)
 
 
 def state_size(block: Block) -> int:
-    """What a tangent remembers is the whole block's, not an element's."""
+    """0: the state of the tangent belongs to the whole block, not to an element."""
     return 0
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
-    """The sparse part of the tangent at u = 0, -g V'' (m, 9, 9) [N/m]; see `rest_coupling` for the rest."""
-    points, faces = _placed(block)
-    return -at_rest(block)[1] * second(points, faces)
+    """The sparse part of the tangent at u = 0, -g V'' (m, 9, 9) [N/m]; `rest_coupling` gives the other part."""
+    points, faces = _surface(block)
+    return -at_rest(block)[1] * hessian(points, faces)
 
 
 def rest_coupling(block: Block, points: int) -> tuple[np.ndarray, float]:
-    """The other part: grad V (3 n,) [m^2] at u = 0 for a body of n = ``points`` nodes, and -dp/dV [Pa/m^3]."""
-    local, faces = _placed(block)
+    """The part of the tangent at u = 0 that couples all nodes: grad V (3 n,) [m^2] for a body of n = ``points`` nodes,
+    and -dp/dV [Pa/m^3]."""
+    local, faces = _surface(block)
     out = np.zeros((points, 3))
     out[np.unique(block.nodes)] = gradient(local, faces).reshape(-1, 3)
     return out.ravel(), at_rest(block)[2]
@@ -140,7 +146,7 @@ def kernels(real: type) -> Any:
     vec3 = wp.types.vector(length=3, dtype=double)
     module = f"vsfsim_gas_{real.__name__}"
     sixth = wp.constant(double(1.0 / 6.0))
-    least = wp.constant(double(_LEAST))
+    least = wp.constant(double(_SMALLEST_VOLUME))
     infinite = wp.constant(double(_INFINITE))
 
     @wp.func(module=module)
@@ -174,15 +180,15 @@ def kernels(real: type) -> Any:
         # state in
         number_in: wp.array(dtype=double),
         # state out
-        answer_out: wp.array2d(dtype=double),
+        response_out: wp.array2d(dtype=double),
     ):
         b = index[wp.tid()]
         ambient = law[3]
         now = number_in[b] + law[5]
         if law[4] == double(0.0):
-            answer_out[0, b] = law[0] - ambient
-            answer_out[1, b] = double(0.0)
-            answer_out[2, b] = -(law[0] - ambient) * (now - law[1])
+            response_out[0, b] = law[0] - ambient
+            response_out[1, b] = double(0.0)
+            response_out[2, b] = -(law[0] - ambient) * (now - law[1])
         else:
             gamma = law[2]
             held = wp.max(now, least * law[1])
@@ -191,11 +197,11 @@ def kernels(real: type) -> Any:
             work = wp.log(ratio)
             if gamma != double(1.0):
                 work = (wp.pow(ratio, gamma - double(1.0)) - double(1.0)) / (gamma - double(1.0))
-            answer_out[0, b] = p - ambient
-            answer_out[1, b] = gamma * p / held
-            answer_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
+            response_out[0, b] = p - ambient
+            response_out[1, b] = gamma * p / held
+            response_out[2, b] = law[0] * law[1] * work + ambient * (held - law[1])
             if now < held:
-                answer_out[2, b] = infinite
+                response_out[2, b] = infinite
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
@@ -205,7 +211,7 @@ def kernels(real: type) -> Any:
         index: wp.array(dtype=wp.int32),
         # state in
         u_in: wp.array2d(dtype=real),
-        answer_in: wp.array2d(dtype=double),
+        response_in: wp.array2d(dtype=double),
         # state out
         force_out: wp.array3d(dtype=real),
         energy_out: wp.array2d(dtype=real),
@@ -216,7 +222,7 @@ def kernels(real: type) -> Any:
         x0 = points[t, 0] + vector(nodes, u_in, t, 0, b)
         x1 = points[t, 1] + vector(nodes, u_in, t, 1, b)
         x2 = points[t, 2] + vector(nodes, u_in, t, 2, b)
-        push = -sixth * answer_in[0, b]
+        push = -sixth * response_in[0, b]
         f0 = push * wp.cross(x1, x2)
         f1 = push * wp.cross(x2, x0)
         f2 = push * wp.cross(x0, x1)
@@ -226,7 +232,7 @@ def kernels(real: type) -> Any:
             force_out[t, 6 + c, b] = real(f2[c])
         energy_out[t, b] = real(0.0)
         if t == 0:
-            energy_out[t, b] = real(answer_in[2, b])
+            energy_out[t, b] = real(response_in[2, b])
         det_out[t, b] = real(1.0)
 
     @wp.kernel(module=module, enable_backward=False)
@@ -246,8 +252,8 @@ def kernels(real: type) -> Any:
         x0 = points[t, 0] + vector(nodes, at_in, t, 0, b)
         x1 = points[t, 1] + vector(nodes, at_in, t, 1, b)
         x2 = points[t, 2] + vector(nodes, at_in, t, 2, b)
-        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k),
-                                          wp.cross(x1, x2)) + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
+        share_out[t, k] = sixth * (wp.dot(vector(nodes, x_in, t, 0, k), wp.cross(x1, x2))
+                                   + wp.dot(vector(nodes, x_in, t, 1, k), wp.cross(x2, x0))
                                    + wp.dot(vector(nodes, x_in, t, 2, k), wp.cross(x0, x1)))
 
     @wp.kernel(module=module, enable_backward=False)
@@ -258,7 +264,7 @@ def kernels(real: type) -> Any:
         index: wp.array(dtype=wp.int32),
         # state in
         at_in: wp.array2d(dtype=real),
-        answer_in: wp.array2d(dtype=double),
+        response_in: wp.array2d(dtype=double),
         true_in: wp.array(dtype=double),
         change_in: wp.array(dtype=double),
         x_in: wp.array2d(dtype=real),
@@ -273,8 +279,8 @@ def kernels(real: type) -> Any:
         d0 = vector(nodes, x_in, t, 0, k)
         d1 = vector(nodes, x_in, t, 1, k)
         d2 = vector(nodes, x_in, t, 2, k)
-        push = -sixth * answer_in[0, b] * true_in[b]
-        swell = sixth * answer_in[1, b] * change_in[k]
+        push = -sixth * response_in[0, b] * true_in[b]
+        swell = sixth * response_in[1, b] * change_in[k]
         f0 = push * (wp.cross(d1, x2) + wp.cross(x1, d2)) + swell * wp.cross(x1, x2)
         f1 = push * (wp.cross(d2, x0) + wp.cross(x2, d0)) + swell * wp.cross(x2, x0)
         f2 = push * (wp.cross(d0, x1) + wp.cross(x0, d1)) + swell * wp.cross(x0, x1)

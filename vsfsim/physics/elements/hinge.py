@@ -6,19 +6,19 @@
 h (three vectors) is the second derivative of the one quadratic map that takes the six nodes of the triangle and its
 three neighbours from their rest places X in the plane to their present ones. It is exact for every quadratic
 deflection on any mesh whose six places are not on a conic, so D is the plate's bending stiffness. A sum of k theta^2
-over dihedral angles is not: its D depends on the mesh (on equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends like
-a plate of Poisson's ratio -1/3, three times too stiff in a clamped disc; Seung and Nelson 1988, Phys. Rev. A 38;
+over dihedral angles is not exact: its D depends on the mesh (on equilateral triangles 3 |e|^2 theta^2 / (A1 + A2) bends
+like a plate of Poisson's ratio -1/3, three times too stiff in a clamped disc; Seung and Nelson 1988, Phys. Rev. A 38;
 Grinspun et al. 2003). The patch of four triangles is that of Onate and Flores 2005 (the rotation-free triangle EBST,
 Comput. Methods Appl. Mech. Eng. 194).
 
-Vectors stand where a plate theory has curvatures n . h (as in Bergou et al. 2006, "A quadratic bending model for
-inextensible surfaces"): the energy is quadratic, so its tangent is constant and never negative, and a rotation costs
-nothing. The price is that the gradient of an in-plane
-strain is resisted as a curvature is: beside E h eps^2 that is (h/L)^2/12 eps^2 for a strain that varies over L, 1e-5
-for rubber of 0.5 mm.
+Plate theory has the curvatures n . h; this energy has the vectors h themselves (as in Bergou et al. 2006, "A quadratic
+bending model for inextensible surfaces"). It is therefore quadratic, its tangent is constant and positive
+semi-definite, and a rotation costs no energy. In return the gradient of an in-plane strain is resisted as a curvature
+is: relative to the membrane energy E h eps^2 this adds (h/L)^2/12 for a strain that varies over the length L, 1e-5 for
+rubber of 0.5 mm.
 
-At a rim edge there is no neighbour. Clamped (no slope out of the plane `normal`): a mirror image of the triangle stands
-there. Free: it goes on straight.
+At a rim edge there is no neighbour. At a clamped rim (no slope out of the plane `normal`) a mirror image of the
+triangle takes its place, at a free rim the straight continuation of the triangle.
 """
 
 import functools
@@ -32,20 +32,22 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 6
-# of the largest singular value: a curvature that six places on a conic cannot tell is taken as none, not as anything
-_BLIND = 0.02
+_SMALLEST_SINGULAR_VALUE = 0.02
+"""Fraction of the largest singular value below which one is treated as zero. Six places on a conic leave one curvature
+undetermined; it is then taken as zero."""
 
 
 def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: float, *, poisson_ratio: float = 0.5,
-          clamped: bool = True,
-          normal: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Block:
+          clamped: bool = True, normal: tuple[float, float, float] = (0.0, 0.0, 1.0)) -> Block:
     """The bending of a sheet.
 
     Args:
-        triangles: of the whole sheet (m, 3), counter-clockwise in the rest plane. points: positions at u = 0 (n, 3)
-        [m].
-        rest: where its nodes are flat and free of stress (n, 2) [m]. bending: D [J]. poisson_ratio: nu.
-        clamped: the rim cannot turn out of the plane with this unit ``normal`` (3,).
+        triangles: of the whole sheet (m, 3), counter-clockwise in the rest plane.
+        points: positions at u = 0 (n, 3) [m].
+        rest: positions of the nodes where the sheet is flat and free of stress (n, 2) [m].
+        bending: D [J].
+        poisson_ratio: nu [-].
+        clamped: whether the rim is held in the plane with the unit ``normal`` (3,).
     """
     triangles = np.asarray(triangles, np.int64)
     across = neighbours(triangles)
@@ -64,9 +66,10 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     centre = place.mean(axis=1, keepdims=True)
     size = np.linalg.norm(place - centre, axis=2).mean(axis=1)
     x, y = np.moveaxis((place - centre) / size[:, None, None], 2, 0)
-    # what is left of the six places when the best plane is taken out is due to the three second derivatives
+    # The residual of the six places about their best plane determines the three second derivatives.
     rest_of = np.swapaxes(np.linalg.qr(np.stack([np.ones_like(x), x, y], axis=2), mode="complete")[0][:, :, 3:], 1, 2)
-    fit = np.linalg.pinv(rest_of @ np.stack([0.5 * x * x, x * y, 0.5 * y * y], axis=2), rcond=_BLIND) @ rest_of
+    quadratic = rest_of @ np.stack([0.5 * x * x, x * y, 0.5 * y * y], axis=2)
+    fit = np.linalg.pinv(quadratic, rcond=_SMALLEST_SINGULAR_VALUE) @ rest_of
     b11, b12, b22 = (fit[:, i] / size[:, None] ** 2 for i in range(3))
     a, b, c = (rest[triangles[:, i]] for i in range(3))
     area = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
@@ -78,13 +81,13 @@ def block(triangles: np.ndarray, points: np.ndarray, rest: np.ndarray, bending: 
     energy = (1.0 - poisson_ratio) * (square(b11) + square(b22) + 2.0 * square(b12)) + poisson_ratio * square(b11 + b22)
     energy *= (bending * area)[:, None, None]
     stiffness = [np.swapaxes(m, 1, 2) @ energy @ m for m in (plane, out)]
-    return Block("hinge", stencil.astype(np.int32), {"edges": points[stencil] - points[stencil[:, :1]],
-                                                     "plane": stiffness[0], "out": stiffness[1],
-                                                     "normal": np.tile(np.asarray(normal, float), (len(triangles), 1))})
+    return Block("hinge", stencil.astype(np.int32), {
+        "edges": points[stencil] - points[stencil[:, :1]], "plane": stiffness[0], "out": stiffness[1],
+        "normal": np.tile(np.asarray(normal, float), (len(triangles), 1))})
 
 
 def neighbours(triangles: np.ndarray) -> np.ndarray:
-    """The node across the edge that faces each corner (m, 3); -1 on the rim."""
+    """The node across the edge opposite each corner (m, 3); -1 on the rim."""
     edges = np.stack([triangles[:, [1, 2]], triangles[:, [2, 0]], triangles[:, [0, 1]]], axis=1).reshape(-1, 2)
     opposite = triangles.reshape(-1)
     other = {(int(i), int(j)): int(o) for (i, j), o in zip(edges, opposite, strict=True)}
@@ -92,12 +95,12 @@ def neighbours(triangles: np.ndarray) -> np.ndarray:
 
 
 def state_size(block: Block) -> int:
-    """A tangent remembers nothing."""
+    """0: the tangent does not depend on the displacements."""
     return 0
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
-    """(m, 18, 18) [N/m]."""
+    """The tangent at every displacement (m, 18, 18) [N/m]."""
     p = block.parameters
     across = p["normal"][:, :, None] * p["normal"][:, None, :]
     out = np.einsum("mab,mcd->macbd", p["plane"], np.eye(3) - across) + np.einsum("mab,mcd->macbd", p["out"], across)
@@ -112,7 +115,7 @@ def kernels(real: type) -> Any:
 
     @wp.func(module=module)
     def pull(plane: wp.array3d(dtype=real), out: wp.array3d(dtype=real), n: vec3, t: int, a: int, c: int, x: vec3):
-        # what node c at x, seen from the first corner, adds to the force of node a
+        # The force of node a due to node c at x, a position relative to the first corner.
         high = wp.dot(n, x)
         return plane[t, a, c] * (x - high * n) + (out[t, a, c] * high) * n
 

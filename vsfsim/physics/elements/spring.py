@@ -2,11 +2,13 @@
 
     E(x) = k/2 (l - L)^2,     l = |x_1 - x_0|,  n = (x_1 - x_0) / l
 
-The force in the balance of node 1 is k (l - L) n, and the tangent k n (x) n + k (1 - L/l) (I - n (x) n). A compressed
-spring (l < L) is unstable sideways, so the projected tangent uses max(0, 1 - L/l). At l = 0 there is no direction, and
-the force is zero; the energy stays finite. A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio
-of an isotropic one is 1/4 where its nodes follow a uniform strain (Love 1927, note B; `coefficients.SPRING_ALONG`);
-`network` says what is observed.
+The derivative of E by x_1 is k (l - L) n, and the tangent is k n (x) n + k (1 - L/l) (I - n (x) n). A compressed spring
+(l < L) is unstable sideways, so the projected tangent uses max(0, 1 - L/l). At l = 0 the direction is undefined and the
+force is set to zero; the energy stays finite.
+
+A network of springs has Cauchy's symmetry, C_ijkl = C_ikjl: Poisson's ratio of an isotropic network is 1/4 where its
+nodes follow a uniform strain (Love 1927, note B; `coefficients.SPRING_ALONG`). `network` gives the ratios that
+irregular networks have.
 """
 
 import functools
@@ -23,8 +25,13 @@ NODES = 2
 
 
 def block(nodes: np.ndarray, points: np.ndarray, stiffness: np.ndarray) -> Block:
-    """A block of springs at their rest lengths. nodes: (m, 2). points: rest positions (n, 3) [m]. stiffness: k (m,)
-    [N/m], not negative."""
+    """A block of springs at their rest lengths.
+
+    Args:
+        nodes: (m, 2).
+        points: rest positions (n, 3) [m].
+        stiffness: k (m,) [N/m], not negative.
+    """
     stiffness = np.asarray(stiffness, float)
     edge = points[nodes[:, 1]] - points[nodes[:, 0]]
     length = np.linalg.norm(edge, axis=1)
@@ -33,12 +40,12 @@ def block(nodes: np.ndarray, points: np.ndarray, stiffness: np.ndarray) -> Block
 
 
 def state_size(block: Block) -> int:
-    """A tangent remembers k n and the stiffness across."""
+    """A tangent stores n and the stiffness across it."""
     return 4
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
-    """(m, 6, 6) [N/m]."""
+    """The tangent at u = 0 (m, 6, 6) [N/m]."""
     p = block.parameters
     n = p["edge"] / p["length"][:, None]
     along = p["stiffness"][:, None, None] * n[:, :, None] * n[:, None, :]

@@ -1,35 +1,35 @@
-"""Quadratic tetrahedron, stable neo-Hookean; at high Poisson's ratio most of the bulk stiffness acts on the element's
-mean volume.
+"""Quadratic tetrahedron of a stable neo-Hookean solid. At a high Poisson's ratio most of the bulk stiffness acts on the
+element's mean volume.
 
     Psi(F) = mu/2 (|F|^2 - 3) - mu (J - 1) + mu/2 (J - 1)^2 + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,  J = det F
 
-Smith, de Goes and Kim, "Stable neo-Hookean flesh simulation" (2018), without the origin barrier and with the rest state
-moved back to F = I, so that small strains give exactly (mu, lambda) of linear elasticity. Finite at J <= 0: an
-inverted element has a finite energy and a force that restores it.
+The law is that of Smith, de Goes and Kim, "Stable neo-Hookean flesh simulation" (2018), without the origin barrier and
+with the rest state moved back to F = I, so that small strains give exactly (mu, lambda) of linear elasticity. The
+energy is finite at J <= 0, and the force restores an inverted element.
 
-High Poisson's ratio: with J at four Gauss points the element has nearly as many constraints as freedoms, and locks;
-with the element's mean Jbar alone (Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985: one pressure an
-element) it is too soft. So lambda is divided: lambda_p = min(lambda, `POINTWISE` mu) at the Gauss points, lambda_m =
-the rest (its harmonic mean) on Jbar. This has no threshold in nu, and up to nu = 0.4 changes nothing. Measured: normal
-force of the block of scenes/indent-homogeneous.toml, 5 mm deep, tier `fem` (5,040 tetrahedra), against 384 hexahedra
-of 27 nodes and linear pressure under the same law (elements of 3.5 mm at the contact of a quarter block; at nu 0.45
-within 0.1 % of the extrapolated 9.67 N of references/s1.json, at nu 0.499 not refined further):
+At a high Poisson's ratio an element with J at four Gauss points has nearly as many constraints as degrees of freedom,
+and locks. With the element's mean Jbar alone (Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985: one
+pressure per element) it is too soft. Lambda is therefore divided: lambda_p = min(lambda, `POINTWISE` mu) acts at the
+Gauss points, and lambda_m, the harmonic mean of the remainder, acts on Jbar. The division has no threshold in nu, and
+up to nu = 0.4 lambda_m is zero. The table gives the normal force on the block of scenes/indent-homogeneous.toml at 5 mm
+depth (tier `fem`, 5,040 tetrahedra), against 384 hexahedra with 27 nodes and linear pressure under the same law. The
+hexahedra measure 3.5 mm at the contact of a quarter block; at nu 0.45 their force is within 0.1 % of the extrapolated
+9.67 N of references/s1.json, and at nu 0.499 they were not refined further.
 
     all at the points / divided / all on the mean:   nu 0.45   9.72 / 9.68 / 9.52 N   against  9.68 N
                                                      nu 0.499  10.31 / 10.18 / 10.02 N  against 10.17 N
 
-Tangent: H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p + mu and c = kappa (J - 1) - mu +
-lambda_m (Jbar - 1), and a part of rank one for the element. It is applied from F, which is recomputed; stored are c at
-the Gauss points and, with the mean, the gradient of Jbar. The first two terms are positive semi-definite. The third
-makes the tangent indefinite where |c| is large, so the projected tangent takes theta c for c, with theta <= 1 so small
-that no eigenvalue is negative (clamping each one, which takes a singular value decomposition and 45 numbers, saved no
-Newton step). The eigenvalues are known in closed form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic
-distortion energies", 2019): twists and flips mu +- c s_k, and those of the 3 x 3 block of the stretches, with s_k the
-singular values of F.
+The tangent at a Gauss point is H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p + mu and
+c = kappa (J - 1) - mu + lambda_m (Jbar - 1); lambda_m adds one term of rank one per element. F is recomputed for every
+product, and only c at the Gauss points and the gradient of Jbar are stored. The first two terms are positive
+semi-definite. The third makes the tangent indefinite where |c| is large, so the projected tangent replaces c by theta c
+with the theta <= 1 at which no eigenvalue is negative. (Clamping each eigenvalue, which takes a singular value
+decomposition and 45 numbers, saved no Newton step.) The eigenvalues have a closed form (Smith, de Goes and Kim,
+"Analytic eigensystems for isotropic distortion energies", 2019): mu +- c s_k for twists and flips, and those of the
+3 x 3 block of the stretches, with s_k the singular values of F.
 
-Ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides, four Gauss points, moduli per Gauss
-point.
-Vectors are (3 n, B): degree of freedom by touch; node i owns rows 3 i, 3 i + 1, 3 i + 2.
+The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides and four Gauss points,
+each with moduli of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
 """
 
 import functools
@@ -45,8 +45,8 @@ from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import shape_gradients
 
 NODES = 10
-# lambda at the Gauss points, at most this many mu (all of it up to nu = 0.4); what is over acts on the mean volume
 POINTWISE = 4.0
+"""Largest lambda at the Gauss points, in units of mu; 4 is all of lambda up to nu = 0.4."""
 
 
 def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
@@ -54,24 +54,27 @@ def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.n
     """A block of quadratic tetrahedra.
 
     Args:
-        nodes: (m, 10), corners then edges. gradients: of the barycentric coordinates (m, 4, 3) [1/m].
-        volume: (m,) [m^3]. mu, lam: Lamé's constants at the Gauss points (m, 4) [Pa]. pointwise: how much of lambda
-        acts at the Gauss points, in units of mu.
+        nodes: (m, 10), corners then edges.
+        gradients: of the barycentric coordinates (m, 4, 3) [1/m].
+        volume: (m,) [m^3].
+        mu: Lamé's second constant at the Gauss points (m, 4) [Pa].
+        lam: Lamé's first constant there (m, 4) [Pa].
+        pointwise: largest lambda that acts at the Gauss points, in units of mu.
     """
     local = np.minimum(lam, pointwise * mu)
-    over = np.where(lam - local > 1e-9 * lam, lam - local, 0.0)  # not what rounding leaves
+    over = np.where(lam - local > 1e-9 * lam, lam - local, 0.0)  # below 1e-9 it is rounding error
     mean = np.where((over > 0.0).all(axis=1), 4.0 / (1.0 / np.maximum(over, 1e-300)).sum(axis=1), 0.0)
     return Block("tet10", np.asarray(nodes, np.int32), {
         "gradients": gradients, "volume": volume, "mu": mu, "lam": local, "mean_lam": mean})
 
 
 def state_size(block: Block) -> int:
-    """Numbers that a tangent remembers: c at the Gauss points, and with a mean the gradient of Jbar."""
+    """A tangent stores c at the Gauss points (4) and, where lambda_m acts, the gradient of Jbar (30)."""
     return 34 if block.parameters["mean_lam"].any() else 4
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
-    """Element stiffness at rest, i.e. of linear elasticity, (m, 30, 30) [N/m], rows node by node."""
+    """Element stiffness at rest, that of linear elasticity (m, 30, 30) [N/m], rows node by node."""
     p = block.parameters
     m = len(block)
     out = np.zeros((m, 10, 3, 10, 3))
@@ -117,11 +120,11 @@ def kernels(real: type) -> Any:
     def cofactor_change(f: mat33, d: mat33):
         return wp.matrix_from_rows(
             wp.cross(d[1], f[2]) + wp.cross(f[1], d[2]), wp.cross(d[2], f[0]) + wp.cross(f[2], d[0]),
-                                   wp.cross(d[0], f[1]) + wp.cross(f[0], d[1]))
+            wp.cross(d[0], f[1]) + wp.cross(f[0], d[1]))
 
     @wp.func(module=module)
     def volume_change(d: mat33):
-        # J - 1 = tr D + (second invariant of D) + det D, without cancellation; the first two apart
+        # J - 1 = tr D + (second invariant of D) + det D, without cancellation: the trace, and the other two terms.
         second = (
             d[0, 0] * d[1, 1] + d[1, 1] * d[2, 2] + d[2, 2] * d[0, 0]
             - d[0, 1] * d[1, 0] - d[1, 2] * d[2, 1] - d[2, 0] * d[0, 2]
@@ -130,7 +133,7 @@ def kernels(real: type) -> Any:
 
     @wp.func(module=module)
     def pressure(x: mat103, s: mat43, g: mat33, mean_lam: real):
-        # of the mean volume ratio, and its share (Jbar - 1)
+        # lambda_m (Jbar - 1)
         total = real(0.0)
         for q in range(4):
             trace, rest = volume_change(gradient(x, s, g, q))
@@ -139,8 +142,8 @@ def kernels(real: type) -> Any:
 
     @wp.func(module=module)
     def scaling(f: mat33, mu: real, kappa: real, c: real):
-        # theta: the part of c that leaves no eigenvalue of mu I + kappa cof (x) cof + theta c d(cof)/dF negative.
-        # squares of the singular values of F, as roots of the cubic (Smith 1961)
+        # theta, the factor of c with which no eigenvalue of mu I + kappa cof (x) cof + theta c d(cof)/dF is negative.
+        # The squared singular values of F are the roots of a cubic (Smith 1961).
         m = wp.transpose(f) * f
         centre = (m[0, 0] + m[1, 1] + m[2, 2]) / real(3.0)
         off = m[0, 1] * m[0, 1] + m[1, 2] * m[1, 2] + m[2, 0] * m[2, 0]
@@ -167,8 +170,8 @@ def kernels(real: type) -> Any:
         theta = real(1.0)
         if size > mu:
             theta = mu / size
-        # stretches: mu I + kappa p p^T + theta c S, p_k = s_i s_j, S_ij = s_k. All leading minors positive, or half is
-        # enough: |S| <= 2 s0
+        # Stretches: mu I + kappa p p^T + theta c S, p_k = s_i s_j, S_ij = s_k. Unless all leading minors are positive,
+        # theta is halved, which is enough because |S| <= 2 s0.
         p0 = s1 * s2
         p1 = s2 * s0
         p2 = s0 * s1
@@ -217,7 +220,8 @@ def kernels(real: type) -> Any:
         force = mat103()
         total = mat43()
         for q in range(4):
-            # displacement gradient rather than F, so that the energy of small strains keeps its digits
+            # The energy is computed from the displacement gradient, not from F, so that it keeps its digits at small
+            # strains.
             d = gradient(x, s, g, q)
             f = deformation(d)
             cof = cofactor(f)

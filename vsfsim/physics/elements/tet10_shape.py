@@ -2,7 +2,8 @@
 in kernels.
 
 The gradient of a quadratic field is linear in the element. With the barycentric derivatives T_k at the corners it is
-far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q: the sum is made once, and the rest has few terms.
+far (T_0 + .. + T_3) + (near - far) T_q at Gauss point q. The sum is computed once per element, and the second term is
+short.
 """
 
 from types import SimpleNamespace
@@ -13,9 +14,12 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 
-EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # of nodes 4-9; nodes 0-3 are the corners
-GAUSS_NEAR = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0  # barycentric coordinate of the corner that a Gauss point is nearest to
+EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])
+"""Corners of the edges on which nodes 4 to 9 lie (6, 2); nodes 0 to 3 are the corners."""
+GAUSS_NEAR = (5.0 + 3.0 * np.sqrt(5.0)) / 20.0
+"""Barycentric coordinate of a Gauss point for the corner nearest to it [-]."""
 GAUSS_FAR = (5.0 - np.sqrt(5.0)) / 20.0
+"""Barycentric coordinate of a Gauss point for each of the other three corners [-]."""
 
 
 def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
@@ -34,9 +38,9 @@ def shape_gradients(gradients: np.ndarray, q: int) -> np.ndarray:
 def functions(real: type, module: str) -> Any:
     """Device functions for one scalar type, compiled into ``module``.
 
-    load: nodal values of an element (10, 3). edge_sums, gradient: its displacement gradient at a Gauss point, in two
-    steps. stresses, spread,
-    finish: the transpose, from a stress at each Gauss point to nodal forces.
+    ``load`` reads the nodal values of an element (10, 3). ``edge_sums`` and ``gradient`` compute its displacement
+    gradient at a Gauss point, in two steps. ``stresses``, ``spread`` and ``finish`` are the transpose: they turn a
+    stress at each Gauss point into nodal forces.
     """
     vec3 = wp.types.vector(length=3, dtype=real)
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
@@ -58,7 +62,7 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def edge_sums(x: mat103):
-        # 4 far times, for every corner, the sum of the three edge nodes beside it
+        # For every corner, 4 far times the sum of its three edge nodes.
         return far4 * wp.matrix_from_rows(x[4] + x[6] + x[7], x[4] + x[5] + x[8], x[5] + x[6] + x[9],
                                           x[7] + x[8] + x[9])
 
@@ -94,7 +98,7 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def stresses(p: mat33, g: mat33):
-        # what a stress p at a Gauss point does to the four barycentric derivatives
+        # The derivatives of the work of the stress p at a Gauss point by the four barycentric derivatives.
         a = p * g[0]
         b = p * g[1]
         c = p * g[2]
@@ -102,7 +106,7 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def spread(f: mat103, t: mat43, q: int):
-        # the transpose of the second part of `gradient`, added to f
+        # The transpose of the terms of `gradient` that depend on q, added to f.
         if q == 0:
             f[0] += h3 * t[0]
             f[1] -= h * t[1]
@@ -139,7 +143,7 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def finish(f: mat103, t: mat43):
-        # and of the first part, `edge_sums`, for the sum t over the Gauss points
+        # The transpose of `edge_sums`, for the sum t of the stresses over the Gauss points.
         s = far4 * t
         f[4] += s[0] + s[1]
         f[5] += s[1] + s[2]

@@ -29,20 +29,23 @@ from vsfsim.physics.elements.block import Block, matrices_at_rest
 from vsfsim.physics.elements.plane_stress import LAWS
 
 NODES = 3
-_STATE = 18  # u1 u2 n (9), v1 (2), g11 g12 g22, flip, twist, g1/l1, g2/l2
+_STATE = 18
+"""Numbers that a tangent stores: u1, u2, n (9), v1 (2), g11, g12, g22, flip, twist, g1/l1, g2/l2."""
 
 
 def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.ndarray | float, *,
-          law: str = "neo-hookean",
-          poisson_ratio: float = 0.5, tension_field: bool = True) -> Block:
+          law: str = "neo-hookean", poisson_ratio: float = 0.5, tension_field: bool = True) -> Block:
     """A block of membrane triangles.
 
     Args:
-        nodes: (m, 3). points: positions at u = 0 (n, 3) [m], which need not be free of stress.
-        rest: corners of every triangle where it is, each in a plane of its own (m, 3, 2) [m], counter-clockwise.
-        modulus: E h (m,) or one for all [N/m]. law: one of `LAWS`. poisson_ratio: of the linear law; neo-Hookean is
-        incompressible.
-        tension_field: no compression in a slack direction.
+        nodes: (m, 3).
+        points: positions at u = 0 (n, 3) [m], which need not be free of stress.
+        rest: corners of every stress-free triangle, each in a plane of its own (m, 3, 2) [m], counter-clockwise.
+        modulus: E h (m,) or one for all [N/m].
+        law: one of `LAWS`.
+        poisson_ratio: of the linear law [-]; the neo-Hookean law is incompressible and takes 0.5 only.
+        tension_field: whether the energy is the relaxed one, without compression. False keeps W, for sheets whose
+            bending stiffness carries the compression; the tangent is then projected.
     """
     assert law in LAWS and 0.0 <= poisson_ratio <= 0.5 and (law != LAWS[0] or poisson_ratio == 0.5)
     nodes = np.asarray(nodes, np.int32)
@@ -53,13 +56,13 @@ def block(nodes: np.ndarray, points: np.ndarray, rest: np.ndarray, modulus: np.n
     return Block("triangle", nodes, {
         "points": points[nodes], "inverse": np.linalg.inv(edges), "area": area, "modulus": modulus.copy(),
         "law": np.full(len(nodes), LAWS.index(law), np.int32),
-                                     "poisson_ratio": np.full(len(nodes), float(poisson_ratio)),
+        "poisson_ratio": np.full(len(nodes), float(poisson_ratio)),
         "tension_field": np.full(len(nodes), int(tension_field), np.int32)})
 
 
 def flat(corners: np.ndarray) -> np.ndarray:
-    """Corners (m, 3, 3) [m] of triangles in space, each laid into a plane of its own (m, 3, 2): the rest shape of what
-    is stress-free there."""
+    """Rest shapes (m, 3, 2) [m] of triangles that are stress-free with their corners in space at (m, 3, 3) [m]: each is
+    laid into a plane of its own."""
     a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     length = np.linalg.norm(a, axis=1)
     out = np.zeros((len(corners), 3, 2))
@@ -70,7 +73,7 @@ def flat(corners: np.ndarray) -> np.ndarray:
 
 
 def state_size(block: Block) -> int:
-    """A tangent remembers the singular frame and the second derivatives of W in it."""
+    """A tangent stores the singular frame and the second derivatives of W in it."""
     return _STATE
 
 
@@ -80,7 +83,7 @@ def rest_stiffness(block: Block) -> np.ndarray:
 
 
 def matrices(block: Block, state: np.ndarray) -> np.ndarray:
-    """Tangent of every element (m, 9, 9) [N/m] from what it remembers (m, `state_size`)."""
+    """Tangent of every element (m, 9, 9) [N/m] from its stored state (m, `state_size`)."""
     u = state[:, :9].reshape(-1, 3, 3)
     v1 = state[:, 9:11]
     v = np.stack([v1, np.stack([-v1[:, 1], v1[:, 0]], axis=1)], axis=1)
@@ -91,7 +94,7 @@ def matrices(block: Block, state: np.ndarray) -> np.ndarray:
     h[:, 0, 1, 1, 0] = h[:, 1, 0, 0, 1] = 0.5 * (flip - twist)
     h[:, 2, 0, 2, 0], h[:, 2, 1, 2, 1] = along, across
     inverse = block.parameters["inverse"]
-    # of each node's shape function (m, 3, 2)
+    # gradients of the shape functions of the three nodes (m, 3, 2)
     gradient = np.concatenate([-inverse.sum(axis=1, keepdims=True), inverse], axis=1)
     q = np.einsum("maj,mkj->mak", gradient, v)
     w = np.einsum("mic,maj->macij", u, q)
@@ -129,7 +132,7 @@ def kernels(real: type) -> Any:
 
     @wp.func(module=module)
     def frame(f1: vec3, f2: vec3):
-        # singular frame: rows u1, u2, n; v1; stretches
+        # The singular frame (rows u1, u2, n), v1 and the two stretches.
         c11 = wp.dot(f1, f1)
         c22 = wp.dot(f2, f2)
         c12 = wp.dot(f1, f2)
@@ -148,7 +151,7 @@ def kernels(real: type) -> Any:
         u1 = vec3(one, zero, zero)
         if l1 > tiny:
             u1 = wp.normalize(f1 * v1[0] + f2 * v1[1])
-        # a triangle without area still has a direction across: any
+        # The normal of a triangle without area is arbitrary.
         n = wp.cross(u1, vec3(zero, zero, one))
         if wp.abs(u1[2]) > real(0.9):
             n = wp.cross(u1, vec3(one, zero, zero))
@@ -228,7 +231,7 @@ def kernels(real: type) -> Any:
         g22 = zero
         flip = zero
         if state == 2:
-            # (g1 - g2)/(l1 - l2) without the difference of equal numbers
+            # (g1 - g2)/(l1 - l2) written without cancellation
             if law[t] == 0:
                 mu = m / three
                 j = one / (l1 * l1 * l2 * l2)
@@ -258,7 +261,7 @@ def kernels(real: type) -> Any:
             twist = wp.max(twist, zero)
             along = wp.max(along, zero)
             across = wp.max(across, zero)
-            # of the symmetric 2 x 2 block: the part of its eigenvalues that is positive
+            # The symmetric 2 x 2 block keeps its positive eigenvalues only.
             middle = half * (g11 + g22)
             d = half * (g11 - g22)
             r = wp.sqrt(d * d + g12 * g12)

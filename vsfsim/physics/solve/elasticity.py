@@ -154,20 +154,21 @@ class Collective:
 
     number: wp.array
     """The number at the last `forces` (B,), float64."""
-    answer: wp.array
-    """What it causes (ANSWERS, B), float64."""
+    response: wp.array
+    """The response to it (RESPONSES, B), float64; see `elements/block.py`."""
 
     def __init__(self, block: Block, model: list[wp.array], own: Any, shared: Any, device: str):
         self._rows, self._model, self._own, self._shared, self._device = len(block), model, own, shared, device
-        self._answers, self._law = block.element.ANSWERS, own.law(block, device)
+        self._responses, self._law = block.element.RESPONSES, own.law(block, device)
         self._chunk = -(-self._rows // _CHUNKS)
 
     def begin(self, batch: int) -> None:
         """Room for ``batch`` touches."""
         new = {"dtype": wp.float64, "device": self._device}
         self._shares, self._parts = wp.zeros((self._rows, batch), **new), wp.zeros((_CHUNKS, batch), **new)
-        self.number, self.answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
-        self._tangent_number, self._tangent_answer = wp.zeros(batch, **new), wp.zeros((self._answers, batch), **new)
+        self.number, self.response = wp.zeros(batch, **new), wp.zeros((self._responses, batch), **new)
+        self._tangent_number = wp.zeros(batch, **new)
+        self._tangent_response = wp.zeros((self._responses, batch), **new)
         self._true, self._change = wp.zeros(batch, **new), wp.zeros(batch, **new)
 
     def _launch(self, kernel: Any, dim: tuple[int, ...], inputs: list[Any]) -> None:
@@ -178,19 +179,19 @@ class Collective:
         self._launch(k.add_part, (_CHUNKS, len(index)), [index, compact, self._chunk, self._shares, self._parts])
         self._launch(k.add_parts, (len(index),), [index, compact, self._parts, number])
 
-    def _respond(self, index: wp.array, u: wp.array, number: wp.array, answer: wp.array) -> None:
+    def _respond(self, index: wp.array, u: wp.array, number: wp.array, response: wp.array) -> None:
         self._launch(self._own.share, (self._rows, len(index)), [*self._model, index, u, self._shares])
         self._add(index, 0, number)
-        self._launch(self._own.respond, (len(index),), [self._law, index, number, answer])
+        self._launch(self._own.respond, (len(index),), [self._law, index, number, response])
 
     def forces(self, index: wp.array, u: wp.array, part: tuple[wp.array, ...]) -> None:
-        """The number at u, the answer, and its forces; see `Elasticity.forces`."""
-        self._respond(index, u, self.number, self.answer)
-        self._launch(self._own.forces, (self._rows, len(index)), [*self._model, index, u, self.answer, *part])
+        """The number at u, the response to it, and the forces; see `Elasticity.forces`."""
+        self._respond(index, u, self.number, self.response)
+        self._launch(self._own.forces, (self._rows, len(index)), [*self._model, index, u, self.response, *part])
 
     def tangent(self, index: wp.array, u: wp.array, projected: bool) -> None:
-        """Remember the answer at u, and whether the tangent is the true one."""
-        self._respond(index, u, self._tangent_number, self._tangent_answer)
+        """Store the response at u, and whether the tangent is the true one."""
+        self._respond(index, u, self._tangent_number, self._tangent_response)
         self._launch(self._shared.mark, (len(index),), [index, wp.float64(0.0 if projected else 1.0), self._true])
 
     def multiply(self, index: wp.array, at: wp.array, x: wp.array, force: wp.array) -> None:
@@ -198,7 +199,7 @@ class Collective:
         self._launch(self._own.share_change, (self._rows, len(index)), [*self._model, index, at, x, self._shares])
         self._add(index, 1, self._change)
         self._launch(self._own.multiply, (self._rows, len(index)),
-                     [*self._model, index, at, self._tangent_answer, self._true, self._change, x, force])
+                     [*self._model, index, at, self._tangent_response, self._true, self._change, x, force])
 
 
 class Elasticity:
@@ -266,7 +267,7 @@ class Elasticity:
     def pressure(self) -> wp.array | None:
         """Gauge pressure of the first gas at the last `forces` (B,) [Pa], float64; None without a gas."""
         gas = self._gas()
-        return None if gas is None else gas.answer[0]
+        return None if gas is None else gas.response[0]
 
     @property
     def volume(self) -> wp.array | None:
