@@ -1,4 +1,4 @@
-"""Better diagonals for bent hexahedra: a few vertices change their rank where a tetrahedron came out too flat."""
+"""Better diagonals for bent hexahedra: a few vertices change their rank where a tetrahedron is too flat."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from vsfsim.core.quality import smallest_sine
 
 def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, good: float = 0.2,
                  rounds: int = 60) -> np.ndarray:
-    """A ranking with which `split_hexes` gives better shaped tetrahedra.
+    """A ranking (n,) with which `split_hexes` gives better shaped tetrahedra.
 
-    The worst cell's corners are tried in turn at the very front and the very back of the ranking; what helps the worst
-    tetrahedron of the cells around that corner most is kept. Greedy and deterministic.
+    Each corner of the worst cell is tried at the front and at the back of the ranking. The trial that most improves the
+    worst tetrahedron of the cells around its corner is kept. The search is greedy and deterministic.
 
     Args:
-        vertices: (n, 3) [m]. hexes: (c, 8). rank: (n,), distinct.
+        vertices: (n, 3) [m].
+        hexes: (c, 8).
+        rank: (n,), distinct.
         good: sine of a dihedral angle that needs no improvement [-].
-        rounds: worst cells tried, at most.
+        rounds: largest number of cells tried.
     """
     rank = rank.copy()
-    # the cells at each vertex: corners in the order of their vertices, each worth an eighth of a cell
+    # The cells at each vertex: the corners are sorted by vertex, and eight corners make a cell.
     around = np.split(np.argsort(hexes, axis=None, kind="stable") // 8,
                       np.cumsum(np.bincount(hexes.ravel(), minlength=len(vertices)))[:-1])
     tets, owner = split_hexes(hexes, rank)
@@ -35,12 +37,12 @@ def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, g
         trials = [(v, place) for v in hexes[cell] for place in (rank.min() - 1, rank.max() + 1)]
         cells = [around[v] for v, _ in trials]
         ranks = [np.where(hexes[near] == v, place, rank[hexes[near]]) for (v, place), near in zip(trials, cells)]
-        # One call for all trials: a call costs far more than a cell.
+        # All trials share one call, because a call costs far more than a cell.
         scores = _cell_scores(vertices, hexes[np.concatenate(cells)], np.concatenate(ranks))
         scores = np.split(scores, np.cumsum([len(near) for near in cells])[:-1])
         gains = [new.min() - score[near].min() if new[near == cell][0] > score[cell] else -np.inf
                  for near, new in zip(cells, scores)]
-        # Rounded, so that equal gains are decided by order on every machine.
+        # The gains are rounded, so that on every machine the first of several equal gains is chosen.
         best = int(np.argmax(np.round(gains, 9)))
         if gains[best] < 1e-9:
             given_up[cell] = True
@@ -53,8 +55,8 @@ def improve_rank(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray, *, g
 
 
 def _cell_scores(vertices: np.ndarray, hexes: np.ndarray, rank: np.ndarray) -> np.ndarray:
-    """Smallest sine in each cell (c,); ``rank`` (c, 8) of its corners."""
-    # Each cell gets vertices of its own, numbered by rank: split_hexes only compares within a cell.
+    """Smallest sine of a dihedral angle in each cell (c,) [-]; ``rank`` (c, 8) is that of its corners."""
+    # Each cell gets vertices of its own, because split_hexes compares ranks only within a cell.
     own = np.arange(hexes.size).reshape(hexes.shape)
     tets, owner = split_hexes(own, rank.reshape(-1))
     out = np.full(len(hexes), np.inf)

@@ -1,7 +1,7 @@
 """The materials of shoes: the stiffness and the usual appearance of each class.
 
-The moduli are effective ones of the parts of a shoe under a fingertip-sized press (a sheet of leather in tension is far
-stiffer), chosen so that the parts span 1e4 to 1e7 Pa as SBML reports for its shoes.
+The moduli are effective moduli of the parts of a shoe pressed by a body of fingertip size; a sheet of leather in
+tension is far stiffer. They are chosen to span 1e4 to 1e7 Pa, the range that SBML reports for its shoes.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ import numpy as np
 
 from vsfsim.core.solid import Appearance
 
-# How much of a material's brightness follows its stiffness within the class; the rest is chance.
 _BRIGHTNESS_CORRELATION = 0.6
+"""Correlation of a region's log brightness with its stiffness within the class [-]."""
 _BRIGHTNESS_SPREAD = 0.35
+"""Scale of the variation of the log brightness [-]."""
 
 
 @dataclass(frozen=True)
@@ -23,15 +24,15 @@ class MaterialClass:
     """One class of material."""
 
     young_modulus: tuple[float, float]
-    """Least and largest Young's modulus, log-uniform between [Pa]."""
+    """Bounds of Young's modulus, whose distribution is log-uniform [Pa]."""
     colours: tuple[tuple[float, float, float], ...]
-    """Typical colours, linear RGB, 0 to 1; one is drawn and varied."""
+    """Typical colours in linear RGB, 0 to 1; one of them is drawn and varied."""
     texture: str
     """One of `vsfsim.core.solid.TEXTURES`."""
     texture_scale: tuple[float, float]
-    """Least and largest wavelength of the texture [m]."""
+    """Bounds of the texture's wavelength [m]."""
     texture_contrast: tuple[float, float]
-    """Least and largest relative amplitude of the texture, 0 to 1."""
+    """Bounds of the texture's relative amplitude, 0 to 1."""
 
 
 CLASSES: dict[str, MaterialClass] = {
@@ -57,14 +58,13 @@ CLASSES: dict[str, MaterialClass] = {
                                           (0.03, 0.03, 0.03)),
                              "plain", (0.010, 0.020), (0.00, 0.03)),
 }
+"""Classes whose typical colours and textures both depend on the material."""
 
-
-# A shoe is sold in many colours, and its parts share one. In these classes the colour does not depend on the material,
-# and the texture does: a softer material has a coarser relief, from a loose knit to moulded plastic.
 COLOURWAYS = ((0.16, 0.16, 0.17), (0.70, 0.69, 0.66), (0.55, 0.10, 0.09), (0.12, 0.22, 0.55), (0.14, 0.40, 0.20),
-              (0.74, 0.60, 0.14),
-              (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
+              (0.74, 0.60, 0.14), (0.38, 0.23, 0.12), (0.48, 0.46, 0.44), (0.45, 0.16, 0.42), (0.80, 0.44, 0.32))
+"""Colours of whole shoes, linear RGB, 0 to 1."""
 SOLE_MATERIAL = "ribbed-rubber"
+"""Class of the sole in `TEXTURED` and `GRADED`."""
 TEXTURED: dict[str, MaterialClass] = {
     "knit": MaterialClass((4e4, 1.2e5), COLOURWAYS, "weave", (0.008, 0.013), (0.80, 0.95)),
     "fleece": MaterialClass((1.2e5, 4e5), COLOURWAYS, "noise", (0.009, 0.014), (0.65, 0.85)),
@@ -73,33 +73,36 @@ TEXTURED: dict[str, MaterialClass] = {
     "plastic": MaterialClass((4e6, 1e7), COLOURWAYS, "plain", (0.010, 0.020), (0.00, 0.02)),
     SOLE_MATERIAL: MaterialClass((2e6, 1e7), COLOURWAYS, "stripes", (0.016, 0.024), (0.20, 0.30)),
 }
-# The same appearances with five grades of stiffness, each twice the one before and at most a fifth wide to either side.
-# The forces of a fingertip's press then span 20 to 1, as for the papers' shoes; with `TEXTURED` they span 250 to 1.
+"""Classes whose colour does not depend on the material: all parts of a shoe share one colour of `COLOURWAYS`. The
+texture does: a softer material has a coarser relief, from a loose knit to moulded plastic."""
 GRADED: dict[str, MaterialClass] = {
     **{name: replace(TEXTURED[name], young_modulus=(0.84 * middle, 1.19 * middle))
        for name, middle in (("knit", 1.2e5), ("fleece", 2.4e5), ("felt", 4.8e5), ("leather", 9.6e5),
                             ("plastic", 1.92e6))},
     SOLE_MATERIAL: replace(TEXTURED[SOLE_MATERIAL], young_modulus=(2e6, 3e6)),
 }
+"""The appearances of `TEXTURED` with five grades of stiffness. Each modulus is twice the previous one and varies by at
+most a fifth. The forces of a fingertip's press then span 20 to 1, as for the papers' shoes; with `TEXTURED` they span
+250 to 1."""
 
 
 def draw_modulus(name: str, rng: np.random.Generator, *, table: Mapping[str, MaterialClass] = CLASSES) -> float:
-    """Young's modulus [Pa] of a piece of class ``name`` of ``table``."""
+    """A random Young's modulus [Pa] of class ``name`` of ``table``."""
     low, high = table[name].young_modulus
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative: float, rng: np.random.Generator, *,
                     table: Mapping[str, MaterialClass] = CLASSES) -> Appearance:
-    """The appearance of each region: mostly that of its material, and darker for a stiffer one, but neither always. For
-    another table than `CLASSES` see `_one_colour`.
+    """The appearance of each region. With the table `CLASSES` it is usually that of the region's class, and stiffer
+    regions are darker on average; for the other tables see `_one_colour`.
 
     Args:
         names: material class of each region, R of them.
         young_modulus: of each region (R,) [Pa].
-        informative: probability that a region looks like its own class; else like one drawn from all.
-        rng: stream; the number of draws does not depend on the outcome.
-        table: of the classes.
+        informative: probability that a region has the appearance of its own class rather than of a random class [-].
+        rng: random stream; the number of draws does not depend on the outcome.
+        table: the classes.
     """
     if table is not CLASSES:
         return _one_colour(names, informative, rng, table)
@@ -110,7 +113,7 @@ def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative
         look = table[name if keeps else other]
         base = np.array(look.colours[int(rng.integers(len(look.colours)))])
         low, high = np.log(table[name].young_modulus)
-        # -1 at the soft end of the class, +1 at the stiff end.
+        # stiffness within the class, from -1 (softest) to +1 (stiffest)
         place = np.clip(2.0 * (np.log(modulus) - low) / (high - low) - 1.0, -1.0, 1.0)
         chance = rng.uniform(-1.0, 1.0)
         brightness = np.exp(-_BRIGHTNESS_SPREAD * (rho * place + np.sqrt(1.0 - rho**2) * chance))
@@ -123,7 +126,7 @@ def draw_appearance(names: Sequence[str], young_modulus: np.ndarray, informative
 
 def _one_colour(names: Sequence[str], informative: float, rng: np.random.Generator,
                 table: Mapping[str, MaterialClass]) -> Appearance:
-    """One colour for all regions, within about a tenth, and mostly the texture of each region's material."""
+    """One colour for all regions, varied by about a tenth; each region usually has the texture of its own class."""
     every, colour = tuple(table), np.array(COLOURWAYS[int(rng.integers(len(COLOURWAYS)))])
     albedo, texture, scale, contrast = [], [], [], []
     for name in names:

@@ -1,6 +1,6 @@
-"""Species-like presets of plants and the allowed range of every parameter: the table to extend with a new plant.
+"""Species-like presets of plants, and the allowed range of every parameter. A new plant is a new row of `SPECIES`.
 
-Sizes, densities and materials are chosen to differ as artificial and potted plants do; they are not measured on any
+Sizes and materials are chosen to differ as those of artificial and potted plants do; they are not measured on any
 species.
 """
 
@@ -20,7 +20,7 @@ TRUNK, BRANCH, PETIOLE, LEAF = range(4)
 
 @dataclass(frozen=True)
 class Level:
-    """Axes that grow on the axes of the level before."""
+    """Branches that grow on the axes of the previous level, the bearing axes."""
 
     count: int
     """Number on each axis."""
@@ -31,13 +31,13 @@ class Level:
     angle: float
     """Angle from the axis [rad]."""
     length: float
-    """Length over that of the axis [-]."""
+    """Length, as a fraction of the bearing axis's length [-]."""
     radius: float
-    """Radius over that of the axis [-]."""
+    """Radius at the base, as a fraction of the bearing axis's radius there [-]."""
     taper: float = 0.5
-    """Radius at the tip over that at the base [-]."""
+    """Ratio of the radius at the tip to that at the base [-]."""
     droop: float = 0.0
-    """Downward curvature [1/m], negative for upwards."""
+    """Downward curvature [1/m]; a negative one bends upwards."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class Species:
     radius: float
     """Radius of a stem at its foot [m]."""
     taper: float
-    """Radius of a stem at its tip over that at its foot [-]."""
+    """Ratio of a stem's radius at its tip to that at its foot [-]."""
     droop: float
     """Downward curvature of the stems [1/m]."""
     levels: tuple[Level, ...]
@@ -81,13 +81,13 @@ class Species:
     leaves: Leaves
     """The leaves."""
     wood: tuple[float, float]
-    """Least and largest Young's modulus of stems, log-uniform between [Pa]; so for the next three."""
+    """Bounds of Young's modulus of stems, whose distribution is log-uniform [Pa]."""
     shoot: tuple[float, float]
-    """That of branches [Pa]."""
+    """The same for branches [Pa]."""
     petiole: tuple[float, float]
-    """That of petioles [Pa]."""
+    """The same for petioles [Pa]."""
     leaf: tuple[float, float]
-    """That of blades [Pa]."""
+    """The same for blades [Pa]."""
     bark: tuple[float, float, float]
     """Usual colour of stems and branches, linear RGB, 0 to 1."""
     foliage: tuple[float, float, float]
@@ -147,22 +147,27 @@ SPECIES: dict[str, Species] = {
 
 @dataclass(frozen=True)
 class PlantOptions:
-    """What a scene may ask of a plant. species: key of `SPECIES`; "random": one of them with every size drawn within a
-    factor of 1.5; or "by-object": the first for object 0 of a dataset, the second for object 1 and so on. scale: of all
-    lengths [-]. variation: every size of a species is drawn within this fraction of its own. leaf_share: fraction of
-    the leaves that grow. max_segments: leaves are left out until the plant has no more. appearance_informative:
-    probability that a part looks as stiff as it is. leaves: False for a bare plant. modulus_factor: of all moduli [-].
-    segment: length of wood's segments [m]."""
+    """The parameters of a plant."""
 
     species: str
+    """A key of `SPECIES`; "random" for a random one with every size drawn within a factor of 1.5; or "by-object" for
+    the first species for object 0 of a dataset, the second for object 1, and so on."""
     scale: float
+    """Factor on all lengths [-]."""
     variation: float
+    """Largest relative deviation of a size from the species' value [-]."""
     leaf_share: float
+    """Fraction of the leaves that grow [-]."""
     max_segments: int
+    """Largest number of segments; the plant has only as many leaves as this allows."""
     appearance_informative: float
+    """Probability that a part's appearance depends on its own stiffness [-]."""
     leaves: bool
+    """Whether the plant has leaves."""
     modulus_factor: float
+    """Factor on all moduli [-]."""
     segment: float
+    """Length of the segments of stems and branches [m]."""
 
 
 def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
@@ -182,8 +187,8 @@ def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
     if not isinstance(leaves, bool):
         raise SceneError(f"{where}: leaves is {leaves!r}; it must be true or false.")
     number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
-        ("scale", 1.0, 0.2, 2.0), ("variation", 0.15, 0.0, 0.5), ("leaf_share", 1.0, 0.0,
-                                                                  1.0), ("max_segments", 500, 3, 2000),
+        ("scale", 1.0, 0.2, 2.0), ("variation", 0.15, 0.0, 0.5), ("leaf_share", 1.0, 0.0, 1.0),
+        ("max_segments", 500, 3, 2000),
         ("appearance_informative", 0.8, 0.0, 1.0), ("modulus_factor", 1.0, 1e-6, 1e3), ("segment", 0.02, 0.002, 0.1))}
     return PlantOptions(species, number["scale"], number["variation"], number["leaf_share"],
                         int(number["max_segments"]), number["appearance_informative"], leaves,
@@ -191,8 +196,7 @@ def read_parameters(parameters: Mapping[str, Any], where: str) -> PlantOptions:
 
 
 def drawn(options: PlantOptions, rng: np.random.Generator, number: int) -> tuple[str, Species]:
-    """The species to grow as object ``number``, its sizes drawn, and its name. The number of draws does not depend on
-    the outcome."""
+    """Name and species of object ``number``, with random sizes. The number of draws does not depend on the outcome."""
     names = tuple(SPECIES)
     pick, wild = int(rng.integers(len(names))), options.species == "random"
     name = names[pick] if wild else names[number % len(names)] if options.species == "by-object" else options.species

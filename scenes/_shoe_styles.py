@@ -1,4 +1,4 @@
-"""Styles of shoe and the allowed range of every parameter: the table to extend with a new shoe."""
+"""Styles of shoe, and the allowed range of every parameter. A new shoe is a new row of `STYLES`."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class ShoeForm:
     heel_width: float
     """Width at the heel [m]."""
     collar_height: float
-    """Height of the top line at the ankle above the ground under the foot [m]; so for the other heights."""
+    """Height of the top line at the ankle above the ground [m]."""
     throat_height: float
-    """Height of the top line where the tongue begins [m]."""
+    """Height of the top line above the ground where the tongue begins [m]."""
     toe_height: float
-    """Height of the toe box [m]."""
+    """Height of the toe box above the ground [m]."""
     sole_heel: float
     """Thickness of the sole under the heel [m]."""
     sole_fore: float
@@ -58,10 +58,12 @@ RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class Style:
-    """A kind of shoe: its usual form, and the material classes each region may be made of."""
+    """A kind of shoe."""
 
     form: ShoeForm
+    """The usual form."""
     materials: Mapping[str, tuple[str, ...]]
+    """Material classes that each region may be made of."""
 
 
 STYLES: dict[str, Style] = {
@@ -93,18 +95,18 @@ class ShoeOptions:
     side: str
     """"left" or "right"."""
     variation: float
-    """Form values that the scene does not give are drawn within this fraction of the style's."""
+    """Largest relative deviation from the style's form, for values that the scene does not give [-]."""
     appearance_informative: float
-    """Probability that a region looks like its own material."""
+    """Probability that a region has the appearance of its own material [-]."""
     materials: str
-    """With "style" the style's own materials, which colour and texture indicate. With "any" all parts but the sole are
-    mostly of one class of `_materials.TEXTURED`, in any colour, so that only the texture indicates it. With "graded"
-    the same with the moduli of `_materials.GRADED`."""
+    """With "style", the style's own materials, which colour and texture indicate. With "any", most parts except the
+    sole are of one class of `_materials.TEXTURED` in a random colour, so that only the texture indicates the material.
+    With "graded", the same with the moduli of `_materials.GRADED`."""
 
 
 def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,
                     where: str) -> tuple[ShoeForm, ShoeOptions]:
-    """Check the scene's parameters and draw the ones it leaves open.
+    """Check the scene's parameters, and draw those that the scene does not give.
 
     Raises:
         SceneError: an unknown parameter, style or side, or a number out of its range.
@@ -123,7 +125,7 @@ def read_parameters(parameters: Mapping[str, Any], rng: np.random.Generator,
     usual = STYLES[options.style].form
     form = {}
     for name, (low, high) in RANGES.items():
-        # Drawn whether needed or not, so that fixing one parameter leaves the others as they were.
+        # Every factor is drawn, needed or not, so that fixing one parameter does not change the others.
         factor = 1.0 + options.variation * rng.uniform(-1.0, 1.0)
         if name in parameters:
             form[name] = _number(parameters, name, 0.0, low, high, where)

@@ -1,8 +1,9 @@
 """Potted plants: stems, branches of tapering radius, petioles and leaf blades, as a tree of beams.
 
-`grow` makes the tree (`vsfsim.core.plant.Plant`). An axis is a chain of segments that turns a little at every one; the
-axes of the next level, or the leaves, stand around it by the golden angle. Young's modulus is drawn for every axis
-within its species' range for wood (stems), shoots (branches), petioles or leaves, and varies along it.
+`grow` makes the tree (`vsfsim.core.plant.Plant`). An axis is a chain of segments whose direction varies a little from
+one to the next. The axes of the next level, or the leaves, are placed around it at multiples of the golden angle.
+Young's modulus is drawn for every axis within its species' range for stems, branches, petioles or leaves, and varies
+along the axis.
 """
 
 from __future__ import annotations
@@ -30,49 +31,55 @@ from vsfsim.scenes._plant_species import (
     read_parameters,
 )
 
-_GOLDEN = 2.399963  # rad
-_WANDER = 0.05  # rad a segment, how much an axis turns by chance
-_ALONG = 0.15  # standard deviation of ln E along an axis
-_WOOD_DENSITY, _LEAF_DENSITY = 700.0, 600.0  # kg/m^3
+_GOLDEN = 2.399963
+"""The golden angle [rad]."""
+_DIRECTION_SPREAD = 0.05
+"""Standard deviation of the random change of an axis's direction per segment [rad]."""
+_MODULUS_SPREAD = 0.15
+"""Standard deviation of ln E along an axis [-]."""
+_WOOD_DENSITY, _LEAF_DENSITY = 700.0, 600.0
+"""Densities of leaf blades (the second) and of all other parts [kg/m^3]."""
 _BRIGHTNESS = 0.45
+"""Change of the log brightness from the middle to either end of a range of moduli [-]."""
 
 
 def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
-    """A plant in its pot on z = 0, its foot over the origin.
+    """A plant in a pot that stands on z = 0, with the foot of the plant above the origin.
 
     Args:
-        parameters: fields of `_plant_species.PlantOptions`. rng: stream of form, moduli and look, in this order. where:
-        file and section, for the messages.
+        parameters: fields of `_plant_species.PlantOptions`.
+        rng: random stream of form, moduli and appearance, in this order.
+        where: file and section, for error messages.
         number: of the object in its dataset, from 0.
 
     Raises:
-        SceneError: an unknown or impossible parameter.
+        SceneError: a parameter is unknown or out of its range.
     """
     options = read_parameters(parameters, where)
     name, kind = drawn(options, rng, number)
     garden = _Garden(kind, options, rng)
     garden.grow()
     n = len(garden.nodes)
-    look = _look(garden, kind, options.appearance_informative, rng)
+    look = _appearance(garden, kind, options.appearance_informative, rng)
+    region = np.array(garden.region)
     return Plant(
         np.array(garden.nodes), np.array(garden.parent), np.array(garden.radius), np.array(garden.half_width),
-                 np.array(garden.normal),
-        np.array(garden.modulus) * options.modulus_factor, np.where(np.array(garden.region) == LEAF, _LEAF_DENSITY,
-                                                                    _WOOD_DENSITY), np.array(garden.region), REGIONS,
+        np.array(garden.normal), np.array(garden.modulus) * options.modulus_factor,
+        np.where(region == LEAF, _LEAF_DENSITY, _WOOD_DENSITY), region, REGIONS,
         look=np.array(garden.axis), appearance=look, pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
         notes=(f"{name}: {n - 1} segments, {sum(r == LEAF for r in garden.region[1:])} of them of leaves, "
                f"{garden.nodes_top():.2f} m high.",))
 
 
 class _Garden:
-    """The plant while it grows: one entry a node, and one an axis."""
+    """The plant while it grows: lists with one entry per node, and lists with one entry per axis."""
 
     def __init__(self, kind: Species, options: PlantOptions, rng: np.random.Generator):
         self.kind, self.options, self.rng = kind, options, rng
         foot = np.array([0.0, 0.0, kind.pot[1]])
         self.nodes, self.parent, self.radius, self.half_width = [foot], [-1], [kind.radius], [0.0]
         self.normal, self.modulus, self.region, self.axis = [np.zeros(3)], [1e9], [TRUNK], [0]
-        self.axes: list[tuple[int, float]] = []  # region and ln of the mean modulus of each
+        self.axes: list[tuple[int, float]] = []  # region and ln of the mean modulus
         self.shoots: list[list[int]] = []  # nodes of the axes that bear leaves
 
     def nodes_top(self) -> float:
@@ -87,17 +94,17 @@ class _Garden:
             lean = kind.lean * self.rng.uniform(0.5, 1.0)
             way = math.cos(lean) * np.array([0.0, 0.0, 1.0]) + math.sin(lean) * out
             root = 0
-            if kind.spread > 0.0:  # stems side by side hang on the same clamp by a stiff piece in the soil
-                root = self._node(0,
-                                  self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out
-                                  + [0.0, 0.0, 0.002], max(kind.radius, 0.01), TRUNK, 1e10, self._new_axis(TRUNK, 1e10))
+            if kind.spread > 0.0:  # a stiff segment in the soil joins every stem to the clamped node
+                place = (self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out
+                         + [0.0, 0.0, 0.002])
+                root = self._node(0, place, max(kind.radius, 0.01), TRUNK, 1e10, self._new_axis(TRUNK, 1e10))
             stems.append(self._axis_of(root, way, kind.height * self.rng.uniform(0.85, 1.1), kind.radius, kind.taper,
                                        kind.droop, TRUNK, kind.wood))
         bearers = stems
         for level in kind.levels:
             bearers = [child for axis in bearers for child in self._branches(axis, level)]
         if self.options.leaves:
-            self._leave(bearers, kind.leaves)
+            self._add_leaves(bearers, kind.leaves)
 
     def _new_axis(self, region: int, modulus: float) -> int:
         self.axes.append((region, math.log(modulus)))
@@ -120,13 +127,13 @@ class _Garden:
 
     def _axis_of(self, start: int, way: np.ndarray, length: float, radius: float, taper: float, droop: float,
                  region: int, span: tuple[float, float], *, step: float | None = None) -> list[int]:
-        """A chain of round segments from node ``start``; its nodes, the start first."""
+        """Grow a chain of round segments from node ``start``; its nodes, the start first."""
         count = max(1, round(length / (step or self.options.segment)))
         modulus = self._draw(span)
         axis = self._new_axis(region, modulus)
         out, at = [start], start
         for k in range(count):
-            way = way + self.rng.normal(0.0, _WANDER, 3) - [0.0, 0.0, droop * length / count]
+            way = way + self.rng.normal(0.0, _DIRECTION_SPREAD, 3) - [0.0, 0.0, droop * length / count]
             way = way / np.linalg.norm(way)
             place = self.nodes[at] + length / count * way
             if place[2] < 0.02:  # nothing grows into the table
@@ -134,7 +141,7 @@ class _Garden:
                 if np.linalg.norm(place - self.nodes[at]) < 0.2 * length / count:
                     break
             thick = radius * (1.0 - (1.0 - taper) * (k + 0.5) / count)
-            at = self._node(at, place, thick, region, modulus * math.exp(_ALONG * self.rng.normal()), axis)
+            at = self._node(at, place, thick, region, modulus * math.exp(_MODULUS_SPREAD * self.rng.normal()), axis)
             out.append(at)
         return out
 
@@ -145,7 +152,7 @@ class _Garden:
             place = level.start + (level.end - level.start) * (k + 0.5) / level.count
             joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))]
             way = self._around(joint, turn + k * _GOLDEN, level.angle * self.rng.uniform(0.8, 1.2))
-            # the higher a branch starts, the shorter it is
+            # Branches that start higher are shorter.
             out.append(self._axis_of(joint, way,
                                      level.length * length * self.rng.uniform(0.8, 1.2) * (1.2 - 0.5 * place),
                                      level.radius * self.radius[joint], level.taper, level.droop, BRANCH,
@@ -160,8 +167,8 @@ class _Garden:
         across = math.cos(azimuth) * side + math.sin(azimuth) * np.cross(along, side)
         return math.cos(angle) * along + math.sin(angle) * across
 
-    def _leave(self, bearers: list[list[int]], leaves: Leaves) -> None:
-        """Leaves on all axes that bear any, as many as the plant may have segments for."""
+    def _add_leaves(self, bearers: list[list[int]], leaves: Leaves) -> None:
+        """Grow leaves on the axes ``bearers``, as many as the largest number of segments allows."""
         blade_parts = max(2, min(5, round(leaves.blade[0] / 0.045)))
         each = blade_parts + (max(1, round(leaves.petiole[0] / 0.025)) if leaves.petiole[0] > 0.0 else 0)
         sites = [(axis, k) for axis in bearers for k in range(leaves.count)]
@@ -191,28 +198,28 @@ class _Garden:
             if place[2] < 0.02:
                 return
             normal = np.array([0.0, 0.0, 1.0]) - way[2] * way
-            if np.linalg.norm(normal) < 0.1:  # a blade that stands upright faces any way
+            if np.linalg.norm(normal) < 0.1:  # the normal of an upright blade is arbitrary
                 normal = np.cross(way, np.array([1.0, 0.0, 0.0]))
             normal /= np.linalg.norm(normal)
             shape = math.sin(math.pi * (0.12 + 0.76 * (k + 0.5) / parts))
-            at = self._node(at, place, 0.5 * thickness, LEAF, modulus * math.exp(_ALONG * self.rng.normal()), axis,
-                            0.5 * width * shape, normal)
+            local = modulus * math.exp(_MODULUS_SPREAD * self.rng.normal())
+            at = self._node(at, place, 0.5 * thickness, LEAF, local, axis, 0.5 * width * shape, normal)
 
 
-def _look(garden: _Garden, kind: Species, informative: float, rng: np.random.Generator) -> Appearance:
-    """The look of every axis: the stiffer, the browner and darker, as often as ``informative`` says; else as if it had
-    another modulus."""
+def _appearance(garden: _Garden, kind: Species, informative: float, rng: np.random.Generator) -> Appearance:
+    """The appearance of every axis: stiffer axes are browner and darker. With probability 1 - ``informative`` an axis
+    has the appearance of another, random modulus."""
     spans = {TRUNK: kind.wood, BRANCH: kind.shoot, PETIOLE: kind.petiole, LEAF: kind.leaf}
     albedo, texture, scale, contrast = [], [], [], []
     for region, log_modulus in garden.axes:
         low, high = (math.log(v) for v in spans[region])
         place = min(1.0, max(0.0, (log_modulus - low) / max(high - low, 1e-9)))
         other, keeps, chance = rng.uniform(), rng.uniform() < informative, rng.normal(0.0, 0.08, 3)
-        seen = place if keeps else other
+        shown = place if keeps else other
         bark, green = np.array(kind.bark), np.array(kind.foliage)
-        base = {TRUNK: bark, BRANCH: (0.35 + 0.65 * seen) * bark + (0.65 - 0.65 * seen) * green,
+        base = {TRUNK: bark, BRANCH: (0.35 + 0.65 * shown) * bark + (0.65 - 0.65 * shown) * green,
                 PETIOLE: 0.6 * green + 0.4 * np.array([0.45, 0.35, 0.12]), LEAF: green}[region]
-        albedo.append(np.clip(base * math.exp(-_BRIGHTNESS * (2.0 * seen - 1.0)) * np.exp(chance), 0.01, 0.95))
+        albedo.append(np.clip(base * math.exp(-_BRIGHTNESS * (2.0 * shown - 1.0)) * np.exp(chance), 0.01, 0.95))
         texture.append(kind.texture if region in (TRUNK, BRANCH) else ("plain" if region == PETIOLE else "noise"))
         scale.append(rng.uniform(0.004, 0.012))
         contrast.append(rng.uniform(0.1, 0.4) if region != PETIOLE else 0.0)

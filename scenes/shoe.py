@@ -1,10 +1,11 @@
 """A hollow shoe, meshed by construction.
 
-A grid of hexahedra, length x width x height, keeps its outermost layers (the walls) and its lowest (the sole); what
-is inside is the cavity, and a hole in the top layer is the collar. The grid is then bent into a shoe: its outside
-onto one closed surface, its inside onto the same surface drawn in by the wall's thickness. That surface is half a
-ball at the heel, a vault in the middle and half a ball at the toe (the cube-to-sphere map, pairwise
-blended), scaled by the width and height of the shoe along its length.
+A grid of hexahedra, length x width x height, keeps its outermost layers (the walls) and its lowest layers (the sole).
+The cells inside are removed and make the cavity, and a hole in the top layer makes the collar. The grid is then bent
+into a shoe: its outer vertices lie on one closed surface, its inner vertices on the same surface offset inwards by the
+wall's thickness. That surface is half a ball at the heel, a vault in the middle and half a ball at the toe (the
+cube-to-sphere map, with a roundness for each pair of axes), scaled by the width and height of the shoe along its
+length.
 """
 
 from __future__ import annotations
@@ -33,39 +34,39 @@ from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameter
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
 
-# How round an edge of the grid becomes (0 square, 1 a circle): seen from above; the heel's and the toe's
-# profile; the cross-section at the collar and over the forefoot.
+# Roundness of the grid's edges (0 a square, 1 a circle): of the plan view, of the profiles of heel and toe, and of the
+# cross-sections at the collar and over the forefoot.
 _PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
-# Where regions end along the shoe and across its top, as fractions of the length and of the inner width.
+# Extents of the regions: along the shoe as fractions of its length, across its top as a fraction of the inner width.
 _HEEL_COUNTER_END, _TOE_CAP_START, _TONGUE_LENGTH, _TONGUE_WIDTH = 0.17, 0.80, 0.22, 0.36
-# How far walls lean in towards the collar, as a fraction of the half width.
 _LEAN = 0.10
-# A cell is at most this many walls long: a flat panel of such cells bends within 2 % of plate theory, and no usual wall
-# (5.7 mm and more) is affected at the coarsest tier. A curved wall wants more: its bending dies away over sqrt(radius *
-# wall).
-_SLENDER = 3.0
-# Share of the parts of a shoe "of any material" that are of another one than the rest.
+"""Inward lean of the walls at the collar, as a fraction of the half width."""
+_LONGEST_CELL = 3.0
+"""Largest length of a cell, in units of the wall's thickness. A flat panel of such cells bends within 2 % of plate
+theory, and at the coarsest tier no usual wall (5.7 mm and more) is affected. A curved wall needs smaller cells, because
+its bending decays over sqrt(radius * wall)."""
 _OTHER_PART = 0.2
+"""Probability that a part of a shoe with `materials` "any" or "graded" gets a random class, not the common one."""
 
 
 def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
-    """A shoe standing on z = 0, toe towards +x, the origin under the middle of its bounding box.
+    """A shoe that stands on z = 0 with its toe towards +x; the origin is below the centre of its bounding box.
 
     Args:
-        parameters: fields of `ShoeForm` and `ShoeOptions`; what is missing is drawn around the style's values.
-        rng: stream of form, moduli and look (in this order).
-        resolution: size of a cell along the surface [m], 3 walls at most; walls are one cell thick, the sole one or
-        two.
-        where: file and section, for the messages.
+        parameters: fields of `ShoeForm` and `ShoeOptions`; missing ones are drawn around the style's values.
+        rng: random stream of form, moduli and appearance, in this order.
+        resolution: size of a cell along the surface [m], limited to 3 walls; walls are one cell thick, the sole one or
+            two.
+        where: file and section, for error messages.
 
     Raises:
-        SceneError: an unknown or impossible parameter, or a resolution outside 4 to 30 mm.
+        SceneError: a parameter is unknown or out of its range, or the resolution is outside 4 to 30 mm.
     """
     if not 0.004 <= resolution <= 0.030:
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
     form, options = read_parameters(parameters, rng, where)
-    vertices, hexes, hex_region, rank = _mesh(form, min(resolution, _SLENDER * form.wall))
-    # Left and right differ in the bend only; mirroring the grid would turn its cells inside out.
+    vertices, hexes, hex_region, rank = _mesh(form, min(resolution, _LONGEST_CELL * form.wall))
+    # Left and right differ only in the bend, because mirroring the grid would invert its cells.
     vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
     tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
     table = {"style": CLASSES, "any": TEXTURED, "graded": GRADED}[options.materials]
@@ -80,8 +81,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
 
 def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator, *,
             table: Mapping[str, MaterialClass] = CLASSES) -> tuple[np.ndarray, list[str]]:
-    """Young's modulus [Pa] and class of ``table`` of every region; without ``materials`` all parts but the sole are of
-    one class, now and then a part of another."""
+    """Young's modulus [Pa] and class of ``table`` of every region. Without ``materials`` all parts except the sole are
+    of one class, but each gets a random class with probability `_OTHER_PART`."""
     upper = tuple(name for name in table if name != SOLE_MATERIAL)
     most = upper[int(rng.integers(len(upper)))] if not materials else ""
     classes, values = [], []
@@ -94,7 +95,7 @@ def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Gene
         values.append(draw_modulus(name, rng, table=table))
     if not materials:
         return np.array(values), classes
-    # A toe cap and a heel counter are there to stiffen the upper.
+    # A toe cap and a heel counter stiffen the upper, so they are at least this much stiffer.
     values[TOE_CAP] = max(values[TOE_CAP], 1.5 * values[UPPER])
     values[HEEL_COUNTER] = max(values[HEEL_COUNTER], 1.2 * values[UPPER])
     return np.array(values), classes
@@ -104,17 +105,17 @@ def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Gene
 
 
 def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), rank of each vertex for cutting (n,)."""
+    """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), and rank of each vertex for `split_hexes` (n,)."""
     nj = 2 * max(2, round((form.width - 2 * form.wall) / h / 2)) + 2
     height = (2 * form.toe_height + form.collar_height + form.throat_height) / 4 - form.sole_fore
     ks = 2 if 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
     nk = max(2, round((height - form.wall) / h)) + 1 + ks
-    # Stations fall on the borders of the regions, so that a finer mesh is of the same shoe.
+    # Grid planes lie on the borders of the regions, so that meshes of all resolutions have the same regions.
     borders = form.length * np.array([_HEEL_COUNTER_END, form.opening, form.opening + _TONGUE_LENGTH, _TOE_CAP_START])
     marks = [form.wall, *borders, form.length - form.wall]
     counts = [max(1, round((stop - start) / h)) for start, stop in itertools.pairwise(marks)]
-    along = np.concatenate([[0.0, form.wall], *(np.linspace(start, stop, n + 1)[1:] for start, stop, n in
-                                                zip(marks[:-1], marks[1:], counts)), [form.length]])
+    spans = (np.linspace(start, stop, n + 1)[1:] for start, stop, n in zip(marks[:-1], marks[1:], counts))
+    along = np.concatenate([[0.0, form.wall], *spans, [form.length]])
     ni = len(along) - 1
     heel, opening, tongue_end, toe = (1 + n for n in np.cumsum(counts)[:4])
     strap = max(1, round(_TONGUE_WIDTH * (nj - 2) / 2))  # half the tongue's width in cells
@@ -143,12 +144,13 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
 
 
 def _rank(ni: int, nj: int, nk: int) -> np.ndarray:
-    """Cut cells from the grid's edges first (where a corner is flattened), elsewhere in mirrored fives."""
+    """Rank of the vertices: cells are cut from the grid's edges first, where bending flattens a corner, and elsewhere
+    into five tetrahedra, mirrored from cell to cell."""
     i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
     outer = ((i == 0) | (i == ni)).astype(int) + ((j == 0) | (j == nj)) + (k == nk)
     inner = ((i == 1) | (i == ni - 1)).astype(int) + ((j == 1) | (j == nj - 1)) + (k == nk - 1)
     edge = (outer >= 2) | ((outer == 0) & (inner >= 2))
-    # Where three edges meet all three outer faces lie flat: the cut must start from that very corner.
+    # Where three edges meet, all three outer faces become coplanar, so the cut must start from that corner.
     return np.where(outer == 3, 0, np.where(edge, 1, 2 + (i + j + k) % 2))
 
 
@@ -161,7 +163,7 @@ def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int
     profile = _Profile(form)
     i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
     u = along[i]
-    edge = 1.4 * form.wall  # on a rounded corner a step along the grid is that much longer than the wall is thick
+    edge = 1.4 * form.wall  # on a rounded corner a step of the grid is 1.4 times as long as the wall is thick
     side = cross[j]
     half = 0.5 * form.width
     v_out = np.where((j == 0) | (j == nj), np.sign(j - nj / 2), side * (1.0 - edge / half))
@@ -169,10 +171,10 @@ def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int
     upper = profile.top(u) - profile.sole(u)
     w_out = np.where(k == nk, 1.0, rise * (1.0 - edge / upper))
     outside = (i == 0) | (i == ni) | (j == 0) | (j == nj) | (k == nk)
-    # The sole's rim: under the upper it stands out, most halfway down.
+    # The sole's rim projects below the upper, most at half its height.
     flare = np.where(k < ks, form.flare * np.where((k == 0) & (ks > 1), 0.6, 1.0), 0.0)
     shell = _surface(form, profile, u, v_out, w_out, flare)
-    # The sole's inner vertices follow its flare, or the diagonals of its tall outer cells would nearly cross.
+    # The sole's inner vertices follow its flare; otherwise the diagonals of its tall outer cells would nearly cross.
     lining = _surface(form, profile, u, side, rise, flare - form.wall)
     points = np.where(outside[..., None], shell, lining)
     x = points[..., 0]
@@ -184,7 +186,13 @@ def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int
 
 def _surface(form: ShoeForm, profile: _Profile, u: np.ndarray, v: np.ndarray, w: np.ndarray,
              grow: np.ndarray) -> np.ndarray:
-    """The shoe's outside, moved out by ``grow`` [m]; v in -1..1 across, w in 0..1 from the sole up."""
+    """Points (..., 3) [m] of the shoe's outer surface, offset outwards by ``grow`` [m].
+
+    Args:
+        u: coordinate along the shoe from the heel [m].
+        v: coordinate across the shoe, -1 to 1.
+        w: coordinate from the sole up, 0 to 1.
+    """
     heel_end, toe_start = 0.55 * form.heel_width, form.length - 0.62 * form.width
     heel_cap, toe_cap = heel_end + grow, form.length - toe_start + grow
     toe = np.clip((u - toe_start) / toe_cap, 0.0, 1.0)
@@ -199,13 +207,13 @@ def _surface(form: ShoeForm, profile: _Profile, u: np.ndarray, v: np.ndarray, w:
     x = np.where(toe > 0.0, toe_start + toe_cap * toe * fx, np.where(heel > 0.0, heel_end - heel_cap * heel * fx, u))
     lean = 1.0 - _LEAN * w * (1.0 - _step((u / form.length - form.opening) / 0.3))
     y = (profile.half_width(x) + grow) * v * fy * lean
-    # Outwards the sole grows sideways only; inwards the lining sinks below the top.
+    # An outward offset moves the surface sideways only; an inward one also lowers its top.
     z = profile.sole(x) + (profile.top(x) - profile.sole(x) + np.minimum(grow, 0.0)) * w * fz
     return np.stack([x, y, z], axis=-1)
 
 
 class _Profile:
-    """Width and heights of a shoe along its length, smooth functions of x [m] from the heel."""
+    """Half width and heights [m] of a shoe, as smooth functions of the distance x [m] from the heel."""
 
     def __init__(self, form: ShoeForm):
         heel, ball = 0.5 * form.heel_width, 0.5 * form.width
@@ -218,7 +226,7 @@ class _Profile:
             (0.0, 1.06 * form.collar_height), (0.06, 1.05 * form.collar_height), (0.20, form.collar_height),
             (0.5 * (0.2 + o), 0.45 * form.collar_height + 0.55 * form.throat_height), (o, form.throat_height),
             (0.5 * (o + 0.76), 0.5 * form.throat_height + 0.5 * toe + 0.002), (0.76, 1.10 * toe), (0.90, toe),
-                                         (1.0, 0.92 * toe)))
+            (1.0, 0.92 * toe)))
         self.sole = _spline(form.length, ((0.0, form.sole_heel), (0.25, form.sole_heel), (0.62, form.sole_fore),
                                           (1.0, form.sole_fore)))
         self.bottom = _spline(form.length, ((0.0, 0.0), (0.26, 0.0), (0.36, form.arch), (0.44, form.arch), (0.56, 0.0),
@@ -228,7 +236,8 @@ class _Profile:
 
 
 def _spline(length: float, knots: tuple[tuple[float, float], ...]) -> Callable[[np.ndarray], np.ndarray]:
-    """A smooth curve near ``knots`` (fraction of the length, value): the polygon, averaged over a tenth."""
+    """A smooth curve near ``knots`` (fraction of the length, value): the polygon through them, smoothed over a tenth of
+    the length."""
     grid = np.linspace(-0.2, 1.2, 1401)
     polygon = np.interp(grid, *np.transpose(knots))
     kernel = np.hanning(103)[1:-1]
@@ -242,5 +251,6 @@ def _step(t: np.ndarray) -> np.ndarray:
 
 
 def _curve(s: np.ndarray) -> np.ndarray:
-    """Sideways offset of the centre line, one at the waist and minus one at the toe, for s in 0..1."""
+    """Sideways offset of the centre line for s in 0..1, in units of the bend: positive at the waist, negative at the
+    toe."""
     return np.sin(math.pi * np.clip(s, 0.0, 1.0)) * 0.6 - _step((s - 0.45) / 0.55)

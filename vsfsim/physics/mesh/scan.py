@@ -1,9 +1,9 @@
 """A user's own surface mesh, checked, repaired and filled with tetrahedra.
 
-The filler is fTetWild through pytetwild (Hu et al. 2020): it takes holes and self-intersections, and keeps what the
-generalised winding number calls inside. Its output differs from run to run, even with one thread, so the first
-result is kept under a hash of the input and every later build reads that one. A lock lets one worker fill a mesh while
-the others wait.
+The filler is fTetWild through pytetwild (Hu et al. 2020). It accepts holes and self-intersections, and fills the region
+that the generalised winding number classifies as inside. Its output differs from run to run, even with one thread, so
+the first result is stored under a hash of the input and every later build reads it. A lock lets one worker fill a mesh
+while the others wait.
 """
 
 from __future__ import annotations
@@ -27,36 +27,41 @@ from vsfsim.physics.mesh.manifold import body_of_each_tet, drop_pinches
 from vsfsim.physics.mesh.winding import winding_number
 
 FORMATS = (".obj", ".ply", ".stl")
-# A bounding box of more units than this is read as millimetres; nothing that a robot arm touches is larger.
+"""File formats that are read."""
 LARGEST = 5.0
+"""Largest allowed edge of the bounding box [m]. Nothing that a robot arm touches is larger, so a file with a bounding
+box of more units is read as millimetres."""
 SMALLEST = 0.002
-# A second body up to this fraction of the first is scanner debris; more is a second object.
+"""Smallest allowed length of the longest edge of the bounding box [m]."""
 DEBRIS = 0.05
+"""Fraction of the largest body's volume up to which another body is scanner debris; a larger one is a second object."""
 MAX_TETS = 2_000_000
-# Part of the cache key: raise it when the repairs or the filling change.
+"""Largest estimated number of tetrahedra in the bounding box."""
 _RECIPE = 2
-# How far the surface may move, in parts of the element size. fTetWild's own 0.1 % of the diagonal, a 67th of an element
-# of 12 mm in a hand-sized scan, makes it cut a bumpy surface into three times the tetrahedra asked for; a 20th costs
-# half a per cent of the volume.
+"""Part of the cache key, to be raised when the repairs or the filling change."""
 _ENVELOPES = (1 / 20, 1 / 100)
-# A fill whose volume differs more from the surface's is tried again in the tighter envelope: a wall was thinner than
-# the first.
+"""Distances that the surface may move, in units of the element size; the second is tried if the first changes the
+volume by more than `_VOLUME`. fTetWild's default is 0.1 % of the diagonal, 1/67 of an element of 12 mm in a hand-sized
+scan. With it a bumpy surface is cut into three times the requested number of tetrahedra; 1/20 costs half a per cent of
+the volume."""
 _VOLUME = 0.02
+"""Relative difference between filled volume and surface's volume above which a wall was thinner than the envelope."""
 
 
 def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = None) -> Solid:
-    """Read, repair and fill a surface mesh; every repair is a sentence in ``notes``.
+    """Read, repair and fill a surface mesh; ``notes`` has one sentence per repair.
 
     Args:
-        shape: file and scale (None: decided from the size).
-        resolution: edge length of the tetrahedra aimed at [m].
+        shape: file and scale (None: metres or millimetres, by the size).
+        resolution: target edge length of the tetrahedra [m].
         cache: folder for filled meshes; None is ``$XDG_CACHE_HOME/vsfsim`` or ``~/.cache/vsfsim``.
 
     Returns:
-        One region "body", base centre at the origin: lowest z is 0, x and y centred.
+        A solid with one region "body"; its lowest z is 0, and its bounding box is centred in x and y.
 
     Raises:
-        MeshError: unreadable, no faces, not finite, flat, of absurd size, several objects, or not fillable.
+        MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, is too large or too small,
+            holds several objects, or cannot be filled.
     """
     path = Path(shape.path)
     content = _content(path)
@@ -70,17 +75,18 @@ def fill_mesh_file(shape: MeshFile, *, resolution: float, cache: Path | None = N
             surface, notes = read_surface(shape)
             vertices, tets, more = fill(surface, resolution, path)
             _write(stored, vertices, tets, notes + more)
-            # Where there are no locks another worker may have been first; its file is then the one everybody uses.
+            # On a file system without locks another worker may have been first; every worker then uses its file.
             found = _read(stored) or (vertices, tets, notes + more)
     vertices, tets, notes = found
     return Solid(vertices, tets, np.zeros(len(tets), np.int64), ("body",), notes=tuple(notes))
 
 
 def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
-    """The surface in metres, consistently wound outwards where that can be told, and what was done to it.
+    """The surface in metres, wound outwards where an outside exists, and one sentence per repair.
 
     Raises:
-        MeshError: unreadable, no faces, not finite, flat, or of absurd size.
+        MeshError: the file is unreadable, or the mesh has no faces, is not finite, is flat, or is too large or too
+            small.
     """
     path, notes = Path(shape.path), []
     mesh = _load(path)
@@ -99,35 +105,32 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
         notes.append(f"Removed {duplicate} duplicate faces.")
     if not len(mesh.faces):
         raise MeshError(f"mesh file '{path}' has no faces with an area (of {before} given); a closed triangle "
-                        f"surface is needed.")
+                        "surface is needed.")
 
     extent = float(mesh.extents.max())
     scale = _metres_per_unit(shape, extent)
     if shape.scale is None:
         if scale != 1.0:
             notes.append(f"The bounding box is {extent:.4g} units long, more than {LARGEST:g}, so the file was read as "
-                         f"millimetres; "
-                         "give scale (metres per unit) to say otherwise.")
+                         f"millimetres; give scale (metres per unit) to say otherwise.")
     else:
         notes.append(f"Scaled by {scale:g} metres per unit, as given.")
     mesh.apply_scale(scale)
     extent *= scale
     if not SMALLEST <= extent <= LARGEST:
         raise MeshError(f"mesh file '{path}': its bounding box is {extent:.4g} m long after a scale of {scale:g}; "
-                        f"allowed is "
-                        f"{SMALLEST:g} to {LARGEST:g} m. Give the right scale (metres per unit), e.g. "
+                        f"allowed is {SMALLEST:g} to {LARGEST:g} m. Give the right scale (metres per unit), e.g. "
                         f"{{ mesh = \"{path.name}\", scale = 0.01 }} for centimetres.")
     if mesh.extents.min() < 1e-4 * extent or _is_planar(mesh.vertices):
         raise MeshError(f"mesh file '{path}' is a flat sheet ({' x '.join(f'{e:.4g}' for e in mesh.extents)} m) and "
-                        f"encloses no volume; "
-                        "give it thickness, e.g. with a solidify modifier.")
+                        "encloses no volume; give it thickness, e.g. with a solidify modifier.")
 
     if not mesh.is_winding_consistent:
         given = mesh.faces.copy()
         trimesh.repair.fix_winding(mesh)
         turned = int((mesh.faces != given).any(axis=1).sum())
         notes.append(f"Faces were wound inconsistently; turned {turned} of {len(given)} to agree with their "
-                     f"neighbours.")
+                     "neighbours.")
     inside_out = 0
     for faces in trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(mesh.faces)), min_len=1):
         if _signed_volume(mesh.vertices, mesh.faces[faces]) < 0.0 and not _is_cavity(mesh, faces):
@@ -138,16 +141,15 @@ def read_surface(shape: MeshFile) -> tuple[trimesh.Trimesh, list[str]]:
     if not mesh.is_watertight:
         _, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
         notes.append(f"Not watertight: {int((count == 1).sum())} open edges and {int((count > 2).sum())} edges with "
-                     f"more than two "
-                     "faces; closed by the filler.")
+                     "more than two faces; closed by the filler.")
     return mesh, notes
 
 
 def extents(shape: MeshFile) -> np.ndarray:
-    """Edges of the file's bounding box (3,) [m]; an axis on which it is flat has 0.
+    """Edges of the file's bounding box (3,) [m].
 
     Raises:
-        MeshError: unreadable, no faces, or not finite.
+        MeshError: the file is unreadable, or the mesh has no faces or is not finite.
     """
     path = Path(shape.path)
     stamp = path.stat().st_mtime_ns if path.is_file() else None
@@ -156,7 +158,7 @@ def extents(shape: MeshFile) -> np.ndarray:
 
 @functools.lru_cache(maxsize=16)
 def _extents(shape: MeshFile, stamp: int | None) -> np.ndarray:
-    # ``stamp`` is the file's time: an edited file is read again
+    # ``stamp``, the file's modification time, is part of the key so that an edited file is read again.
     _content(Path(shape.path))
     mesh = _load(Path(shape.path))
     used = mesh.vertices[np.unique(mesh.faces)]
@@ -167,18 +169,18 @@ def _extents(shape: MeshFile, stamp: int | None) -> np.ndarray:
 
 
 def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Tetrahedra (vertices (n, 3) [m], corners (m, 4)) inside a surface, standing on the origin, and notes.
+    """Vertices (n, 3) [m] and tetrahedra (m, 4) inside a surface, with the base centre at the origin, and notes.
 
     Raises:
-        MeshError: too many cells, nothing inside, or more than one object.
+        MeshError: the mesh would have too many tetrahedra, encloses no volume, or holds more than one object.
     """
     notes = []
-    # About 8.5 regular tetrahedra of edge h in h^3; a body fills some third of its bounding box.
+    # A volume h^3 holds about 8.5 regular tetrahedra of edge h, and a body fills about a third of its bounding box.
     cells = 3.0 * float(np.prod(surface.extents)) / resolution**3
     if cells > MAX_TETS:
         raise MeshError(f"mesh file '{path}': resolution {resolution:g} m would cut its bounding box of "
                         f"{' x '.join(f'{e:.3g}' for e in surface.extents)} m into about {cells:.1e} tetrahedra; use a "
-                        f"coarser resolution, and check the scale.")
+                        "coarser resolution, and check the scale.")
     for envelope in _ENVELOPES:
         vertices, tets = _run_filler(surface, resolution,
                                      envelope * resolution / float(np.linalg.norm(surface.extents)), path)
@@ -191,7 +193,7 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
     if volumes.sum() < 1e-4 * float(np.prod(surface.extents)):
         raise MeshError(f"mesh file '{path}' encloses no volume: {volumes.sum():.3g} m^3 of a bounding box of "
                         f"{float(np.prod(surface.extents)):.3g} m^3. It is an open sheet; close it or give "
-                        f"it thickness.")
+                        "it thickness.")
     flat = volumes <= 1e-9 * resolution**3
     tets = tets[~flat]
     body = body_of_each_tet(tets)
@@ -199,20 +201,18 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
     if (sizes > DEBRIS * sizes.max()).sum() > 1:
         listing = ", ".join(f"{1e6 * v:.3g}" for v in np.sort(sizes)[::-1][:5])
         raise MeshError(f"mesh file '{path}' holds {int((sizes > DEBRIS * sizes.max()).sum())} separate bodies "
-                        f"(volumes {listing} cm^3); "
-                        "an object is one body. Keep one, or join them.")
+                        f"(volumes {listing} cm^3); an object is one body. Keep one, or join them.")
     if len(sizes) > 1:
         notes.append(f"Dropped {len(sizes) - 1} loose pieces, {100 * (1 - sizes.max() / sizes.sum()):.2g} % of "
-                     f"the volume.")
+                     "the volume.")
         tets = tets[body == sizes.argmax()]
     kept = drop_pinches(vertices, tets)
     if kept is None:
         raise MeshError(f"mesh file '{path}': its surface touches itself in so many places at resolution "
-                        f"{resolution:g} m that "
-                        "no clean boundary is left; use a finer resolution.")
+                        f"{resolution:g} m that no clean boundary is left; use a finer resolution.")
     if len(kept) < len(tets):
         notes.append(f"Removed {len(tets) - len(kept)} tetrahedra where the surface touched itself at a point "
-                     f"or an edge.")
+                     "or an edge.")
     used, tets = np.unique(kept, return_inverse=True)
     vertices, tets = vertices[used], tets.reshape(-1, 4)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
@@ -220,13 +220,12 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
     notes.append(f"Moved by ({', '.join(f'{-s:.4g}' for s in shift)}) m so that the base centre is the origin.")
     if surface.is_watertight and abs(tet_volumes(vertices, tets).sum() / surface.volume - 1.0) > _VOLUME:
         notes.append(f"The filled volume is {100 * tet_volumes(vertices, tets).sum() / surface.volume:.3g} % of the "
-                     f"surface's; "
-                     "overlapping parts count once, and detail finer than the resolution is lost.")
+                     "surface's; overlapping parts count once, and detail finer than the resolution is lost.")
     return vertices - shift, tets, notes
 
 
-# fTetWild leaves "__tracked_surface.stl" in the working directory, and a mesh it cannot digest may take the process
-# with it: it works in a process and a folder of its own.
+# fTetWild runs in a process and a folder of its own: it leaves "__tracked_surface.stl" in the working directory, and
+# may crash on a mesh that it cannot fill.
 _FILLER = """
 import sys
 import numpy as np
@@ -236,8 +235,8 @@ vertices, tets = pytetwild.tetrahedralize(given["vertices"], given["faces"], edg
                                           epsilon=float(given["envelope"]), num_threads=1, quiet=True)
 np.savez(sys.argv[2], vertices=vertices, tets=tets)
 """
-# Minutes are normal for a fine mesh of a detailed scan; this is where it hangs [s].
-_PATIENCE = 1800.0
+_TIME_LIMIT = 1800.0
+"""Time after which the filler is stopped [s]; a fine mesh of a detailed scan takes minutes."""
 
 
 def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float,
@@ -248,14 +247,13 @@ def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float,
                  resolution=resolution, envelope=envelope)
         try:
             done = subprocess.run([sys.executable, "-c", _FILLER, str(given), str(made)], cwd=folder, check=False,
-                                  capture_output=True, text=True, timeout=_PATIENCE)
+                                  capture_output=True, text=True, timeout=_TIME_LIMIT)
             reason = (done.stderr.strip().splitlines() or [f"it ended with status {done.returncode}"])[-1]
         except subprocess.TimeoutExpired:
-            reason = f"it took more than {_PATIENCE / 60:g} minutes"
+            reason = f"it took more than {_TIME_LIMIT / 60:g} minutes"
         if not made.exists():
             raise MeshError(f"mesh file '{path}' could not be filled with tetrahedra of {resolution:g} m: {reason}. "
-                            f"Use a coarser "
-                            "resolution, or repair the mesh by hand (e.g. in MeshLab).")
+                            "Use a coarser resolution, or repair the mesh by hand (e.g. in MeshLab).")
         with np.load(made, allow_pickle=False) as data:
             return data["vertices"].astype(np.float64), data["tets"].astype(np.int64)
 
@@ -263,13 +261,12 @@ def _run_filler(surface: trimesh.Trimesh, resolution: float, envelope: float,
 def _content(path: Path) -> bytes:
     if path.suffix.lower() not in FORMATS:
         raise MeshError(f"mesh file '{path}' ends in '{path.suffix}'; allowed are {', '.join(FORMATS)}. Convert it, "
-                        f"e.g. with MeshLab.")
+                        "e.g. with MeshLab.")
     try:
         return path.read_bytes()
     except OSError as error:
         raise MeshError(f"mesh file '{path}' cannot be read: {error.strerror}. Give the path of an OBJ, PLY "
-                        f"or STL file, "
-                        "relative to the scene file.") from error
+                        "or STL file, relative to the scene file.") from error
 
 
 def _metres_per_unit(shape: MeshFile, longest: float) -> float:
@@ -292,7 +289,7 @@ def _load(path: Path) -> trimesh.Trimesh:
                         f"{type(error).__name__}: {error}. Export it again.") from error
     if not isinstance(mesh, trimesh.Trimesh) or mesh.vertices is None or not len(mesh.faces):
         raise MeshError(f"mesh file '{path}' has no faces; a closed triangle surface is needed (a point cloud is "
-                        f"not enough).")
+                        "not enough).")
     return trimesh.Trimesh(np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64), process=False)
 
 
@@ -302,13 +299,13 @@ def _is_planar(vertices: np.ndarray) -> bool:
 
 
 def _signed_volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    # About the part's own centre, so that an open part is judged by its shape and not by where it lies.
+    # The volume is taken about the part's centre, so that the result for an open part does not depend on its position.
     a, b, c = (vertices[faces[:, n]] - vertices[np.unique(faces)].mean(axis=0) for n in range(3))
     return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
 
 
 def _is_cavity(mesh: trimesh.Trimesh, faces: np.ndarray) -> bool:
-    """Whether an inside-out part is within the rest, which then is a hollow body with this cavity."""
+    """Whether a part that is wound inwards lies inside the other parts, and thus is a cavity of a hollow body."""
     others = np.setdiff1d(np.arange(len(mesh.faces)), faces)
     if not len(others):
         return False
