@@ -38,11 +38,19 @@ def toy_views():
 
 
 @pytest.fixture(scope="session")
-def toy_dataset(tmp_path_factory, toy_views):
-    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
-                    splits={"train": 1, "test": 2},
-                    device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in toy_views]) as writer:
-        for view in toy_views:
-            writer.add(view)
-        return writer.finish()
+def write_dataset(tmp_path_factory):
+    """Writes the views of three mock objects, the first for training, into a folder of their own."""
+    def write(views):
+        recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=len(views[0].touches),
+                        splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+        with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in views]) as writer:
+            for view in views:
+                writer.add(view)
+            return writer.finish()
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def toy_dataset(write_dataset, toy_views):
+    return write_dataset(toy_views)

@@ -7,6 +7,7 @@ import pytest
 from scipy import sparse
 
 from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.mock import mock_view
 from vsfsim.bench.noise import stream
 from vsfsim.bench.observations import OBSERVATIONS, Channel, Observation, observation
 from vsfsim.bench.protocol import record
@@ -77,12 +78,19 @@ def test_a_new_observation_is_read_with_its_own_noise(plate_task, toy_views):
     assert error.std() == pytest.approx(0.05, rel=4.5 / np.sqrt(2 * error.size))
 
 
+@pytest.fixture(scope="module")
+def thirty_touches(write_dataset):
+    return write_dataset([mock_view(i, split="train" if i < 1 else "test", touches=30) for i in range(3)])
+
+
 @pytest.mark.parametrize("method", ["gaussian", "point-vsf"])
-def test_methods_predict_a_new_observation(plate_task, toy_dataset, method):
-    result = evaluate(method, plate_task, toy_dataset, parameters={"noise_std": 0.2}, seeds=1)
-    nothing = evaluate("toy_methods:Constant", plate_task, toy_dataset, parameters={"value": 0.0}, seeds=1)
+def test_methods_predict_a_new_observation(plate_task, thirty_touches, method):
+    task = dataclasses.replace(plate_task, dataset=dataclasses.replace(plate_task.dataset, touches=30))
+    result = evaluate(method, task, thirty_touches, parameters={"noise_std": 0.2}, seeds=1)
+    nothing = evaluate("toy_methods:Constant", task, thirty_touches, parameters={"value": 0.0}, seeds=1)
     assert result.unit == "N" and result.observation == "plate-force"
-    # 0.27 (gaussian) and 0.33 (point-vsf) here, 0.28 and 0.33 for "normal-force". The mock object obeys the particle
-    # model, but a query touch also meets particles that no support touch displaced.
-    assert result.scores["rmse"]["all"].mean < 0.45 * nothing.scores["rmse"]["all"].mean
-    assert result.scores["coverage90"]["all"].mean > 0.8
+    # The mock object obeys the particle model, but a query touch also meets particles that no support touch displaced:
+    # few, with 26 touches of support. Over nine seeds of the mock objects the ratio is 0.11 to 0.26 with a standard
+    # deviation of 0.05, and the coverage 0.90 to 0.98 with 0.025. With 8 touches of support the ratio was up to 0.84.
+    assert result.scores["rmse"]["all"].mean < 0.35 * nothing.scores["rmse"]["all"].mean
+    assert result.scores["coverage90"]["all"].mean > 0.85
