@@ -72,8 +72,8 @@ def test_the_fast_continuous_field_finds_it(scene):
     # density.
     shift, turn = errors(scene, stiffness_pose(known, particles[touched], density(model, particles[touched]),
                                                threshold=4e8, tries=16))
-    # Blurred over cells of 4 mm, on an object of which 9 mm are felt: a turned pose may explain the field better than the
-    # true one (a loss of 2.9e10 against 5.5e10 at 31 degrees; 5 degrees with the next seed of the touches), so the turn
+    # Blurred over cells of 4 mm, on an object of which 9 mm are felt: a turned pose may explain the field better than
+    # the true one (a loss of 2.9e10 against 5.5e10 at 31 degrees; 5 degrees with seed 1 of the touches), so the turn
     # only excludes an object turned over. The shift was 1.8 and 2.0 mm.
     assert shift < 0.006 and turn < 0.8
 
