@@ -7,7 +7,8 @@ import pytest
 
 import references
 from references.closed_forms import comparisons
-from references.soft_block import Block, Press, curve
+from references.soft_block import Block, Press, curve, s1
+from references.soft_block_inclusion import half_block, s2
 
 FOLDER = Path(references.__file__).parent
 
@@ -32,7 +33,7 @@ def test_closed_forms_give_the_stored_values():
 @pytest.fixture(scope="module")
 def pressed():
     """A coarse quarter block under a sphere, displaced at random, in contact."""
-    press = Press(Block.of((0.1, 0.1, 0.05), 0.02, 0.02, 1.5, 3), 1e5, 0.45, 0.02)
+    press = Press(Block.quarter((0.1, 0.1, 0.05), 0.02, 0.02, 1.5, 3), 1e5, 0.45, 0.02)
     press.centre[2] -= 0.004
     rng = np.random.default_rng(0)
     u = np.zeros(press.u.size)
@@ -65,13 +66,37 @@ def test_the_tangent_is_the_gradient_of_the_forces(pressed):
     assert np.linalg.norm(found - expected) < 1e-3 * np.linalg.norm(expected)
 
 
+def test_the_mesh_of_s2_conforms_to_the_inclusion():
+    setting = references.load("s2")["setting"]
+    block, stiff = half_block(tuple(setting["block_m"]), np.array([0.015, 0.0, 0.03798]), 0.012, 4, 1)
+    assert block.weights.sum() == pytest.approx(0.5 * np.prod(setting["block_m"]), rel=1e-12)
+    assert block.face_weights.sum() == pytest.approx(0.5 * np.prod(setting["block_m"][:2]), rel=1e-12)
+    # quadratic faces on the sphere: 1.1e-4 too little on this mesh
+    assert block.weights[stiff].sum() == pytest.approx(2.0 / 3.0 * np.pi * 0.012**3, rel=2e-4)
+    # every side that belongs to one element alone lies on the surface: the parts of the mesh are connected
+    grid = block.cells.reshape(-1, 3, 3, 3)
+    sides = np.concatenate([np.take(grid, end, axis=k).reshape(-1, 9) for k in (1, 2, 3) for end in (0, 2)])
+    found, count = np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)
+    corners = block.points[found[count == 1]]
+    outside = (np.abs(corners - block.points.min(axis=0)) < 1e-9) | (np.abs(corners - block.points.max(axis=0)) < 1e-9)
+    assert outside.all(axis=1).any(axis=1).all()
+
+
 @pytest.mark.slow
 def test_s1_is_recomputed():
     """Cells of 5 mm at the contact; finer ones come nearer, see references/README.md."""
     data = references.load("s1")
-    setting = data["setting"]
-    force = curve(0.005, [0.0025, 0.005], size=tuple(setting["block_m"]), young_modulus=setting["young_modulus_Pa"],
-                  poisson_ratio=setting["poisson_ratio"], radius=0.02, even=0.015)
+    force = curve(s1(0.005, data["setting"]), [0.0025, 0.005])
     stored = np.interp([0.0025, 0.005], data["depth_m"], data["force_N"])
     # 1.3 % and 0.7 % too large on this mesh
     assert force == pytest.approx(stored, rel=0.015)
+
+
+@pytest.mark.slow
+def test_s2_is_recomputed():
+    """Four elements along the inclusion's box, cells of 7.5 mm at the contact."""
+    data = references.load("s2")
+    force = curve(s2(4, data["setting"]), data["depth_m"])
+    # 4.0 % and 6.6 % too large on this mesh
+    assert force == pytest.approx(data["force_N"], rel=0.07)
+    assert force == pytest.approx(data["recomputed"]["force_N"][data["recomputed"]["cell_m"].index(0.0075)], rel=1e-3)
