@@ -1,7 +1,7 @@
 """The particle model of one object: the papers' particles behind a view, and the observation rows of its touches.
 
 The particles and the rows of a touch do not depend on the stiffness (SBML eq. 5), so they are computed once and kept:
-4 shots x 10 seeds on one object cost one simulation a touch. `vsfsim.baselines.posterior` estimates the stiffness.
+in one trial, a touch costs one simulation. `vsfsim.baselines.posterior` estimates the stiffness.
 """
 
 from __future__ import annotations

@@ -166,6 +166,8 @@ class Row:
     """Share of the frames whose program was solved [-]."""
     seconds: float
     """CPU time of a frame [s]."""
+    images: str = "in time"
+    """Whether the images are of the frame, late, or late and aligned."""
 
 
 def contenders(calibration: BubbleCalibration, presses: Sequence[PressRecord], *,
@@ -202,14 +204,25 @@ def compare(field: Sequence[Contender], presses: Sequence[PressRecord], *, noise
         measured = [noisy(p, rng, displacement_std=level, pressure_std=PRESSURE_STD if level else 0.0) for p in presses]
         for one in field:
             progress(f"{one.label} at {1e3 * level:g} mm")
-            options = replace(one.options, displacement_std=max(level, 1e-5))
-            estimator = DenseForceEstimator(one.calibration, method=one.method, options=options)
-            began = time.process_time()
-            found = [estimator.estimate(p.position, p.pressure) for p in measured]
-            spent = (time.process_time() - began) / sum(len(p.depth) for p in measured)
-            scores = [score(f.force, p.force) for f, p in zip(found, presses, strict=True)]
-            rows += _bins(one.label, level, spent, presses, scores, [f.converged for f in found])
+            rows += errors_of(one, measured, presses, level)
     return rows
+
+
+def errors_of(one: Contender, measured: Sequence[PressRecord], presses: Sequence[PressRecord], level: float, *,
+              images: str = "in time") -> list[Row]:
+    """One contender's rows, from what it reads (``measured``) and the true forces (``presses``) of the same frames.
+
+    Args:
+        level: standard deviation of a node's coordinate [m]. images: for the rows.
+    """
+    options = replace(one.options, displacement_std=max(level, 1e-5))
+    estimator = DenseForceEstimator(one.calibration, method=one.method, options=options)
+    began = time.process_time()
+    found = [estimator.estimate(p.position, p.pressure) for p in measured]
+    spent = (time.process_time() - began) / sum(len(p.depth) for p in measured)
+    scores = [score(f.force, p.force) for f, p in zip(found, presses, strict=True)]
+    return [replace(row, images=images) for row in
+            _bins(one.label, level, spent, presses, scores, [f.converged for f in found])]
 
 
 def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord], scores: list[Any],
@@ -229,14 +242,17 @@ def _bins(label: str, level: float, spent: float, presses: Sequence[PressRecord]
 
 
 def report(settings: dict[str, Any], rows: Sequence[Row], field: Sequence[Contender], presses: Sequence[PressRecord],
-           notes: Sequence[str] = ()) -> Measurement:
-    """Errors of all contenders, one table a noise level."""
+           notes: Sequence[str] = (), *, recipe: Sequence[Row] = ()) -> Measurement:
+    """Errors of all contenders, one table a noise level, and one of the ``recipe`` with a real sensor's noise."""
     calibrated = {c.label: {"stiffness": c.calibration.stiffness, "force_scale": c.options.force_scale,
                             "net_error": c.calibrated} for c in field if c.calibrated is not None}
-    stored = [asdict(row) for row in rows]
-    printed = [{**row, "bin": f"{1e3 * row['low']:.0f} to {1e3 * row['high']:.0f} mm",
-                "node_share": row["node_rms"] / row["node_size"], "net_share": row["net"] / row["net_size"]}
-               for row in stored]
+    stored, stored_recipe = [asdict(row) for row in rows], [asdict(row) for row in recipe]
+
+    def printed(some: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        return [{**row, "bin": f"{1e3 * row['low']:.0f} to {1e3 * row['high']:.0f} mm",
+                 "node_share": row["node_rms"] / row["node_size"], "net_share": row["net"] / row["net_size"]}
+                for row in some]
+
     columns = (Column("label", "estimator"), Column("bin", "depth"), Column("frames", "frames", "1"),
                Column("node_rms", "node RMS", "N", form=".4f"), Column("node_share", "of true", "1", "%", ".0f"),
                Column("net", "net force", "N", form=".3f"), Column("net_share", "of true", "1", "%", ".0f"),
@@ -250,9 +266,13 @@ def report(settings: dict[str, Any], rows: Sequence[Row], field: Sequence[Conten
         tables.append(Table(
             f"noise {1e3 * level:g} mm on each coordinate of a node" + (f", {PRESSURE_STD} Pa on the pressure" if level
                                                                         else ""), columns,
-            [row for row in printed if row["noise"] == level]))
+            printed([row for row in stored if row["noise"] == level])))
+    if recipe:
+        tables.append(Table("the noise of a real Punyo; its images are late against the pressure",
+                            (columns[0], Column("images", "images"), *columns[1:]), printed(stored_recipe)))
     names = ", ".join(p.name for p in presses[:8]) + (", ..." if len(presses) > 8 else "")
-    return Measurement.of("dense-force", settings, tables, numbers={"rows": stored, "calibrated": calibrated}, notes=[
+    return Measurement.of("dense-force", settings, tables, numbers={"rows": stored, "recipe": stored_recipe,
+                                                                   "calibrated": calibrated}, notes=[
         *notes, f"{len(presses)} presses ({names}), {sum(len(p.depth) for p in presses)} frames."])
 
 

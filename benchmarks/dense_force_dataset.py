@@ -8,21 +8,26 @@ its error without noise says nothing; a note says so.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.dense_force import NOISE, compare, contenders, report
+from benchmarks.dense_force import NOISE, Contender, Row, compare, contenders, errors_of, report
 from benchmarks.measurement import Measurement, Progress
+from vsfsim.bench.noise import NOISE_KINDS, Noise
+from vsfsim.bench.noise_bubble import noisy_nodes, noisy_pressure
 from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import parse_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, Touch
-from vsfsim.sensing.bubble_touch import rim_of
+from vsfsim.sensing.bubble_touch import aligned_nodes, rim_of
 from vsfsim.sensing.dense_force import BubbleCalibration
 from vsfsim.sensing.dense_force_score import PressRecord
 
 DEEP = (0.0015, 0.0045, 0.0085)  # of the frames taken of a touch, the nearest ones [m]
 CALIBRATING = 4  # touches of the train split
+IMAGES = ("in time", "late", "aligned")
+"""Images without a lag, with the lag of a real Punyo as they come, and with its lag taken out."""
 _FELT = 0.05  # force from which a frame counts as contact [N], a third of a real sensor's noise
 
 
@@ -57,7 +62,44 @@ def measure(dataset: Dataset, *, noise: Sequence[float] = NOISE[:2],
         notes.append("The bubble was simulated on the read-out mesh itself: 'membrane' shares mesh and law with it.")
     field = contenders(calibration, training, progress=progress)
     rows = compare(field, presses, noise=noise, progress=progress)
-    return report({"dataset": str(dataset.path), "noise": list(noise)}, rows, field, presses, notes)
+    scored = [(view, number, touch) for view in views[splits[-1]] for number, touch in enumerate(view.touches)
+              if len(chosen(touch))][-len(presses):]
+    late = recipe(field, scored, presses, progress=progress)
+    return report({"dataset": str(dataset.path), "noise": list(noise)}, rows, field, presses, notes, recipe=late)
+
+
+def recipe(field: Sequence[Contender], touches: Sequence[tuple[ObjectView, int, Touch]], presses: Sequence[PressRecord],
+           *, progress: Progress = lambda _: None) -> list[Row]:
+    """Every contender on touches with all of a real sensor's noise, for each of `IMAGES`.
+
+    Args:
+        field: estimators.
+        touches: views, numbers and touches of ``presses``, whose frames are those of `chosen`.
+    """
+    rows = []
+    for images in IMAGES:
+        noise = Noise(**{"offset_std": 0.0, "drift_std": 0.0, "tare_frames": 0, "seed": 0,  # type: ignore[arg-type]
+                         **NOISE_KINDS["punyo"], **({"image_lag": 0.0} if images == "in time" else {})})
+        measured = [_measured(view, number, touch, press, noise, align=images == "aligned")
+                    for (view, number, touch), press in zip(touches, presses, strict=True)]
+        for one in field:
+            progress(f"{one.label}, images {images}")
+            rows += errors_of(one, measured, presses, noise.depth_std, images=images)
+    return rows
+
+
+def _measured(view: ObjectView, number: int, touch: Touch, press: PressRecord, noise: Noise, *,
+              align: bool) -> PressRecord:
+    """What a real sensor shows in the frames of ``press``, in the mount frame."""
+    assert touch.node_position is not None and touch.pressure is not None
+    which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": number}
+    world = noisy_nodes(touch.node_position, touch.mount_pose, touch.time, noise, **which)
+    if align:
+        world = aligned_nodes(world, touch.mount_pose, touch.time, noise.image_lag)
+    pressure = noisy_pressure(touch.pressure, touch.time, touch.force, noise, **which)
+    frames = chosen(touch)
+    turn, shift = touch.mount_pose[frames, :3, :3], touch.mount_pose[frames, None, :3, 3]
+    return replace(press, position=np.einsum("tni,tij->tnj", world[frames] - shift, turn), pressure=pressure[frames])
 
 
 def records(views: Sequence[ObjectView]) -> list[PressRecord]:

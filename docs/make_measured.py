@@ -31,6 +31,13 @@ def leaderboard(task: str) -> str:
     lines = markdown(collect(load_task(task))).splitlines()
     title = next(line for line in lines if "mean ± std" in line)
     title += "".join(f". {line[0].upper()}{line[1:]}." for line in lines if line.startswith("rank corr.: "))
+    reasons: dict[str, list[str]] = {}
+    for line in lines:
+        if line.startswith("* "):
+            name, _, reason = line.removeprefix("* ").removesuffix(", not ranked").partition(": ")
+            reasons.setdefault(reason, []).append(name)
+    title += "".join(f" \\* Not ranked ({', '.join(dict.fromkeys(names))}): {reason}."
+                     for reason, names in reasons.items())
     table = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     table = table[:next((k for k, row in enumerate(table) if row[0] == "method"), len(table))]  # ours, not the papers'
     kept = [k for k, name in enumerate(table[0]) if name not in ("adapt", "vsfsim")
@@ -54,7 +61,7 @@ def measurement(name: str, tables: int) -> str:
 
 MEASURED: dict[str, Callable[[], str]] = {
     **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
-    "solver": partial(measurement, "solver", 2)}
+    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1)}
 """Table by name of its file."""
 
 

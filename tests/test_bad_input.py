@@ -214,7 +214,7 @@ def test_a_full_disk_under_a_result(toy):
     before = contents(toy)
     # a file-size limit fails a write as a quota does, on any machine and without rights
     out = run(*EVALUATE, cwd=toy, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (500, 500)))
-    assert_refused(out, "results/toy-v1/toy_methods.Constant.json cannot be written")
+    assert_refused(out, "results/toy-v1/toy_methods.Constant.part/seed-0000.npz cannot be written")
     files, there_before = ({path: data for path, data in folder.items() if data is not None}
                            for folder in (contents(toy), before))
     assert files == there_before

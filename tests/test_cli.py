@@ -60,12 +60,12 @@ def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
      "unknown method 'gausian'. Did you mean 'gaussian'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoe-mini-v1"),
      "unknown task 'fewshot-shoe-mini-v1'. Did you mean 'fewshot-shoes-mini-v1'?"),
-    (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1", "--set", "spcing=1"),
+    (("check", "gaussian", "--set", "spcing=1"),
      "no parameter 'spcing'. Did you mean 'spacing'?"),
     (("evaluate", "--method", "gaussian", "--task", "fewshot-shoes-mini-v1"), "vsfsim generate shoes-mini --objects"),
-    (("verify", "nowhere"), "nowhere holds no dataset"),
+    (("verify", "nowhere"), "there is no folder of a dataset 'nowhere'"),
     (("check", "gausian"), "Did you mean 'gaussian'?"),
-    (("leaderboard", "--task", "x.toml"), "task file 'x.toml' does not exist"),
+    (("leaderboard", "--task", "x.toml"), "there is no task file 'x.toml'"),
 ])
 def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_path):
     out = vsfsim(*words, cwd=tmp_path)
@@ -78,7 +78,8 @@ def test_a_mistake_is_one_paragraph_and_exit_code_2(vsfsim, words, message, tmp_
 @pytest.mark.parametrize("words", [("--debug", "verify", "nowhere"), ("verify", "nowhere", "--debug")])
 def test_debug_shows_the_traceback_before_and_after_the_command(words, tmp_path):
     out = run(*words, cwd=tmp_path)
-    assert out.returncode == 2 and "Traceback" in out.stderr and "error: nowhere holds no dataset" in out.stderr
+    assert out.returncode == 2 and "Traceback" in out.stderr
+    assert "error: there is no folder of a dataset 'nowhere'" in out.stderr
 
 
 def test_a_bug_keeps_its_traceback_and_says_that_it_is_one(tmp_path):

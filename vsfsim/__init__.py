@@ -1,3 +1,46 @@
-"""vsfsim: simulated touch of heterogeneous deformable objects, and a benchmark of stiffness estimators."""
+"""vsfsim: simulated touch of heterogeneous deformable objects, and a benchmark of stiffness estimators.
+
+Six functions do what the commands do, by the same code:
+
+- `vsfsim.press(scene)`: press a probe into an object;
+- `vsfsim.generate(scene, out)`: make a dataset;
+- `vsfsim.load(folder)`: open a dataset;
+- `vsfsim.tasks()` and `vsfsim.methods()`: what can be evaluated;
+- `vsfsim.evaluate(method, task)`: score a method.
+
+Each is imported at its first use: `import vsfsim` takes milliseconds and needs no package besides the standard library.
+"""
+
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+__all__ = ["__version__", "evaluate", "generate", "load", "methods", "press", "tasks"]
+
+if TYPE_CHECKING:
+    from vsfsim.bench.commands.catalogue import methods, tasks
+    from vsfsim.bench.commands.evaluate import evaluate
+    from vsfsim.data.dataset import load
+    from vsfsim.generate.command import generate
+    from vsfsim.press.command import press
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'vsfsim' has no attribute '{name}'")
+    if name == "load":
+        from vsfsim.data.dataset import load as found
+    elif name == "evaluate":
+        from vsfsim.bench.commands.evaluate import evaluate as found
+    elif name == "methods":
+        from vsfsim.bench.commands.catalogue import methods as found
+    elif name == "press":
+        import vsfsim.press as found
+    elif name == "generate":
+        import vsfsim.generate as found
+    else:
+        import vsfsim.tasks as found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

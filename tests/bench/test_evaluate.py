@@ -1,6 +1,7 @@
 """The harness itself: an oracle scores exactly 0, a constant scores what the formulas give, draws are reproducible."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -12,17 +13,16 @@ from vsfsim.core.errors import MethodError, TaskError
 
 
 @pytest.fixture
-def answers(toy_views, task):
-    toy_methods.ANSWERS.clear()
-    toy_methods.LOG.clear()
-    for view in toy_views[1:]:
-        for touch in view.touches:
-            toy_methods.ANSWERS[touch.mount_pose.tobytes()] = -(touch.force @ touch.axis)[:, None]
-    return toy_methods.ANSWERS
+def oracle(toy_views, tmp_path):
+    """Parameters of an oracle; its log is in ``tmp_path``."""
+    answers = {toy_methods.name_of(touch.mount_pose): -(touch.force @ touch.axis)[:, None]
+               for view in toy_views[1:] for touch in view.touches}
+    np.savez(tmp_path / "answers.npz", **answers)
+    return {"folder": str(tmp_path)}
 
 
-def test_an_oracle_scores_exactly_zero(task, toy_dataset, answers):
-    result = evaluate("toy_methods:Oracle", task, toy_dataset)
+def test_an_oracle_scores_exactly_zero(task, toy_dataset, oracle):
+    result = evaluate("toy_methods:Oracle", task, toy_dataset, parameters=oracle, check=False)
     for metric in ("rmse", "rmse_pooled", "mae", "mae_pooled"):
         for label in ("0", "1", "5", "all"):
             assert result.scores[metric][label].mean == 0.0
@@ -62,17 +62,18 @@ def test_an_std_is_scored_where_it_is_given(task, toy_dataset, toy_views):
             assert result.scores[metric][label].mean == pytest.approx(value, rel=1e-12), (metric, label)
     assert "nll" not in evaluate("toy_methods:Constant", task, toy_dataset, seeds=1).scores
     with pytest.raises(MethodError, match="is negative"):
-        evaluate("toy_methods:NegativeStd", task, toy_dataset, seeds=1)
+        evaluate("toy_methods:NegativeStd", task, toy_dataset, seeds=1, check=False)
 
 
-def test_support_and_query_never_meet_and_the_query_never_changes(task, toy_dataset, toy_views, answers):
-    evaluate("toy_methods:Oracle", task, toy_dataset)
-    adapted, asked = toy_methods.LOG[0::2], toy_methods.LOG[1::2]
+def test_support_and_query_never_meet_and_the_query_never_changes(task, toy_dataset, toy_views, oracle, tmp_path):
+    evaluate("toy_methods:Oracle", task, toy_dataset, parameters=oracle, check=False)
+    log = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    adapted, asked = log[0::2], log[1::2]
     by_object = {}
     for chosen, query in zip(adapted, asked, strict=True):
         assert not set(chosen) & set(query)
         assert len(set(chosen)) == len(chosen), "drawn with replacement"
-        owner = next(v.name for v in toy_views for t in v.touches if t.mount_pose.tobytes() == query[0])
+        owner = next(v.name for v in toy_views for t in v.touches if toy_methods.name_of(t.mount_pose) == query[0])
         by_object.setdefault(owner, set()).add(tuple(query))
     assert [len(queries) for queries in by_object.values()] == [1, 1]
     assert sorted({len(chosen) for chosen in adapted}) == [0, 1, 5, 8]
@@ -143,13 +144,13 @@ def test_stiffness_is_scored_where_touched(task, toy_dataset):
     ("toy_methods:Crashes", "raised KeyError in adapt to mock-0001-v0, 0-shot, seed 0"),
     ("toy_methods:NoPredict", r"has no function predict\(\)"),
     ("toy_methods:Negative", "non-negative mean"),
-    ("toy_methods:Nothing", "cannot be loaded"),
+    ("toy_methods:Nothing", "has no 'Nothing'"),
     ("no_such_module:X", "cannot be loaded"),
     ("gausian", r"unknown method 'gausian'. Did you mean 'gaussian'\?"),
 ])
 def test_what_cannot_be_scored_is_refused(task, toy_dataset, name, message):
     with pytest.raises(MethodError, match=message):
-        evaluate(name, task, toy_dataset)
+        evaluate(name, task, toy_dataset, check=False)
 
 
 def test_unknown_parameters_are_refused(task, toy_dataset):

@@ -1,6 +1,8 @@
 """Masks and poses of hidden inclusions: the ruler scores an oracle perfectly and knows an empty answer."""
 
 import dataclasses
+import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -49,31 +51,30 @@ def of(task_text, primary):
 
 
 class Answers:
-    """Knows where the inclusions are; ``blur`` makes it wrong."""
+    """Knows where the inclusions are, from the file ``known``; ``blur`` makes it wrong."""
 
-    def __init__(self, *, blur=0.0):
+    def __init__(self, *, blur=0.0, known=""):
         self.blur = blur
+        self.known, self.pose = pickle.loads(Path(known).read_bytes()) if known else ([], np.eye(4))
 
     def meta_fit(self, specimens):
-        self.seen = 0
+        pass
 
     def adapt(self, view, support):
-        pass
+        for reading in support:
+            if not np.isfinite(reading.value[reading.valid]).all():
+                raise ValueError("a reading is not finite")
 
     def predict(self, touches):
         return [np.zeros((len(t.time), 1)) for t in touches]
 
     def stiffness(self, points):
-        return Estimate(np.max([h.inside(points) for h in KNOWN], axis=0) * 1.0 + 1.0 if not self.blur
-                        else np.ones(len(points)), np.zeros(len(points)))
+        return Estimate(np.max([h.inside(points) for h in self.known], axis=0) * 1.0 + 1.0
+                        if self.known and not self.blur else np.ones(len(points)), np.zeros(len(points)))
 
     def locate(self, vertices, triangles):
         assert len(vertices) > 20 and triangles.max() == len(vertices) - 1
-        pose = POSES[self.seen // 12 % 2].copy()  # 1 + 3 + 3 x ... adaptations; both objects are asked in turn
-        return pose if not self.blur else pose @ np.diag([-1.0, -1.0, 1.0, 1.0])
-
-
-KNOWN, POSES = [], []
+        return self.pose if not self.blur else self.pose @ np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
 def pose_scores(estimate, truth):
@@ -96,29 +97,33 @@ def test_the_mask_is_that_of_the_scene_drawn_again(dataset):
             and flat["mask_f1"] == pytest.approx(2 * share / (1 + share)))
 
 
-def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path, monkeypatch):
+def test_a_mask_is_scored_ranked_and_shown(dataset, task_text, tmp_path):
     task = of(task_text, "mask_f1")
     assert task.metric.answer is Answer.MASK and task.metric.higher_is_better
-    KNOWN[:] = [Inclusions.of(dataset.recipe, dataset.load(name)) for name in dataset.names("test")[:1]]
+    inclusions = [Inclusions.of(dataset.recipe, dataset.load(name)) for name in dataset.names("test")[:1]]
+    (tmp_path / "known").write_bytes(pickle.dumps((inclusions, np.eye(4))))
+    (tmp_path / "results").mkdir()
     paths = []
     for blur in (0.0, 1.0):
-        result = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": blur}, seeds=1)
-        paths.append(tmp_path / f"{blur}.json")
+        result = evaluate(f"{__name__}:Answers", task, dataset, seeds=3,
+                          parameters={"blur": blur, "known": str(tmp_path / "known")})
+        paths.append(tmp_path / "results" / f"{blur}.json")
         result.save(paths[-1])
         assert "mask_f1" in score_table(result, "mask_f1").splitlines()[2]
     board = collect(task, paths)
-    assert [row.result.parameters["blur"] for row in board.rows] == [0.0, 1.0]
+    assert [(row.rank, row.result.parameters["blur"]) for row in board.rows] == [(1, 0.0), (2, 1.0)]
     assert "mask_f1 from normal-force [-]" in text(board) and "higher is better" in text(board)
 
 
-def test_a_pose_is_scored(dataset, task_text):
+def test_a_pose_is_scored(dataset, task_text, tmp_path):
     task = of(task_text, "rotation_error")
     views = [dataset.load(name) for name in dataset.names("test")]
-    POSES[:] = [Inclusions.of(dataset.recipe, view).known_object()[2] for view in views]
-    POSES[1] = POSES[0]
-    right = evaluate(f"{__name__}:Answers", task, dataset, seeds=1).scores
-    wrong = evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": 1.0}, seeds=1).scores
-    between = pose_scores(POSES[0], Inclusions.of(dataset.recipe, views[1]).known_object()[2])
+    first, second = (Inclusions.of(dataset.recipe, view).known_object()[2] for view in views)
+    known = tmp_path / "known"
+    known.write_bytes(pickle.dumps(([], first)))
+    right, wrong = (evaluate(f"{__name__}:Answers", task, dataset, parameters={"blur": blur, "known": str(known)},
+                             seeds=1).scores for blur in (0.0, 1.0))
+    between = pose_scores(first, second)
     assert right["rotation_error"]["all"].mean == pytest.approx(between["rotation_error"] / 2)
     assert right["translation_error"]["all"].mean == pytest.approx(between["translation_error"] / 2)
     assert wrong["rotation_error"]["all"].mean == pytest.approx((180.0 + abs(180.0 - between["rotation_error"])) / 2)

@@ -1,28 +1,40 @@
 """Methods whose scores are known beforehand, and methods that break the contract one clause at a time."""
 
+import hashlib
 import json
+from pathlib import Path
 
 import numpy as np
 
 from vsfsim.bench.method import Estimate
 
-ANSWERS = {}
-"""The oracle's back door: a test puts noise-free readings here, by the bytes of the poses. No product code knows of
-it."""
 
-LOG = []
+def name_of(poses):
+    return hashlib.sha256(poses.tobytes()).hexdigest()
 
 
 class Oracle:
+    """The oracle's back door: a test puts noise-free readings into ``folder``/answers.npz, by the hash of the poses,
+    and finds in ``folder``/log.jsonl what each trial was given. No product code knows of it."""
+
+    def __init__(self, *, folder=""):
+        self.folder = folder
+        self.answers = dict(np.load(Path(folder) / "answers.npz")) if folder else {}
+
     def meta_fit(self, specimens):
         pass
 
     def adapt(self, view, support):
-        LOG.append([reading.action.poses.tobytes() for reading in support])
+        self.log([name_of(reading.action.poses) for reading in support])
 
     def predict(self, touches):
-        LOG.append([touch.poses.tobytes() for touch in touches])
-        return [ANSWERS[touch.poses.tobytes()] for touch in touches]
+        self.log([name_of(touch.poses) for touch in touches])
+        return [self.answers.get(name_of(touch.poses), np.zeros((len(touch.time), touch.size))) for touch in touches]
+
+    def log(self, names):
+        if self.folder:
+            with open(Path(self.folder) / "log.jsonl", "a") as file:
+                file.write(json.dumps(names) + "\n")
 
 
 class Constant:

@@ -25,9 +25,10 @@ def test_the_entry_points_hold_the_baselines():
 @pytest.mark.parametrize(("find", "given", "error", "message"), [
     (shelf.find_scene, "indnt", SceneError, "unknown scene 'indnt'. Did you mean 'indent'?"),
     (shelf.find_scene, "indnt", SceneError, "`vsfsim scenes` lists them; a path to a .toml file works too."),
-    (shelf.find_scene, "nowhere/x.toml", SceneError, "scene file 'nowhere/x.toml' does not exist."),
+    (shelf.find_scene, "nowhere/x.toml", SceneError,
+     "there is no scene file 'nowhere/x.toml': there is no folder 'nowhere'."),
     (shelf.find_task, "fewshot-shoe-mini-v1", TaskError, "Did you mean 'fewshot-shoes-mini-v1'?"),
-    (shelf.find_task, "x.toml", TaskError, "task file 'x.toml' does not exist."),
+    (shelf.find_task, "x.toml", TaskError, "there is no task file 'x.toml'."),
 ])
 def test_neither_a_name_nor_a_file(find, given, error, message):
     with pytest.raises(error, match=re.escape(message)):

@@ -236,7 +236,7 @@ def test_verify_is_content_with_a_good_dataset(tmp_path):
     report = verify(tmp_path / "d")
     assert report.ok, report.text()
     assert (report.files, report.touches, report.untouched, report.unconverged) == (3, 12, 3, 0)
-    with pytest.raises(DatasetError, match="holds no dataset"):
+    with pytest.raises(DatasetError, match="there is no folder of a dataset"):
         verify(tmp_path / "nothing")
 
 

@@ -142,6 +142,9 @@ def load_cell(tmp_path_factory):
     """The effector, installed the way `pip` installs one: a module and its entry point on the path."""
     folder, name = tmp_path_factory.mktemp("site"), "load_cell_of_a_test"
     (folder / f"{name}.py").write_text(LOAD_CELL)
+    # a method runs in a process of its own, which learns of the observation from what the method's module imports
+    (folder / "weighing.py").write_text(f"import {name}\nfrom vsfsim.baselines.gaussian import *\n"
+                                        "from vsfsim.baselines.point_vsf import PointVsf\n")
     metadata = folder / f"{name}-1.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1\n")
@@ -178,17 +181,20 @@ def test_a_dataset_has_what_the_sensor_reads(made):
 
 def test_methods_are_scored_on_it(made):
     task = parse_task(TASK, "weighed-v1.toml")
-    scores = {name: evaluate(name, task, made).scores["rmse"] for name in ("gaussian", "point-vsf")}
-    nothing = evaluate("gaussian-zero", task, made).scores["rmse"]["0"].mean
+    scores = {name: evaluate(f"weighing:{name}", task, made).scores["rmse"] for name in ("GaussianAverage", "PointVsf")}
+    nothing = evaluate("weighing:GaussianZero", task, made).scores["rmse"]["0"].mean
     print({name: {shot: f"{row.mean:.3f}" for shot, row in score.items()} for name, score in scores.items()}, nothing)
     assert all(score["3"].mean < 0.9 * nothing for score in scores.values())
 
 
 def test_it_is_pressed_printed_drawn_and_saved(load_cell, tmp_path):
     (tmp_path / "weighed.toml").write_text(SCENE)
-    text, numbers, converged = press(load_scene(tmp_path / "weighed.toml"), plot=tmp_path / "p.png",
-                                     picture=tmp_path / "q.png", save=tmp_path / "s.npz")
-    assert converged and "cell N" in text.splitlines()[0]
+    made = press(tmp_path / "weighed.toml")
+    made.plot(tmp_path / "p.png")
+    made.picture(tmp_path / "q.png")
+    made.save(tmp_path / "s.npz")
+    numbers = made.table()
+    assert made.converged and "cell N" in made.text().splitlines()[0]
     force = np.array(numbers["force"])[:, 2]
     assert force[-1] > 0.1 and numbers["cell_force"] == pytest.approx(np.clip(force, -2.0, 2.0), abs=0.025 + 1e-12)
     assert np.load(tmp_path / "s.npz")["cell_force"].tolist() == numbers["cell_force"]

@@ -162,7 +162,7 @@ def dome_volume(points, triangles):
 
 
 def test_its_summary_and_contact_sheet(made, tmp_path):
-    text = "\n".join(inspect(str(made), tmp_path / "sheet.png", seed=0, device="cpu"))
+    text = "\n".join(inspect(str(made), tmp_path / "sheet.png", seed=0, device="cpu")[0])
     assert "Pa over the free dome's" in text and (tmp_path / "sheet.png").stat().st_size > 20_000
 
 

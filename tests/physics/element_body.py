@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import warp as wp
 
+from vsfsim.core.scene_tables.foam import Foam
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import tet10
 from vsfsim.physics.solve.elasticity import Elasticity
@@ -23,6 +24,10 @@ def tet(pointwise):
                             pointwise=pointwise),)
 
     return make
+
+
+FOAM = Foam((0.7 * E, 0.1 * E), (3.0, -1.5), (0.4, 0.1), "test")
+"""A foam of two terms whose stiffness changes moderately with strain."""
 
 
 class Body:

@@ -6,18 +6,19 @@ A new element is tested by adding a row to `ELEMENTS`, `FLAT` or `DOMES`.
 import numpy as np
 import pytest
 import warp as wp
-from element_body import SIZE, Body, E, tet
+from element_body import FOAM, SIZE, Body, E, tet
 
 from vsfsim.core.solid import Solid
 from vsfsim.physics.elements import anchor, gas, hinge, spring, triangle
 from vsfsim.physics.foundation import foundation
 from vsfsim.physics.mesh.membrane import TriangleMesh, closed, ellipse
 from vsfsim.physics.mesh.quadratic import assemble
-from vsfsim.physics.model import Model
+from vsfsim.physics.model import Model, foam_tetrahedra
 from vsfsim.physics.network import spring_network
 from vsfsim.physics.solve.elasticity import Elasticity
 
-ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0), "spring": spring_network,
+ELEMENTS = {"tet10": tet(np.inf), "tet10 of mean volume": tet(0.0), "tet10 of both": tet(2.0),
+            "hyperfoam": foam_tetrahedra(FOAM), "spring": spring_network,
             "anchor": foundation,
             "all at once": lambda *given: (*tet(2.0)(*given), *spring_network(*given), *foundation(*given))}
 
@@ -105,8 +106,9 @@ def crumpled(body, size):
 
 
 def step(body):
-    """Of the central differences [m]: shorter for sheets, whose tangent has kinks where they wrinkle."""
-    return 1e-7 if body.kind in SURFACES else 1e-6
+    """Of the central differences [m]: shorter for sheets, whose tangent has kinks where they wrinkle, and for a law of
+    powers of the stretches."""
+    return 1e-7 if body.kind in (*SURFACES, "hyperfoam") else 1e-6
 
 
 # 8e-3 m is about the distance of neighbouring nodes: most elements are turned inside out

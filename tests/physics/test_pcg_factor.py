@@ -252,3 +252,14 @@ def test_what_is_prepared_late_is_what_would_have_been_there(model):
     touch = torch.tensor([0])
     answered = eager.patch(touch, force)
     assert (lazy.patch(touch, force) - answered).abs().max() < 1e-9 * answered.abs().max()
+
+
+def test_conjugate_gradients_end_at_the_deadline():
+    """Time that is over leaves the first step, along which the energy falls."""
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((40, 40))
+    matrix, right = torch.as_tensor(root @ root.T + np.eye(40)), torch.as_tensor(rng.standard_normal((40, 3)))
+    x, steps, negative = pcg.solve(lambda p, _: matrix @ p, lambda r, _: r.clone(), right,
+                                   tolerance=torch.full((3,), 1e-12, dtype=torch.float64), iterations=100, deadline=0.0)
+    assert steps.tolist() == [1, 1, 1] and not negative.any()
+    assert ((0.5 * x * (matrix @ x) - right * x).sum(dim=0) < 0.0).all()

@@ -120,7 +120,7 @@ def test_the_picture_shows_the_dent_the_bulge_and_the_ball(down, tmp_path):
 def test_what_a_sensor_has_not_is_refused():
     scene = load_scene(find_scene("punyo"))
     with pytest.raises(SceneError, match=r"--refine refines a \[sensor\] where rigid bodies touch it"):
-        command(load_scene(find_scene("punyo-block")), meshes=3)
+        command(load_scene(find_scene("punyo-block")), refine=3)
     with pytest.raises(SceneError, match="--tier fem"):
         command(scene, tier="fem")
     with pytest.raises(SceneError, match=r"needs a \[press\]"):

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vsfsim.bench.evaluate import evaluate, readings_of
+from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.protocol import divide, record
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
+from vsfsim.bench.trials.score import readings_of
 from vsfsim.core import shelf
 from vsfsim.core.scene import load_scene
 from vsfsim.data.writer import DatasetWriter
@@ -28,6 +29,10 @@ TOLERANCE = 1e-3
 SLOW = {"fewshot-shoes-mini-v1", "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2", "inclusion-mini-v2",
         "localization-mini-v2"}
 """Tasks whose view takes more than ten seconds of a core with all of its touches."""
+
+OLDER = {"fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1"}
+"""Tasks whose data were released with the earlier material law and contact. What is made today differs by 0.4 to 2 %,
+until a next version of the task replaces it."""
 
 RELEASED = [name for name in shelf.tasks() if not load_task(name).superseded_by]
 
@@ -46,8 +51,15 @@ def view_made_again(task, name, touches):
     return effector_of(job.scene()).make_view(job, device="cpu"), recipe
 
 
-@pytest.fixture(scope="module", params=[pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
-                                        for name in RELEASED])
+def marks(name):
+    """Of a task's tests."""
+    if name in SLOW:
+        return pytest.mark.slow
+    return pytest.mark.xfail(reason="made with earlier physics", raises=AssertionError, strict=True) if (
+        name in OLDER) else ()
+
+
+@pytest.fixture(scope="module", params=[pytest.param(name, marks=marks(name)) for name in RELEASED])
 def released(request, tmp_path_factory):
     """A released task, the shipped row, and a dataset of the row's first test object alone, made again."""
     task = load_task(request.param)

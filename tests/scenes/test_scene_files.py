@@ -7,7 +7,7 @@ import pytest
 
 from vsfsim.core import shelf
 from vsfsim.core.scene import load_scene
-from vsfsim.core.shape import Box, Sphere
+from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.rods.family import grow
@@ -48,9 +48,9 @@ def test_scene_builds(name: str) -> None:
             # its first frames are in free air
             lowest, gap = start[2] - build_bubble(scene.sensor).mesh.points[:, 2].max(), 3e-3
         else:
-            assert isinstance(scene.probe, (Sphere, Box))
-            lowest, gap = start[2] - (scene.probe.radius if isinstance(scene.probe, Sphere)
-                                      else 0.5 * scene.probe.size[2]), 1e-9
+            assert isinstance(scene.probe, (Sphere, Box, Plane))
+            below = {Sphere: lambda p: p.radius, Box: lambda p: 0.5 * p.size[2], Plane: lambda p: 0.0}
+            lowest, gap = start[2] - below[type(scene.probe)](scene.probe), 1e-9
         # The probe just touches the highest point under it (a bubble is a little above it), then goes in along -z.
         assert 0.0 <= lowest - solid.vertices[:, 2].max() + 1e-12 < gap
         assert stop[2] < start[2] and (stop[:2] == start[:2]).all()

@@ -5,12 +5,13 @@ import pytest
 import trimesh
 from PIL import Image
 
+from vsfsim.core.errors import DatasetError
 from vsfsim.core.scene import CameraSpec
 from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Appearance
+from vsfsim.data.contact_sheet import contact_sheet
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.sensing.camera import look_at, render
-from vsfsim.sensing.contact_sheet import contact_sheet
 from vsfsim.sensing.surface import RenderError, Surface
 from vsfsim.sensing.turntable import turntable
 
@@ -96,7 +97,7 @@ def test_contact_sheet_has_a_row_a_view(tmp_path):
 
 
 def test_contact_sheet_of_nothing_is_refused(tmp_path):
-    with pytest.raises(RenderError, match="no object view"):
+    with pytest.raises(DatasetError, match="no object view"):
         contact_sheet([], tmp_path / "none.png")
 
 

@@ -21,11 +21,11 @@ TIGHT = SolverOptions(tolerance=1e-9, cg_tolerance=1e-4)
 
 
 def stress(f, mu, lam):
-    """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the law of tet10.py: mu F + ((lambda + mu)(J - 1) - mu) cof
+    """First Piola-Kirchhoff stress (..., 3, 3) [Pa] of the law of neo_hooke.py: mu F + (lambda (J - 1) - mu / J) cof
     F."""
     j = np.linalg.det(f)
     cof = j[..., None, None] * np.swapaxes(np.linalg.inv(f), -1, -2)
-    return mu[..., None, None] * f + ((lam + mu) * (j - 1.0) - mu)[..., None, None] * cof
+    return mu[..., None, None] * f + (lam * (j - 1.0) - mu / j)[..., None, None] * cof
 
 
 def collapsed_rule(n):

@@ -37,31 +37,33 @@ def far_away(line, probe, frames=1):
 # tests)
 
 SIZE = (0.03, 0.02, 0.025)
-STRETCHES = [0.99, 0.95, 0.85, 0.7]
+# of a block between rollers, confined or not. A free side surface is unstable below a stretch of 0.44 (Biot 1963), so
+# homogeneous states beyond are no equilibria that a solver should find
+STRETCHES = {True: [0.99, 0.95, 0.85, 0.7], False: [0.99, 0.95, 0.85, 0.7, 0.5]}
 
 
 def nominal_stress(axial, side, mu, lam):
-    """dPsi/d(axial) of the stable neo-Hookean law (tet10.py) for stretches (side, side, axial)."""
+    """dPsi/d(axial) of the neo-Hookean law (neo_hooke.py) for stretches (side, side, axial)."""
     j = axial * side**2
-    return mu * axial - mu * side**2 + (lam + mu) * (j - 1.0) * side**2
+    return mu * axial + (lam * (j - 1.0) - mu / j) * side**2
 
 
 def side_stress(axial, side, mu, lam):
     j = axial * side**2
-    return mu * side - mu * axial * side + (lam + mu) * (j - 1.0) * axial * side
+    return mu * side + (lam * (j - 1.0) - mu / j) * axial * side
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.45, 0.49])
 @pytest.mark.parametrize("confined", [False, True], ids=["uniaxial stress", "uniaxial strain"])
-def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confined, nu):
+def test_compression_by_a_plane(block, line, device, confined, nu):
     young_modulus = 1e5
     model = block(SIZE, 0.015, young_modulus=young_modulus, poisson_ratio=nu)
     model = rollers(model, walls(model, all_sides=confined))
     mu, lam = (float(v) for v in lame(young_modulus, nu))
     solver = Solver(model, Plane(), device=device, options=TIGHT)
-    frames = solver.run(line([[0, 0, SIZE[2] * s] for s in STRETCHES], Plane()), keep=True)
+    frames = solver.run(line([[0, 0, SIZE[2] * s] for s in STRETCHES[confined]], Plane()), keep=True)
     assert frames.converged.all()
-    for t, s in enumerate(STRETCHES):
+    for t, s in enumerate(STRETCHES[confined]):
         top = model.mesh.points[:, 2] > SIZE[2] - 1e-9
         shift = solver.history[t].reshape(-1, 3)
         # the penalty lets the plane in by pressure / (1000 E) x element size: the body's own stretch is what counts
@@ -81,17 +83,26 @@ def test_compression_by_a_plane_down_to_seven_tenths(block, line, device, confin
 
 @pytest.mark.parametrize(("resolution", "contrast"), [(0.02, 1e3), (0.01, 1e3), (0.02, 1e6), (0.02, 1e8)])
 def test_two_layers_are_springs_in_series(block, line, device, resolution, contrast):
-    """Heterogeneous E: at confined sides the law is linear, P = (lambda + 2 mu)(s - 1), so this holds at any depth and
-    on any mesh."""
+    """Heterogeneous E at confined sides: each layer is homogeneous, at any depth and on any mesh, and both carry the
+    same closed-form stress."""
     size, soft, stiff, nu = (0.04, 0.04, 0.04), 1e4, 1e4 * contrast, 0.3
     model = block(size, resolution, young_modulus=lambda x: np.where(x[..., 2] > 0.02, soft, stiff), poisson_ratio=nu)
     model = rollers(model, walls(model, all_sides=True))
-    frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.039], [0, 0, 0.035]], Plane()))
-    softness = sum(0.02 / (lambda mu, lam: lam + 2 * mu)(*lame(e, nu)) for e in (soft, stiff))
-    for t, depth in enumerate((0.001, 0.005)):
-        exact = (depth - frames.penetration[t, 0]) * size[0] * size[1] / softness
+    frames = Solver(model, Plane(), device=device, options=TIGHT).run(line([[0, 0, 0.039], [0, 0, 0.025]], Plane()))
+
+    def stress(strain, e):
+        return -nominal_stress(1.0 - strain, 1.0, *(float(v) for v in lame(e, nu)))
+
+    def left_over(pressure, depth):
+        """Depth that is not the shortening of the two layers [m]."""
+        return depth - sum(0.02 * brentq(lambda x, e=e: stress(x, e) - pressure, 0.0, 0.99, xtol=1e-16)
+                           for e in (soft, stiff))
+
+    for t, depth in enumerate((0.001, 0.015)):
+        exact = brentq(left_over, 0.0, stress(0.98, soft), args=(depth - frames.penetration[t, 0],),
+                       xtol=1e-12) * size[0] * size[1]
         # solver tolerance 1e-7, summed over the chain
-        assert frames.force[t, 0, 2] == pytest.approx(exact, rel=2e-6)
+        assert frames.force[t, 0, 2] == pytest.approx(exact, rel=4e-6)
     assert frames.converged.all()
 
 
@@ -146,7 +157,7 @@ def test_cantilever_under_its_own_weight(block, line, device, nu):
 def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
     """A column between smooth walls under its own weight, E rising smoothly fivefold: the energy's error falls as h^4
     (degree 2)."""
-    height, nu, density, g = 0.04, 0.3, 1000.0, 1e-2
+    height, nu, density, g = 0.04, 0.3, 1000.0, 1e-4  # strains of 4e-7: the exact energy is that of small strain
 
     def modulus(z):
         return 1e4 * np.exp(1.6 * z / height)
@@ -160,7 +171,7 @@ def test_order_of_convergence_where_the_solution_is_smooth(block, line, device):
         model = block((0.02, 0.02, height), height / cells, young_modulus=lambda x: modulus(x[..., 2]),
                       poisson_ratio=nu, density=density, gravity=(0, 0, -g))
         model = rollers(model, walls(model, all_sides=True))
-        options = SolverOptions(tolerance=1e-10, cg_tolerance=1e-6)
+        options = SolverOptions(tolerance=1e-8, cg_tolerance=1e-6)
         frames = Solver(model, Sphere(0.01), device=device, options=options).run(far_away(line, Sphere(0.01)))
         errors.append(abs(frames.energy[0, 0] / exact - 1.0))
     order = np.log2(np.array(errors[:-1]) / errors[1:])

@@ -85,6 +85,45 @@ class Inclusions:
 
 
 @dataclass(frozen=True)
+class Columns:
+    """The columns under the pixels of an object seen from above, as far as its touches swept them."""
+
+    points: np.ndarray
+    """Query points that the probe swept, world (q, 3) [m]."""
+    pixel: np.ndarray
+    """Number of the swept pixel of each query point (q,) int."""
+    every: np.ndarray
+    """All points of all columns, swept or not, column by column (c m, 3) [m]."""
+    swept: np.ndarray
+    """The probe swept some point of the column (c,) bool; these are the p pixels."""
+
+    @classmethod
+    def of(cls, surface: np.ndarray, view: ObjectView) -> Columns:
+        """The columns under the surface points (P, 3) [m] of one object view.
+
+        Raises:
+            TaskError: no touch swept anything.
+        """
+        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL)
+                for low, high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0), strict=True)]
+        plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
+        top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
+        columns = top[:, None] - np.arange(0.5 * STEP, DEPTH, STEP)[:, None] * np.array([0.0, 0.0, 1.0])
+        every = columns.reshape(-1, 3)
+        reach = np.zeros(len(every), bool)
+        for touch in view.touches:
+            reach |= reached(every, view.probe, touch.mount_pose, reach=0.0)
+        pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[reach], return_inverse=True)
+        if not len(pixel):
+            raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
+                            f"generate touches that go deeper.")
+        swept = np.zeros(len(top), bool)
+        swept[pixel] = True
+        return cls(every[reach], index, every, swept)
+
+
+@dataclass(frozen=True)
 class Mask:
     """Which pixels of an object, seen from above, cover an inclusion."""
 
@@ -103,22 +142,9 @@ class Mask:
             TaskError: no touch swept anything.
         """
         assert view.truth is not None
-        surface = view.truth.probe_points
-        axes = [np.arange(low + 0.5 * PIXEL, high, PIXEL)
-                for low, high in zip(surface[:, :2].min(axis=0), surface[:, :2].max(axis=0), strict=True)]
-        plane = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
-        nearest = np.argmin(np.linalg.norm(plane[:, None] - surface[None, :, :2], axis=2), axis=1)
-        top = np.concatenate([plane, surface[nearest, 2:]], axis=1)
-        columns = top[:, None] - np.arange(0.5 * STEP, DEPTH, STEP)[:, None] * np.array([0.0, 0.0, 1.0])
-        points = columns.reshape(-1, 3)
-        swept = np.zeros(len(points), bool)
-        for touch in view.touches:
-            swept |= reached(points, view.probe, touch.mount_pose, reach=0.0)
-        pixel, index = np.unique(np.repeat(np.arange(len(top)), columns.shape[1])[swept], return_inverse=True)
-        if not len(pixel):
-            raise TaskError(f"object view '{view.name}': no touch swept any of it, so that no mask can be found; "
-                            f"generate touches that go deeper.")
-        return cls(points[swept], index, np.any(inclusions.inside(points).reshape(columns.shape[:2]), axis=1)[pixel])
+        columns = Columns.of(view.truth.probe_points, view)
+        inside = inclusions.inside(columns.every).reshape(len(columns.swept), -1)
+        return cls(columns.points, columns.pixel, np.any(inside, axis=1)[columns.swept])
 
     def pixel_values(self, stiffness: np.ndarray) -> np.ndarray:
         """The largest of a method's stiffnesses at the query points (q,) under each pixel (p,)."""

@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+from vsfsim.bench.admission import admit
+from vsfsim.bench.fingerprint import shipped_record
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
-from vsfsim.bench.result import Result, Score, readings_apart
+from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
+from vsfsim.bench.trials.rows import Score
 from vsfsim.core.errors import TaskError
+from vsfsim.core.plain_text import markdown as escaped
+from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
 
@@ -33,11 +40,14 @@ class Row:
     """Why it is not ranked, or ""."""
     result: Result
     """The result."""
+    scores: Mapping[str, Mapping[str, Score]]
+    """Its scores by metric and shot, computed from its rows."""
     path: Path
     """Its file."""
-    apart: float | None
-    """Relative difference between the readings of its dataset and those of the board's dataset [-]: 0 where both have
-    the same bits, None where it is not known."""
+    other_bits: bool
+    """Its dataset is the board's, made on a machine that rounds otherwise."""
+    origin: str = "shipped"
+    """"shipped", "made here", or "shipped, made again here"."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,8 @@ class Board:
     """The task."""
     dataset_sha256: str
     """Of the dataset that the ranked results were scored on."""
+    has_record: bool
+    """The task ships a record of its dataset, with which the results are compared; else with one another."""
     rows: tuple[Row, ...]
     """One row a result."""
 
@@ -56,10 +68,10 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of
     them).
 
-    A result on another dataset or of another text of the task is shown and marked, but not ranked, because its numbers
-    are not comparable. The board's dataset is the one that the task names, else that of most shipped results (of most
-    results, if none ships). A dataset with other bits is the same if its readings are (`_SAME_READINGS`): the same
-    command made it on another machine. Equal results are one row.
+    Scores are computed again from the rows of a result (`vsfsim.bench.admission`). A result that may not be ranked is
+    shown with the reason. The board's dataset is that of the task's record; without one, it is the one that the task
+    names, else that of most shipped results (of most results, if none ships), and one with other bits is the same if
+    its readings are (`_SAME_READINGS`). Equal results are one row.
 
     Raises:
         TaskError: a file is not a result, or is a result of another task.
@@ -74,22 +86,37 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     for path, result in results:
         if result.task != task.name:
             raise TaskError(f"{path} is a result of task {result.task}, not of {task.name}.")
-    reference = task.dataset.sha256 or _most([r for path, r in results if path in shipped],
-                                             task) or _most([r for _, r in results], task)
+    record = shipped_record(task)
+    reference = record.dataset_sha256 if record is not None else task.dataset.sha256 or _most(
+        [r for path, r in results if path in shipped], task) or _most([r for _, r in results], task)
     known = next((r.readings for _, r in results if r.dataset_sha256 == reference and r.readings), {})
-    good: list[tuple[Path, Result, str, float | None]] = []
-    odd: list[tuple[Path, Result, str, float | None]] = []
+    good: list[Row] = []
+    odd: list[Row] = []
+    origin = {path: "shipped" if path in shipped else "made here" for path, _ in results}
     for path, result in results:
-        apart = 0.0 if result.dataset_sha256 == reference else readings_apart(result.readings, known)
-        mark = _mark(result, task, apart)
+        admission = admit(result, task, record)
+        other = result.dataset_sha256 != reference
+        mark = admission.reason or (_far_apart(result, known) if other and record is None else "")
         # a shipped result that was made again here, to the same numbers, is one row
-        if not any(_is_same(result, before) for _, before, *_ in (odd if mark else good)):
-            (odd if mark else good).append((path, result, mark, apart))
+        rows = odd if mark else good
+        same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
+        if same is None:
+            rows.append(Row(None, mark, result, admission.scores, path, other and not mark, origin[path]))
+        elif rows[same].origin != origin[path]:
+            rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
-    good.sort(key=lambda item: (sign * item[1].scores[task.primary][task.ranking_shot].mean, item[1].method))
-    rows = [Row(i, "", result, path, apart) for i, (path, result, _, apart) in enumerate(good, start=1)]
-    rows += [Row(None, mark, result, path, apart) for path, result, mark, apart in odd]
-    return Board(task, reference, tuple(rows))
+    good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
+    ranked = [dataclasses.replace(row, rank=rank) for rank, row in enumerate(good, start=1)]
+    return Board(task, reference, record is not None, (*ranked, *odd))
+
+
+def _far_apart(result: Result, known: Mapping[str, list]) -> str:
+    """Why a result on other bits is not ranked where the task has no record, or ""."""
+    apart = readings_apart(result.readings, known)
+    if apart is not None and apart < _SAME_READINGS:
+        return ""
+    difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
+    return f"other dataset ({result.dataset_sha256[:12]}{difference})"
 
 
 def _most(results: list[Result], task: Task) -> str:
@@ -117,20 +144,23 @@ def _is_same(result: Result, before: Result) -> bool:
     return all(math.isclose(one, other, rel_tol=_SAME_SCORE) for one, other in pairs)
 
 
-def _mark(result: Result, task: Task, apart: float | None) -> str:
-    if result.task_sha256 != task.sha256:
-        return "other text of the task"
-    if apart is None or not apart < _SAME_READINGS:
-        difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
-        return f"other dataset ({result.dataset_sha256[:12]}{difference})"
-    if task.primary not in result.scores or task.ranking_shot not in result.scores[task.primary]:
-        return f"no {task.primary} at {task.ranking_shot}-shot"
-    return ""
+def table(board: Board) -> dict[str, Any]:
+    """The board for JSON."""
+    task = board.task
+    rows = [{"rank": row.rank, "method": row.result.method, "parameters": dict(row.result.parameters),
+             "origin": row.origin, "file": str(row.path), "not_ranked_because": row.mark,
+             "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
+                        for metric, by_shot in row.scores.items()},
+             "timing": dict(row.result.timing), "made_by": dict(row.result.made_by)} for row in board.rows]
+    return {"task": task.name, "metric": task.primary, "unit": _unit(task.primary, task.observation.unit),
+            "ranking_shot": task.ranking_shot, "higher_is_better": task.metric.higher_is_better,
+            "dataset_sha256": board.dataset_sha256, "rows": rows}
 
 
 def text(board: Board) -> str:
-    """The board for a terminal."""
+    """The board for a terminal; its last column says which results shipped and which were made here."""
     head, rows = _cells(board)
+    head, rows = [*head, "result"], [[*cells, row.origin] for cells, row in zip(rows, board.rows, strict=True)]
     lines = [_title(board), "", text_table(head, rows)]
     lines += _footnotes(board)
     paper = _paper(board)
@@ -142,9 +172,9 @@ def text(board: Board) -> str:
 
 def markdown(board: Board) -> str:
     """The board as a page."""
-    head, rows = _cells(board)
+    head, rows = _cells(board, escaped)
     lines = [f"# {board.task.name}", "", board.task.description, "", _title(board), "", *_piped([head, *rows])]
-    lines += ["", *_footnotes(board)]
+    lines += ["", *_footnotes(board, escaped)]
     paper = _paper(board)
     if paper:
         lines += ["", "From the literature, as context only (not comparable: other data or another quantity, "
@@ -180,19 +210,20 @@ def _title(board: Board) -> str:
             f"{task.ranking_shot}-shot")
 
 
-def _cells(board: Board) -> tuple[list[str], list[list[str]]]:
+def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str], list[list[str]]]:
     task = board.task
     labels = task.protocol.labels
     head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "vsfsim"]
     rows, labels_of = [], _labels([row.result for row in board.rows])
     for row, label in zip(board.rows, labels_of):
-        by_shot = row.result.scores.get(task.primary, {})
-        stiffness = row.result.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
+        by_shot = row.scores.get(task.primary, {})
+        stiffness = row.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
         commit = str(row.result.made_by.get("commit") or "")[:7]
-        rows.append([str(row.rank or "-"), label + (" *" if row.mark else " ~" if row.apart else ""),
-                     *(_number(by_shot.get(shot)) for shot in labels),
-                     _number(stiffness), f"{adapt:.2f} s", f"{row.result.made_by.get('vsfsim')} {commit}".strip()])
+        made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
+        rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
+                     *(_number(by_shot.get(shot)) for shot in labels), _number(stiffness), f"{adapt:.2f} s",
+                     shown(made_by)])
     return head, rows
 
 
@@ -207,16 +238,16 @@ def _labels(results: list[Result]) -> list[str]:
     return out
 
 
-def _footnotes(board: Board) -> list[str]:
-    lines = [f"* {row.result.method}: {row.mark}, not ranked" for row in board.rows if row.mark]
-    rounded = [row.apart for row in board.rows if row.apart and not row.mark]
-    if rounded:
-        lines.append(f"~ on the same dataset made on a machine that rounds otherwise; its readings are "
-                     f"{100.0 * max(rounded):.1g} % off at most")
+def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
+    lines = [f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows if row.mark]
+    if any(row.other_bits for row in board.rows):
+        lines.append("~ on the same dataset, made on a machine that rounds otherwise")
+    if board.rows and not board.has_record:
+        lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
     if not board.rows:
         lines.append("no results yet; `vsfsim evaluate --method NAME --task " + board.task.name
                      + " --out FILE` makes one")
-    elif any("stiffness_spearman" in row.result.scores for row in board.rows):
+    elif any("stiffness_spearman" in row.scores for row in board.rows):
         lines.append(f"rank corr.: Spearman's, of the stiffness estimate at {board.task.ranking_shot}-shot with the "
                      f"true probe stiffness where touched")
     return lines

@@ -12,12 +12,15 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.core.extras import MissingPackage
+from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import ProbeShape
 from vsfsim.core.shelf import METHOD_GROUP, methods
 from vsfsim.data.records import View
@@ -118,31 +121,44 @@ class Method(Protocol):
 
 REQUIRED = ("meta_fit", "adapt", "predict")
 
+LARGEST_READING = 1e12
+"""A larger predicted reading is refused, in any unit: sums of the squares of millions of them still fit float64."""
 
-def find_method(name: str) -> type:
-    """The class (or factory) of a method.
+
+def find_method(name: str, *, search: str | None = None) -> type:
+    """The class (or factory) of a method. Its module is imported, so its code runs in this process.
 
     Args:
         name: an installed entry point of the group ``vsfsim.methods``, or ``module:attribute``.
+        search: folder in which a module is looked for besides ``sys.path``; default: the working folder.
 
     Raises:
         MethodError: there is none, or it cannot be imported.
     """
+    if name.partition(":")[0].endswith(".py"):
+        file, _, attribute = name.partition(":")
+        raise MethodError(f"method '{name}': a method is given as module:attribute, without .py: "
+                          f"{Path(file).stem}:{attribute or 'CLASS'}, in the folder of {Path(file).name}.")
     if ":" in name:
         module, _, attribute = name.partition(":")
-        if os.getcwd() not in sys.path:
-            sys.path.insert(0, os.getcwd())  # where a method under development is; a console script does not look there
+        folder = os.getcwd() if search is None else search
+        if folder not in sys.path:
+            sys.path.insert(0, folder)  # where a method under development is; a console script does not look there
         try:
-            return getattr(importlib.import_module(module), attribute)
+            found = importlib.import_module(module)
+            if not hasattr(found, attribute):
+                raise MethodError(f"method '{name}': the module {module} ({found.__file__}) has no '{attribute}'. "
+                                  f"{did_you_mean(attribute, _classes(found))}")
+            return getattr(found, attribute)
+        except MethodError:
+            raise
         except MissingPackage:
             raise
         except Exception as error:  # a module may raise anything while it is imported
             raise MethodError(f"method '{name}' cannot be loaded: {type(error).__name__}: {error}. Give "
                               f"module:attribute of something importable from here.") from error
+    check_name(name)
     shelf = methods()
-    if name not in shelf:
-        raise MethodError(f"unknown method '{name}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; "
-                          f"module:attribute works too.")
     try:
         return shelf[name].load()
     except MissingPackage:
@@ -150,6 +166,24 @@ def find_method(name: str) -> type:
     except Exception as error:
         raise MethodError(f"method '{name}' ({shelf[name].value}, entry point of {METHOD_GROUP}) cannot be loaded: "
                           f"{type(error).__name__}: {error}. Install what it needs, or its package again.") from error
+
+
+def check_name(name: str) -> None:
+    """Refuse a name that is neither installed nor ``module:attribute``, without importing anything.
+
+    Raises:
+        MethodError: with the nearest installed name.
+    """
+    shelf = methods()
+    if ":" not in name and name not in shelf:
+        raise MethodError(f"unknown method '{plain(name)}'. {did_you_mean(name, shelf)} `vsfsim methods` lists them; "
+                          f"module:attribute works too.")
+
+
+def _classes(module: ModuleType) -> list[str]:
+    """Names of the classes that a module defines."""
+    return [name for name, value in vars(module).items() if isinstance(value, type)
+            and value.__module__ == module.__name__]
 
 
 def parameters_of(factory: type, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -209,7 +243,7 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
                           f"one a touch.")
     out = []
     for prediction, action, name in zip(predictions, actions, where):
-        array = np.asarray(prediction, dtype=np.float64)
+        array = _real(prediction, name)
         want = (len(action.time), action.size)
         if array.shape != want:
             raise MethodError(f"prediction for {name} has shape {array.shape}; it must be (T, d) = {want}.")
@@ -217,8 +251,24 @@ def checked_prediction(predictions: Any, actions: Sequence[Action], where: Seque
             frame = int(np.argwhere(~np.isfinite(array))[0, 0])
             raise MethodError(f"prediction for {name} is not finite in frame {frame}; a method must answer with a "
                               f"number everywhere.")
+        if array.size and np.abs(array).max() > LARGEST_READING:
+            frame = int(np.argwhere(np.abs(array) > LARGEST_READING)[0, 0])
+            raise MethodError(f"prediction for {name} is {array[frame].flat[0]:g} in frame {frame}; no reading is over "
+                              f"{LARGEST_READING:g}, and its square must stay finite.")
         out.append(array)
     return out
+
+
+def _real(prediction: Any, name: str) -> np.ndarray:
+    """``prediction`` as float64, if it is made of real numbers."""
+    try:
+        array = np.asarray(prediction)
+        if array.dtype.kind not in "fiub" and not (array.dtype.kind == "O" and array.size):
+            raise TypeError(f"its dtype is {array.dtype}")
+        return np.array(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise MethodError(f"prediction for {name} is no array of real numbers: {plain(error)}. Answer with floats, "
+                          f"(T, d).") from error
 
 
 def check_support(support: Sequence[Reading]) -> None:

@@ -133,3 +133,24 @@ def metrics_of(answer: Answer) -> tuple[Metric, ...]:
 def record_scores(answer: Answer, records: Sequence[Record]) -> dict[str, float | None]:
     """Every metric of ``answer`` over the records of one seed at one shot, by name."""
     return {metric.name: metric.score(records) for metric in metrics_of(answer)}
+
+
+PER_OBJECT = (Answer.STIFFNESS, Answer.MASK, Answer.POSE)
+"""Answers whose metrics are means over objects. Their row in a result file is one object, and holds its metrics."""
+
+SUMS = {Answer.READINGS: ("touch", "n", "sse", "sae"), Answer.READING_STD: ("touch", "n", "nll", "in50", "in90")}
+"""Columns of the rows of the other answers in a result file, besides ``object``, ``shot`` and ``seed``."""
+
+
+def columns_of(answer: Answer) -> tuple[str, ...]:
+    """Names of the columns of an answer's rows in a result file."""
+    own = tuple(m.name for m in metrics_of(answer)) if answer in PER_OBJECT else SUMS[answer]
+    return ("object", "shot", "seed", *own)
+
+
+def score_of_rows(metric: Metric, rows: Sequence[Record]) -> float | None:
+    """A metric over the rows of one seed at one shot as a result file keeps them; None where a row lacks it."""
+    if metric.answer not in PER_OBJECT:
+        return metric.score(rows)
+    values = [row[metric.name] for row in rows if row.get(metric.name) is not None]
+    return float(np.mean(values)) if len(values) == len(rows) else None

@@ -85,7 +85,8 @@ def _touch(points: np.ndarray, spring: np.ndarray, rng: np.random.Generator, *, 
     frames = len(travel)
     energy = 0.5 * np.einsum("n,tnk,tnk->t", spring, pushed, pushed)
     audit = {"force_balance": np.zeros(frames), "min_det_f": np.ones(frames), "energy": energy,
-             "penetration": np.zeros(frames)}
+             "penetration": np.zeros(frames), "contact_points": np.zeros(frames, np.int64),
+             "contact_radius": np.zeros(frames)}
     return Touch(time=0.1 * np.arange(frames), mount_pose=pose, axis=axis, target=target, normal=-axis, force=force,
                  reaction=force,
                  converged=np.ones(frames, bool), residual=np.zeros(frames), iterations=np.ones(frames, np.int64),

@@ -6,21 +6,29 @@ The file is an .npz with one array (T, d) for every query: its key is ``<object>
 
 from __future__ import annotations
 
+import lzma
+import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import Any
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from vsfsim.bench.evaluate import readings_of, scores_of
+from vsfsim.bench import fingerprint
+from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.protocol import divide, record, support
-from vsfsim.bench.reading_metrics import touch_errors
-from vsfsim.bench.result import QUERY_COLUMNS, Result, machine, peak_memory_mib, versions
+from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.task import Task
-from vsfsim.core.errors import MethodError
+from vsfsim.bench.trials.answers import Answers
+from vsfsim.bench.trials.rows import as_columns, scores_of
+from vsfsim.bench.trials.score import rows_of
+from vsfsim.bench.trials.subject import Trial
+from vsfsim.core.errors import MethodError, no_such_file
+from vsfsim.core.plain_text import plain
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 from vsfsim.data.records import View
@@ -64,41 +72,97 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
     """Score the predictions in ``path``; ``name`` is what the method is called in the result.
 
     Raises:
-        MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape or is not
-            finite.
+        MethodError: the file is not an .npz, a key is missing or unknown, or a prediction has the wrong shape, is not
+            made of real numbers, or is not finite.
     """
     path = Path(path)
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            given = {key: file[key] for key in file.files}
-    except (OSError, ValueError, BadZipFile) as error:
-        raise MethodError(f"predictions {path} cannot be read: {error}. Give an .npz as "
-                          f"numpy.savez writes it.") from error
-    clean = {view.name: record(view, task) for view in map(dataset.blind().load, dataset.names(task.protocol.test))}
-    rows, asked, queries = [], set(), {}
-    for question in questions(task, dataset):
-        queries[question.name] = question.touches
-        for key, touch, action in zip(question.keys, question.touches, question.actions):
-            if key not in given:
-                raise MethodError(f"predictions {path} have no '{key}'. One array (T, d) a query is needed; "
-                                  f"`vsfsim.bench.predictions.questions` lists the keys.")
-            prediction = checked_prediction([given[key]], [action], [key])[0]
-            recording = clean[question.name]
-            errors = touch_errors(prediction, recording.clean[touch], recording.readings[touch].valid)
-            rows.append({"object": question.name, "shot": question.shot, "seed": question.seed, "touch": touch,
-                         **errors})
-            asked.add(key)
-    for key in given:
-        if key not in asked:
-            raise MethodError(f"predictions {path} have '{key}', which the task does not ask. Keys are "
-                              f"<object>/<shot>/<seed>/<touch>.")
+    if not path.exists():
+        raise MethodError(no_such_file("file of predictions", path))
+    data = fingerprint.beside_record(task, dataset)
+    answers: dict[str, list[Answers]] = {}
+    asked: set[str] = set()
+    with PredictionFile(path) as given:
+        for question in questions(task, dataset):
+            shapes = [(len(action.time), action.size) for action in question.actions]
+            read = [given.read(key, shape) for key, shape in zip(question.keys, shapes, strict=True)]
+            predictions = checked_prediction(read, question.actions, question.keys)
+            trial = Trial(question.name, question.shot, question.seed, ())
+            answers.setdefault(question.name, []).append(
+                Answers(trial, tuple(predictions), None, None, None, None, None, 0.0, 0.0))
+            asked.update(question.keys)
+        for key in given.keys:
+            if key not in asked:
+                raise MethodError(f"predictions {path} have '{plain(key, longest=100)}', which the task does not ask. "
+                                  f"Keys are <object>/<shot>/<seed>/<touch>.")
+    rows: list[dict[str, Any]] = []
+    readings: dict[str, list] = {}
+    for subject, mine in answers.items():
+        found, summary = rows_of(subject, mine, task, dataset)
+        rows += found[Answer.READINGS]
+        for column, values in summary.items():
+            readings.setdefault(column, []).extend(values)
     seeds = tuple(range(task.protocol.seeds))
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
-        method=name, entry="predictions file", parameters={}, observation=task.observation.name,
+        method=plain(name), entry="predictions file", parameters={}, observation=task.observation.name,
         unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
         scores=scores_of(Answer.READINGS, rows, task.protocol.labels, seeds),
-        queries={column: [row[column] for row in rows] for column in QUERY_COLUMNS}, timing={},
+        queries=as_columns(Answer.READINGS, rows), timing={},
         peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(),
-        notes=("scored from a file of predictions",),
-        readings=readings_of((clean[name], touches) for name, touches in queries.items()))
+        notes=("scored from a file of predictions",), readings=readings, data=data)
+
+
+class PredictionFile:
+    """An .npz of predictions. An array is read only if its header says the shape that was asked for, so that a file
+    cannot make the reader allocate more.
+
+    Args:
+        path: the file.
+
+    Raises:
+        MethodError: it is no .npz.
+    """
+
+    def __init__(self, path: Path):
+        self.path = path
+        try:
+            self._file = ZipFile(path)
+        except (OSError, ValueError, BadZipFile, NotImplementedError) as error:
+            raise MethodError(f"predictions {path} cannot be read: {plain(error)}. Give an .npz as "
+                              f"numpy.savez writes it.") from error
+        self.keys = [name.removesuffix(".npy") for name in self._file.namelist()]
+
+    def __enter__(self) -> PredictionFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def read(self, key: str, shape: tuple[int, ...]) -> np.ndarray:
+        """The array called ``key``, which must have this shape and hold real numbers.
+
+        Raises:
+            MethodError: there is none, or it is another one.
+        """
+        if key not in self.keys:
+            raise MethodError(f"predictions {self.path} have no '{key}'. One array (T, d) a query is needed; "
+                              f"`vsfsim.bench.predictions.questions` lists the keys.")
+        try:
+            with self._file.open(f"{key}.npy") as file:
+                version = np.lib.format.read_magic(file)
+                header = np.lib.format.read_array_header_1_0 if version == (1, 0) else (
+                    np.lib.format.read_array_header_2_0)
+                found, fortran, dtype = header(file)
+                if dtype.kind not in "fiub" or found != shape:
+                    raise MethodError(f"predictions {self.path}: '{key}' has shape {found} and dtype {dtype}; it must "
+                                      f"be real numbers of shape (T, d) = {shape}.")
+                size = int(np.prod(shape)) * dtype.itemsize
+                content = file.read(size)
+        except (OSError, ValueError, EOFError, KeyError, BadZipFile, NotImplementedError, RuntimeError, SyntaxError,
+                TypeError, zlib.error, lzma.LZMAError) as error:
+            raise MethodError(f"predictions {self.path}: '{key}' cannot be read: {plain(error)}. Write the file "
+                              f"again.") from error
+        if len(content) != size:
+            raise MethodError(f"predictions {self.path}: '{key}' ends after {len(content)} of {size} bytes. Write the "
+                              f"file again.")
+        return np.frombuffer(content, dtype).reshape(shape, order="F" if fortran else "C")

@@ -7,6 +7,7 @@ touches of a seed contain its 1 touch.
 
 from __future__ import annotations
 
+import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -106,7 +107,19 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
                 tuple(sorted(int(i) for i in order[protocol.query:])))
 
 
-def support(view: ObjectView, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
+class Numbered(typing.Protocol):
+    """An object view, or what stands for one, with the numbers that choose its random streams."""
+
+    @property
+    def object_index(self) -> int:
+        """From 0."""
+
+    @property
+    def view_index(self) -> int:
+        """Of the view of that object, from 0."""
+
+
+def support(view: Numbered, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
     """Indices of the support touches for shot ``label`` ("0", "5", "all") and ``seed``, in the order they are given."""
     if label == ALL:
         return draw.pool

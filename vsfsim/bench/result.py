@@ -13,36 +13,19 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import TaskError
+from vsfsim.bench.metrics import Answer
+from vsfsim.bench.trials.result_fields import OLD_VERSION, SCHEMA_VERSION, checked_fields, read_json
+from vsfsim.bench.trials.rows import Score, as_rows, scores_of
+from vsfsim.core.errors import TaskError, did_you_mean
+from vsfsim.core.interactive.figure import new_figure
+from vsfsim.core.interactive.html_table import html_table
+from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import write_atomic
 
 FORMAT = "vsfsim-result"
-SCHEMA_VERSION = 1
-QUERY_COLUMNS = ("object", "shot", "seed", "touch", "n", "sse", "sae")
-READING_COLUMNS = ("object", "touch", "n", "ss")
 
 
-@dataclass(frozen=True)
-class Score:
-    """A metric at one shot."""
-
-    mean: float
-    """Over seeds."""
-    std: float
-    """Over seeds, with n - 1; 0 for one seed."""
-    per_seed: tuple[float, ...]
-    """In the order of `Result.seeds`."""
-
-    @classmethod
-    def of(cls, per_seed: list[float]) -> Score:
-        """From the values of the seeds."""
-        n = len(per_seed)
-        mean = math.fsum(per_seed) / n
-        std = math.sqrt(math.fsum((v - mean) ** 2 for v in per_seed) / (n - 1)) if n > 1 else 0.0
-        return cls(mean, std, tuple(per_seed))
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Result:
     """One method on one task."""
 
@@ -89,6 +72,64 @@ class Result:
     """Summary of the true readings of the query touches, columns with one row a touch: object, touch, number of
     readings n, their sum of squares ss [unit^2]. They tell whether a dataset with other bits, made on another machine,
     is equivalent. Empty in results that are older than this field."""
+    package: Mapping[str, str] = dataclasses.field(default_factory=dict)
+    """``name`` and ``version`` of the installed package that the method is from, "" for a file that is not
+    installed."""
+    isolation: str = ""
+    """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.limits.SANDBOXES`; "" where the scorer
+    did not run it."""
+    data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """Fingerprints of the dataset (`vsfsim.bench.fingerprint.Record.table`) where its bits are not those of the task's
+    record; {} where they are, or the task has no record."""
+    answers: Mapping[str, Mapping[str, list]] = dataclasses.field(default_factory=dict)
+    """As `queries`, by the name of what else was answered (`vsfsim.bench.metrics.Answer`): columns with one row a
+    query touch, or one an object with its metrics."""
+    schema_version: int = SCHEMA_VERSION
+    """Of the file that it was read from."""
+
+    def summary(self) -> dict[str, Any]:
+        """For JSON: everything but the raw numbers of every query."""
+        raw = ("queries", "readings", "answers", "data")
+        return {key: value for key, value in dataclasses.asdict(self).items() if key not in raw}
+
+    def __repr__(self) -> str:
+        metric = next(iter(self.scores), "")
+        shots = ", ".join(f"{score.mean:.3f} at {shot}-shot" for shot, score in self.scores.get(metric, {}).items())
+        return f"Result({self.method} on {self.task}, {len(self.seeds)} seeds: {metric} {shots})"
+
+    def _repr_html_(self) -> str:
+        rows = [(metric, *(f"{s.mean:.3f} ± {s.std:.3f}" if (s := by_shot.get(shot)) else "" for shot in self.shots))
+                for metric, by_shot in self.scores.items()]
+        return html_table(f"{self.method} on {self.task}, mean ± std over {len(self.seeds)} seeds; readings in "
+                          f"{self.unit}", ("metric", *(f"{shot}-shot" for shot in self.shots)), rows)
+
+    def plot(self, metric: str = "rmse", path: str | Path | None = None) -> Any:
+        """Draw a metric over the number of touches, with its standard deviation over seeds.
+
+        Args:
+            metric: a key of `scores`.
+            path: PNG to write, or None.
+
+        Returns:
+            The `matplotlib.figure.Figure`, which a notebook shows.
+
+        Raises:
+            TaskError: the result has no such metric.
+        """
+        if metric not in self.scores:
+            raise TaskError(f"the result of {self.method} has no metric '{metric}'. "
+                            f"{did_you_mean(metric, self.scores)}")
+        by_shot = self.scores[metric]
+        figure = new_figure(figsize=(6.0, 3.6), dpi=110, layout="tight")
+        axes = figure.subplots()
+        axes.errorbar(list(by_shot), [s.mean for s in by_shot.values()], yerr=[s.std for s in by_shot.values()],
+                      marker="o", capsize=3)
+        axes.set(xlabel="touches of the test object", ylabel=f"{metric} (readings in {self.unit})", ylim=(0.0, None),
+                 title=f"{self.method} on {self.task}")
+        axes.grid(alpha=0.3)
+        if path is not None:
+            figure.savefig(path)
+        return figure
 
     def save(self, path: str | Path) -> None:
         """Write the JSON; the file appears whole or not at all.
@@ -97,7 +138,7 @@ class Result:
             TaskError: it cannot be written.
         """
         path = Path(path)
-        table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **dataclasses.asdict(self)}
+        table = {"format": FORMAT, **dataclasses.asdict(self), "schema_version": SCHEMA_VERSION}
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -112,44 +153,33 @@ class Result:
             TaskError: the file is not a result, it has another schema version, or a field is missing or malformed.
         """
         path = Path(path)
-        try:
-            table = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise TaskError(f"result {path} cannot be read: {error}.") from error
+        table = read_json(path)
         if not isinstance(table, dict) or table.get("format") != FORMAT:
             raise TaskError(f"{path} is not a result of `vsfsim evaluate`.")
-        if table.get("schema_version") != SCHEMA_VERSION:
-            raise TaskError(f"result {path} has schema version {table.get('schema_version')}; this vsfsim reads "
-                            f"{SCHEMA_VERSION}. Evaluate the method again.")
-        names = [f.name for f in dataclasses.fields(cls)]
-        given = {"readings": {}, **{key: value for key, value in table.items()
-                                    if key not in ("format", "schema_version")}}
-        if set(given) != set(names):
-            odd = ", ".join(sorted(set(given) ^ set(names)))
-            raise TaskError(f"result {path} is malformed: missing or unknown {odd}. Evaluate the method again.")
+        if table.get("schema_version") not in (OLD_VERSION, SCHEMA_VERSION):
+            raise TaskError(f"result {path} has schema version {plain(table.get('schema_version'), longest=40)}; this "
+                            f"vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
+        fields = {f.name: f for f in dataclasses.fields(cls)}
+        optional = {name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING} | {"isolation"}
+        given = {key: value for key, value in table.items() if key != "format"}
+        odd = (set(given) ^ set(fields)) - (optional - set(given) if given["schema_version"] == OLD_VERSION
+                                            else {"readings"} - set(given))
+        if odd:
+            raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "
+                            f"the method again.")
         try:
-            scores = {metric: {shot: Score(float(s["mean"]), float(s["std"]), tuple(float(v) for v in s["per_seed"]))
-                               for shot, s in by_shot.items()}
-                      for metric, by_shot in given["scores"].items()}
-            result = cls(**{**given, "scores": scores, "shots": tuple(given["shots"]),
-                            "seeds": tuple(int(s) for s in given["seeds"]), "notes": tuple(given["notes"])})
-            result._check(path)
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise TaskError(f"result {path} is malformed: {error!r}. Evaluate the method again.") from error
-        return result
+            return cls(**checked_fields(given))
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+            raise TaskError(f"result {path} is malformed: {plain(error, longest=300)}. Evaluate the method "
+                            f"again.") from error
 
-    def _check(self, path: Path) -> None:
-        columns = {name: self.queries[name] for name in QUERY_COLUMNS}
-        if len({len(column) for column in columns.values()}) != 1:
-            raise TaskError(f"result {path} is malformed: the columns of queries have different lengths.")
-        if self.readings and len({len(self.readings[name]) for name in READING_COLUMNS}) != 1:
-            raise TaskError(f"result {path} is malformed: the columns of readings have different lengths.")
-        for metric, by_shot in self.scores.items():
-            for shot, score in by_shot.items():
-                if (shot not in self.shots or len(score.per_seed) != len(self.seeds)
-                    or not math.isclose(score.mean, Score.of(list(score.per_seed)).mean, rel_tol=1e-9, abs_tol=1e-12)):
-                    raise TaskError(f"result {path} is malformed: {metric} at shot {shot} does not fit its "
-                                    f"{len(self.seeds)} seeds.")
+    def computed(self) -> dict[str, dict[str, Score]]:
+        """The scores, computed again from `queries` and `answers`; what `scores` says is not looked at."""
+        out = scores_of(Answer.READINGS, as_rows(self.queries), self.shots, self.seeds)
+        for answer in Answer:
+            if answer.value in self.answers:
+                out |= scores_of(answer, as_rows(self.answers[answer.value]), self.shots, self.seeds)
+        return out
 
 
 def readings_apart(one: Mapping[str, list], other: Mapping[str, list]) -> float | None:
@@ -190,13 +220,3 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return out
-
-
-def peak_memory_mib() -> float:
-    """Largest resident size of this process so far [MiB]; 0 where the system does not report it."""
-    try:
-        import resource
-    except ImportError:
-        return 0.0
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1024.0 if platform.system() == "Linux" else peak / 1024.0**2

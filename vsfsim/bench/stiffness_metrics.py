@@ -17,6 +17,9 @@ SMALLEST_STD = 1e-3
 """As a fraction of the median truth. A smaller standard deviation counts as this one, so that the likelihood stays
 finite."""
 
+TIE = 1e-9
+"""As a fraction of the largest value. Values closer together share a rank."""
+
 
 def can_be_scored(mean: np.ndarray, truth: np.ndarray) -> bool:
     """Whether an object has enough reached points and an estimate that is positive anywhere."""
@@ -90,7 +93,11 @@ def best_threshold(estimate: np.ndarray, positive: np.ndarray) -> tuple[float, f
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
-    """Spearman's rank correlation of two arrays (k,), ties sharing their mean rank; 0 where one of them is constant."""
+    """Spearman's rank correlation of two arrays (k,), ties sharing their mean rank; 0 where one of them is constant.
+
+    Values closer together than `TIE` count as equal: an estimator gives many points one value up to rounding, and
+    rounding differs between machines.
+    """
     ra, rb = _ranks(a), _ranks(b)
     ra, rb = ra - ra.mean(), rb - rb.mean()
     norm = np.sqrt((ra @ ra) * (rb @ rb))
@@ -98,6 +105,10 @@ def spearman(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    _, inverse, counts = np.unique(values, return_inverse=True, return_counts=True)
+    order = np.argsort(values, kind="stable")
+    ordered = values[order]
+    group = np.zeros(len(values), int)
+    group[order[1:]] = np.cumsum(np.diff(ordered) > TIE * np.abs(values).max(initial=0.0))
+    counts = np.bincount(group)
     last = np.cumsum(counts)
-    return (last - (counts - 1) / 2.0)[inverse]
+    return (last - (counts - 1) / 2.0)[group]

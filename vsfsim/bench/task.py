@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -13,7 +12,7 @@ from vsfsim.bench.metrics import METRICS, Metric
 from vsfsim.bench.noise import NOISE_KINDS, SIGNED, Noise
 from vsfsim.bench.observations import Observation, observation
 from vsfsim.core.errors import DatasetError, TaskError, did_you_mean
-from vsfsim.core.shelf import find_task
+from vsfsim.core.shelf import datasets, find_task
 from vsfsim.core.table import Table, parse_toml, read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import text_sha256
@@ -49,7 +48,7 @@ class DatasetWanted:
 
     def path(self) -> Path:
         """Where it is looked for: under $VSFSIM_DATASETS, else under ./datasets."""
-        return Path(os.environ.get("VSFSIM_DATASETS", "datasets")) / self.folder
+        return datasets() / self.folder
 
     def command(self, out: Path | None = None) -> str:
         """The command that makes it."""

@@ -1,4 +1,4 @@
-"""Commands of the benchmark: methods, tasks, evaluate, score, leaderboard, check."""
+"""Commands of the benchmark: methods, tasks, evaluate, score, leaderboard, check, new-method."""
 
 from __future__ import annotations
 
@@ -7,66 +7,126 @@ from typing import Annotated
 
 import typer
 
-from vsfsim.cli.console import Progress
-from vsfsim.cli.options import DatasetFolder, MethodName, Parameters, TaskName, parameters_of, result_path
+from vsfsim.cli.console import Progress, report, write_json
+from vsfsim.cli.options import (
+    DatasetFolder,
+    JsonFile,
+    MethodName,
+    Parameters,
+    TaskName,
+    complete_method,
+    complete_task,
+    parameters_of,
+    result_path,
+)
 
 app = typer.Typer()
 
 
 @app.command()
-def methods() -> None:
+def methods(json: JsonFile = None) -> None:
     """List the installed methods."""
-    from vsfsim.core import shelf
+    from vsfsim.bench.commands.catalogue import methods as catalogue
 
-    for name, entry in sorted(shelf.methods().items()):
-        print(f"{name:<20}{entry.value}")
+    found = catalogue()
+    report("\n".join(f"{name:<20}{place}" for name, place in found.items()), found.table(), json)
 
 
 @app.command()
-def tasks() -> None:
+def tasks(record: Annotated[Path | None, typer.Option("--record", metavar="FOLDER",
+                                                      help="For developers: write the record of the dataset in this "
+                                                           "folder for the task that --task names.")] = None,
+          task: Annotated[str | None, typer.Option(help="Name of a task, for --record.")] = None,
+          json: JsonFile = None) -> None:
     """List the tasks."""
-    from vsfsim.bench.task import load_task
-    from vsfsim.core import shelf
+    if record is not None:
+        _record(record, task)
+        return
+    from vsfsim.bench.commands.catalogue import tasks as catalogue
 
-    names = list(shelf.tasks())
-    for name in names:
-        task = load_task(name)
-        superseded = f" Superseded by {task.superseded_by}." if task.superseded_by else ""
-        print(f"{name:<{2 + max(map(len, names))}}{task.description}{superseded}")
+    found = catalogue()
+    width = 2 + max(map(len, found))
+    lines = [f"{name:<{width}}{one.description}" + (f" Superseded by {one.superseded_by}." if one.superseded_by else "")
+             for name, one in found.items()]
+    report("\n".join(lines), found.table(), json)
+
+
+def _record(dataset: Path, name: str | None) -> None:
+    """Write the record of a dataset beside the tasks that it belongs to."""
+    from vsfsim.bench.fingerprint import record_path, write_record
+    from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.core import shelf
+    from vsfsim.core.errors import TaskError
+    from vsfsim.data.dataset import Dataset
+
+    folder = Dataset.open(dataset).path.resolve().name
+    wanted = [load_task(name)] if name else [one for one in map(load_task, shelf.tasks())
+                                             if one.dataset.folder == folder]
+    if not wanted:
+        raise TaskError(f"no task reads a dataset called '{folder}'. Name the task with --task.")
+    for one in wanted:
+        path = record_path(one)
+        made = write_record(one, open_dataset(one, dataset), path)
+        print(f"{path}: {len(made.entries)} views, {sum(len(e.of_touches) for e in made.entries)} touches, "
+              f"{path.stat().st_size / 1e3:.0f} kB")
 
 
 @app.command()
-def evaluate(method: Annotated[str, typer.Option(help="Name of a method (`vsfsim methods`), or module:attribute.")],
+def evaluate(method: Annotated[list[str], typer.Option(autocompletion=complete_method,
+                                                   help="Name of a method (`vsfsim methods`), or "
+                                                            "module:attribute. Give it again for more methods.")],
              task: TaskName, dataset: DatasetFolder = None,
              out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/METHOD.json.")] = None,
              seeds: Annotated[int | None, typer.Option(min=1, help="Draws of the support set; default: the task's "
                                                                    "number.")] = None,
-             parameters: Parameters = None) -> None:
-    """Score a method on a task.
+             parameters: Parameters = None,
+             workers: Annotated[int, typer.Option(min=1, help="Trials that run at the same time.")] = 1,
+             timeout: Annotated[float | None, typer.Option(help="Seconds that one call of the method may take; "
+                                                                "default: no limit.")] = None,
+             memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
+                                                               "[GiB]; default: no limit.")] = None,
+             sandbox: Annotated[str, typer.Option(help="process: the method runs in a process of its own; bubblewrap: "
+                                                       "in a container, too, which hides your files and the network.")
+                                ] = "process", json: JsonFile = None) -> None:
+    """Score methods on a task.
 
-    Prints a table; every number goes into a JSON file.
+    Prints a table; every number goes into a JSON file. Finished seeds are kept, and the same command goes on after an
+    interruption.
     """
-    from vsfsim.bench.evaluate import evaluate as run
+    from vsfsim.bench.commands.evaluate import evaluate as run
+    from vsfsim.bench.commands.evaluate import log_of
     from vsfsim.bench.leaderboard import score_table
-    from vsfsim.bench.method import find_method
-    from vsfsim.bench.method import parameters_of as checked_parameters
-    from vsfsim.bench.task import load_task, open_dataset
+    from vsfsim.bench.method import check_name
+    from vsfsim.bench.task import load_task
+    from vsfsim.core.errors import MethodError
 
     given = parameters_of(parameters)
-    checked_parameters(find_method(method), given)  # a mistyped parameter is reported before the dataset is opened
+    if len(method) > 1 and (out is not None or given):
+        raise MethodError("--out and --set belong to one method, but --method is given several times. Give one, or "
+                          "leave them away.")
+    for name in method:
+        check_name(name)
     wanted = load_task(task)
-    path = result_path(out, wanted.name, method)
-    with Progress(f"evaluate {method}") as progress:
-        result = run(method, wanted, open_dataset(wanted, dataset), parameters=given, seeds=seeds, progress=progress)
-    result.save(path)
-    t = result.timing
-    print(score_table(result, wanted.primary))
-    print(f"\nmeta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, predict "
-          f"{t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
-          f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
-    for note in result.notes:
-        print(f"note: {note}")
-    print(f"written to {path}")
+    paths = [result_path(out, wanted.name, name) for name in method]
+    numbers = []
+    for index, (name, path) in enumerate(zip(method, paths, strict=True)):
+        with Progress(f"evaluate {name}") as progress:
+            result = run(name, wanted, dataset, parameters=given, seeds=seeds, workers=workers, timeout=timeout,
+                         memory=memory, sandbox=sandbox, out=path, progress=progress)
+        numbers.append({**result.summary(), "written": str(path)})
+        if str(json) == "-":
+            continue
+        t, log = result.timing, log_of(path)
+        print("\n" * (index > 0) + score_table(result, wanted.primary))
+        print(f"\nmeta-fit {t['meta_fit_s']:.1f} s, adapt {t['adapt_s'] / max(t['adapts'], 1):.2f} s, predict "
+              f"{t['predict_s'] / max(t['predicts'], 1):.3f} s a touch; "
+              f"{len(result.seeds)} seeds; peak memory {result.peak_memory_mib:.0f} MiB")
+        for note in result.notes:
+            print(f"note: {note}")
+        if log.exists():
+            print(f"what the method printed is in {log}")
+        print(f"written to {path}")
+    write_json(numbers[0] if len(method) == 1 else numbers, json)
 
 
 @app.command()
@@ -74,9 +134,27 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
                                                                            "keys are OBJECT/SHOT/SEED/TOUCH.")],
           task: TaskName, name: Annotated[str, typer.Option(help="Name of the method in the result.")],
           dataset: DatasetFolder = None,
-          out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None
-          ) -> None:
-    """Score a file of predictions made elsewhere."""
+          out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/NAME.json.")] = None,
+          json: JsonFile = None) -> None:
+    """Score a file of predictions made elsewhere.
+
+    This Python makes the file; write the questions out for a method in another language:
+
+    \b
+      import numpy as np
+      from vsfsim.bench.predictions import questions
+      from vsfsim.bench.task import load_task, open_dataset
+      task = load_task("fewshot-shoes-mini-v1")
+      answers = {}
+      for q in questions(task, open_dataset(task)):      # one object, number of touches and seed
+          # q.view is the image, q.support the touches that were made (each has .action, .value, .valid)
+          for key, action in zip(q.keys, q.actions):     # touches to predict: action.poses (T, 4, 4), ...
+              answers[key] = np.zeros((len(action.time), action.size))   # your prediction (T, d)
+      np.savez("predictions.npz", **answers)
+
+    \b
+      vsfsim score predictions.npz --task fewshot-shoes-mini-v1 --name mine
+    """
     from vsfsim.bench.leaderboard import score_table
     from vsfsim.bench.predictions import score_predictions
     from vsfsim.bench.task import load_task, open_dataset
@@ -85,8 +163,8 @@ def score(predictions: Annotated[Path, typer.Argument(metavar="FILE", help="An .
     path = result_path(out, wanted.name, name)
     result = score_predictions(predictions, wanted, open_dataset(wanted, dataset), name=name)
     result.save(path)
-    print(score_table(result, wanted.primary))
-    print(f"written to {path}")
+    report(f"{score_table(result, wanted.primary)}\nwritten to {path}", {**result.summary(), "written": str(path)},
+           json)
 
 
 @app.command()
@@ -94,30 +172,51 @@ def leaderboard(results: Annotated[list[Path] | None,
                                    typer.Argument(metavar="RESULT", help="More result files, or folders of them; "
                                                                          "default: results/TASK if there is one.")
                                    ] = None,
-                task: Annotated[str | None, typer.Option(help="Name of a task; default: all tasks.")] = None,
-                markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False) -> None:
-    """Rank the methods of a task, from result files."""
+                task: Annotated[str | None, typer.Option(autocompletion=complete_task,
+                                                         help="Name of a task; default: all tasks.")] = None,
+                markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False,
+                json: JsonFile = None) -> None:
+    """Rank the methods of a task, from result files.
+
+    The last column says which results came with vsfsim and which were made here.
+    """
     from vsfsim.bench import leaderboard as board
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
-    for index, name in enumerate([task] if task else list(shelf.tasks())):
+    pages, tables = [], []
+    for name in [task] if task else list(shelf.tasks()):
         wanted = load_task(name)
         paths = list(results or [])
         if not paths and (Path("results") / wanted.name).is_dir():
             paths = [Path("results") / wanted.name]
-        print("\n" * (index > 0) + (board.markdown if markdown else board.text)(board.collect(wanted, paths)))
+        found = board.collect(wanted, paths)
+        pages.append((board.markdown if markdown else board.text)(found))
+        tables.append(board.table(found))
+    report("\n\n".join(pages), tables[0] if task else tables, json)
 
 
 @app.command()
-def check(method: MethodName, parameters: Parameters = None) -> None:
+def check(method: MethodName, parameters: Parameters = None, json: JsonFile = None) -> None:
     """Try a method against the contract, in seconds.
 
     Runs on mock objects; no dataset is needed. Exit code 2 if the method does not conform.
     """
-    from vsfsim.bench.check import check as run
-    from vsfsim.bench.check import report
+    from vsfsim.bench import check as contract
 
-    findings = run(method, parameters=parameters_of(parameters))
-    print(report(method, findings))
+    findings = contract.check(method, parameters=parameters_of(parameters))
+    report(contract.report(method, findings), contract.table(method, findings), json)
     raise typer.Exit(2 if any(f.outcome == "failed" for f in findings) else 0)
+
+
+@app.command("new-method")
+def new_method(name: Annotated[str, typer.Argument(metavar="NAME", help="Of the method: small letters, digits and "
+                                                                        "dashes, e.g. my-method.")],
+               out: Annotated[Path | None, typer.Option(help="Folder to make; default: NAME here.")] = None) -> None:
+    """Begin a method of your own: a package with its entry point and its test.
+
+    It passes `vsfsim check` as it is. What it prints are the next steps.
+    """
+    from vsfsim.bench.commands.new_method import write_package
+
+    print(write_package(name, out))

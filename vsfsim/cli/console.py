@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -77,18 +78,36 @@ def note(sentence: str) -> None:
     print(f"note: {sentence}", file=sys.stderr)
 
 
+def _without_nan(value: Any) -> Any:
+    """The same with null for what is no finite number, which JSON does not know."""
+    if isinstance(value, dict):
+        return {key: _without_nan(v) for key, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
 def report(words: str, numbers: Any, path: Path | None, *, indent: int | None = None) -> None:
     """Print words, and write the numbers to ``path`` as JSON; only the numbers, to standard output, if that is -.
 
     Raises:
         DatasetError: the file cannot be written.
     """
-    text = json.dumps(numbers, indent=indent)
+    if str(path) != "-":
+        print(words)
+    write_json(numbers, path, indent=indent)
+
+
+def write_json(numbers: Any, path: Path | None, *, indent: int | None = None) -> None:
+    """Write the numbers to ``path`` as JSON, to standard output if that is -, and nowhere if it is None.
+
+    Raises:
+        DatasetError: the file cannot be written.
+    """
+    text = json.dumps(_without_nan(numbers), indent=indent, allow_nan=False)
     if str(path) == "-":
         print(text)
-        return
-    print(words)
-    if path is not None:
+    elif path is not None:
         from vsfsim.data.disk import write_atomic
 
         write_atomic(path, (text + "\n").encode())

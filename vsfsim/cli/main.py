@@ -6,19 +6,21 @@ stderr and exit code 2; any other exception is a bug and keeps its traceback, ex
 
 from __future__ import annotations
 
+import codecs
 import errno
+import io
 import sys
 import traceback
 from typing import Annotated, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, data, measure, simulate
-from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.cli import bench, data, info, measure, simulate, stability
+from vsfsim.core.errors import Interrupted, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
-app = typer.Typer(name="vsfsim", no_args_is_help=True, add_completion=False, rich_markup_mode=None,
-                  pretty_exceptions_enable=False,
+app = typer.Typer(name="vsfsim", no_args_is_help=True, rich_markup_mode=None,
+                  pretty_exceptions_enable=False, context_settings={"help_option_names": ["-h", "--help"]},
                   help="""Simulated vision and touch of heterogeneous deformable objects, and a benchmark of stiffness
 estimators.
 
@@ -32,16 +34,36 @@ Make data, score two methods, see the table:
   vsfsim evaluate --method gaussian --task fewshot-shoes-mini-v1
   vsfsim evaluate --method point-vsf --task fewshot-shoes-mini-v1
   vsfsim leaderboard --task fewshot-shoes-mini-v1
-""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge.")
+\b
+A method of your own:
+  vsfsim new-method my-method         a package with its test, which passes `vsfsim check`
+\b
+What this machine has, and what is missing:
+  vsfsim info
+""", epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
+                         "130 interrupted.")
 
-for group in (simulate, data, bench):
+for group in (simulate, data, bench, info, stability):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(measure.app, name="measure")
 app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)
 
 
+_ASCII = {"±": "+-", "²": "2", "³": "3", "×": "x", "µ": "u", "°": "deg", "→": "->", "–": "-", "…": "..."}
+"""What a terminal without Unicode shows; a question mark for anything else."""
+
+
+def _as_ascii(error: UnicodeError) -> tuple[str, int]:
+    assert isinstance(error, UnicodeEncodeError)
+    return "".join(_ASCII.get(letter, "?") for letter in error.object[error.start:error.end]), error.end
+
+
 def main() -> None:
     """Entry point of the `vsfsim` command."""
+    codecs.register_error("vsfsim", _as_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="vsfsim")
     # Taken out by hand, so that it works before and after the command.
     debug = "--debug" in sys.argv[1:]
     sys.argv[1:] = [word for word in sys.argv[1:] if word != "--debug"]
@@ -51,6 +73,9 @@ def main() -> None:
         if not word.startswith("-") and word not in command.commands:
             raise VsfsimError(f"unknown command '{word}'. {did_you_mean(word, command.commands)}")
         command()
+    except Interrupted as stop:
+        print(f"\n{stop}", file=sys.stderr)
+        sys.exit(130)
     except (VsfsimError, ModuleNotFoundError) as error:
         found = error if isinstance(error, VsfsimError) else missing(error)
         if found is None:

@@ -56,6 +56,22 @@ def solver(device: Device = "cpu",
 
 
 @app.command()
+def laws(out: JsonFile = None) -> None:
+    """How far laws of elasticity of the same E and nu differ in uniaxial compression, by their closed forms."""
+    from benchmarks.laws import measure
+
+    _report(measure(progress=step), out)
+
+
+@app.command()
+def shallow(out: JsonFile = None) -> None:
+    """Error of the force against depth, at six places within an element, on meshes of three sizes."""
+    from benchmarks.shallow import measure
+
+    _report(measure(progress=step), out)
+
+
+@app.command()
 def methods(paper: Annotated[bool,
                              typer.Option("--paper",
                                           help="The paper's size: 20,000 particles, 60 touches, 900 frames.")] = False,

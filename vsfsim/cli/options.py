@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from vsfsim.core.errors import MethodError, VsfsimError, did_you_mean
+from vsfsim.core.plain_text import file_stem
 
 
 def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
@@ -22,11 +24,9 @@ def check_choice(option: str, value: str, allowed: Iterable[str]) -> None:
 
 def _checked_device(device: str) -> str:
     if device != "cpu":
-        import warp
+        from vsfsim.physics.runtime import check_device
 
-        names = [str(d.alias) for d in warp.get_devices()]
-        if device not in names:
-            raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
+        check_device(device)
     return device
 
 
@@ -59,7 +59,19 @@ def picture_option(help: str, *names: str) -> Any:
     return typer.Option(*names, metavar="PNG", help=help, callback=_writable)
 
 
-SceneName = Annotated[str, typer.Argument(metavar="SCENE",
+def _names(of: str) -> Callable[[str], list[str]]:
+    """Completes a word to names of the shelf: "scenes", "tasks" or "methods"."""
+    def complete(incomplete: str) -> list[str]:
+        from vsfsim.core import shelf
+
+        return [name for name in getattr(shelf, of)() if name.startswith(incomplete)]
+
+    return complete
+
+
+complete_task, complete_method = _names("tasks"), _names("methods")
+
+SceneName = Annotated[str, typer.Argument(metavar="SCENE", autocompletion=_names("scenes"),
                                           help="Name of a scene (`vsfsim scenes`), or the path of its .toml file.")]
 Tier = Annotated[str | None, typer.Option("--tier",
                                           help="Fidelity: linear, fem-coarse, fem, fem-fine; default: the scene's.")]
@@ -77,9 +89,9 @@ Views = Annotated[int | None, typer.Option("--views", min=1, help="Views of each
 Touches = Annotated[int | None, typer.Option("--touches", min=1, help="Touches of each view; default: the scene's.")]
 Workers = Annotated[int | None, typer.Option("--workers", min=1,
                                              help="Processes; default: one a CPU core, or 1 on a GPU.")]
-MethodName = Annotated[str, typer.Argument(metavar="METHOD",
+MethodName = Annotated[str, typer.Argument(metavar="METHOD", autocompletion=complete_method,
                                            help="Name of a method (`vsfsim methods`), or module:attribute.")]
-TaskName = Annotated[str, typer.Option("--task",
+TaskName = Annotated[str, typer.Option("--task", autocompletion=complete_task,
                                        help="Name of a task (`vsfsim tasks`), or the path of its .toml file.")]
 DatasetFolder = Annotated[Path | None, typer.Option("--dataset",
                                                     help="Folder of the dataset; default: the task's, under datasets/ "
@@ -112,11 +124,13 @@ def result_path(out: Path | None, task: str, method: str) -> Path:
     """The file of a result; default: results/TASK/METHOD.json.
 
     Raises:
-        VsfsimError: it is a folder, or lies below a file.
+        VsfsimError: it is a folder, lies below a file, or cannot be written.
     """
-    path = out or Path("results") / task / f"{method.replace(':', '.')}.json"
+    path = out or Path("results") / task / f"{file_stem(method)}.json"
     there = next(folder for folder in path.parents if folder.exists())  # The folders below it are made with the file.
     if path.is_dir() or not there.is_dir():
         raise VsfsimError(f"--out is '{path}', but '{path if path.is_dir() else there}' is "
                           f"{'a folder' if path.is_dir() else 'no folder'}. Choose another place.")
+    if not os.access(path if path.exists() else there, os.W_OK) or (path.exists() and not os.access(there, os.W_OK)):
+        raise VsfsimError(f"--out is '{path}', but '{there}' cannot be written. Choose another place.")
     return path

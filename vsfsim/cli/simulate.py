@@ -21,25 +21,27 @@ from vsfsim.cli.options import (
     Touches,
     Views,
     Workers,
-    check_choice,
     picture_option,
 )
-from vsfsim.core.arm_spec import ARM_MODELS
+from vsfsim.core.errors import Interrupted
 
 app = typer.Typer()
 
 
 @app.command()
-def scenes() -> None:
+def scenes(json: JsonFile = None) -> None:
     """List the shipped scenes."""
     from vsfsim.core import shelf
     from vsfsim.core.scene import load_scene
 
+    rows = []
     for name, path in shelf.scenes().items():
-        scene = load_scene(path)
-        kind = "dataset" if "touches" in scene.tree else "press"
-        print(f"{name:<22}{kind:<9}{scene.tree.get('description', '')}")
-    print(f"families: {', '.join(shelf.families())}")
+        tree = load_scene(path).tree
+        rows.append({"scene": name, "kind": "dataset" if "touches" in tree else "press",
+                     "description": tree.get("description", "")})
+    lines = [f"{row['scene']:<22}{row['kind']:<9}{row['description']}" for row in rows]
+    families = shelf.families()
+    report("\n".join([*lines, f"families: {', '.join(families)}"]), {"scenes": rows, "families": families}, json)
 
 
 @app.command()
@@ -48,6 +50,9 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
           plot: Annotated[Path | None, picture_option("Write a plot of force against depth.")] = None,
           picture: Annotated[Path | None, picture_option("Write a picture of the deformed body at full depth.")] = None,
           save: ArchiveFile = None,
+          limit: Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS",
+                                                      help="Wall-clock limit of a frame; one that takes longer is "
+                                                           "marked. Default: the tier's own, 120.")] = None,
           refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES",
                                                      help="Press 3 to 6 finer and finer meshes: observed order of "
                                                           "convergence, extrapolated force and its error.")] = None
@@ -64,22 +69,34 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
     from vsfsim.press.command import press as run  # takes seconds; a mistake in the scene is reported before
 
     with Progress("press") as progress:
-        text, numbers, converged = run(loaded, seed=seed, tier=tier, device=device, precision=precision, meshes=refine,
-                                       plot=plot, picture=picture, save=save, progress=progress)
-    report(text, numbers, json)
-    if not converged:
+        made = run(loaded, seed=seed, tier=tier, device=device, precision=precision, refine=refine, limit=limit,
+                   keep=picture is not None or save is not None, progress=progress)
+    words = [made.text()]
+    if plot is not None:
+        made.plot(plot)
+        words.append(f"plot: {plot}")
+    if picture is not None:
+        made.picture(picture)
+        words.append(f"picture: {picture}")
+    if save is not None:
+        made.save(save)
+        words.append(f"saved: {save}")
+    report("\n".join(words), made.table(), json)
+    if not made.converged:
         raise typer.Exit(3)
 
 
 @app.command()
 def generate(scene: SceneName,
-             out: Annotated[Path | None, typer.Option(help="Folder of the dataset; default: datasets/SCENE.")] = None,
+             out: Annotated[Path | None, typer.Option(help="Folder of the dataset; default: where a task looks for it, "
+                                                           "datasets/SCENE-v1 say, else datasets/SCENE "
+                                                           "($VSFSIM_DATASETS in place of datasets).")] = None,
              objects: Objects = None, views: Views = None, touches: Touches = None, seed: Seed = 0, tier: Tier = None,
              device: Device = "cpu", precision: Precision = "float64",
              renderer: Annotated[str, typer.Option(help="warp or pyrender.")] = "warp",
              arm: Annotated[str | None, typer.Option(help="Arm of a scene with [arm]: gen3 or menagerie; default: the "
                                                           "scene's.")] = None,
-             workers: Workers = None) -> None:
+             workers: Workers = None, json: JsonFile = None) -> None:
     """Make a dataset from a scene, or finish one.
 
     Run the same command again after an interruption: it makes only what is missing, to the same bits.
@@ -87,33 +104,40 @@ def generate(scene: SceneName,
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
 
-    check_choice("--renderer", renderer, ("warp", "pyrender"))
-    if arm is not None:
-        check_choice("--arm", arm, ARM_MODELS)
     loaded = load_scene(find_scene(scene))
-    folder = out or Path("datasets") / loaded.name
-    from vsfsim.generate.run import generate as run  # takes seconds; a mistake in the scene is reported before
+    from vsfsim.generate.command import generate as run  # takes seconds; a mistake in the scene is reported before
 
     began = time.perf_counter()
-    with Progress("generate") as progress:
-        dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier,
-                      device=device, precision=precision, renderer=renderer, workers=workers, arm=arm,
-                      progress=progress, note=note)
-    bad = sum(entry.unconverged for entry in dataset.entries)
-    print(f"{folder}: {len(dataset)} object views, {sum(e.touches for e in dataset.entries)} touches, "
-          f"{sum(e.frames for e in dataset.entries)} frames ({bad} not converged, marked), "
-          f"{time.perf_counter() - began:.0f} s")
+    from vsfsim.generate.command import folder_of
+
+    folder = folder_of(loaded, out, seed=seed, objects=objects, views=views, touches=touches, tier=tier, arm=arm)
+    try:
+        with Progress("generate") as progress:
+            dataset = run(loaded, folder, seed=seed, objects=objects, views=views, touches=touches, tier=tier,
+                          device=device, precision=precision, renderer=renderer, workers=workers, arm=arm,
+                          progress=progress, note=note)
+    except KeyboardInterrupt:
+        kept = len(list(folder.glob("*.h5")))
+        raise Interrupted(f"interrupted; {kept} finished object views are kept in {folder}. Run the same command again "
+                          f"to make the others." if kept else "interrupted; nothing was finished, so nothing is "
+                          "kept.") from None
+    numbers = {"dataset": str(dataset.path), "sha256": dataset.sha256, "views": len(dataset),
+               "splits": {split: len(dataset.names(split)) for split in dataset.splits},
+               "touches": sum(e.touches for e in dataset.entries), "frames": sum(e.frames for e in dataset.entries),
+               "unconverged": sum(e.unconverged for e in dataset.entries), "seconds": time.perf_counter() - began}
+    report(f"{dataset.path}: {len(dataset)} object views, {numbers['touches']} touches, {numbers['frames']} frames "
+           f"({numbers['unconverged']} not converged, marked), {numbers['seconds']:.0f} s", numbers, json)
 
 
 @app.command()
 def inspect(what: Annotated[str, typer.Argument(metavar="DATASET|SCENE", help="Folder of a dataset, or a scene.")],
             out: Annotated[Path | None, picture_option("File to write; default: NAME.png here.", "--out")] = None,
-            seed: Seed = 0, device: Device = "cpu") -> None:
+            seed: Seed = 0, device: Device = "cpu", json: JsonFile = None) -> None:
     """Draw a dataset, or a scene's object.
 
     A dataset: its summary and a contact sheet. A scene: a turntable of its object, coloured by Young's modulus.
     """
     from vsfsim.generate import inspect as look
 
-    for line in look.inspect(what, out, seed=seed, device=device):
-        print(line)
+    lines, numbers = look.inspect(what, out, seed=seed, device=device)
+    report("\n".join(lines), numbers, json)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from pathlib import Path
 
 
 class VsfsimError(Exception):
@@ -38,6 +39,10 @@ class VsfError(VsfsimError):
     """The VSF model was given something it cannot work with."""
 
 
+class Interrupted(VsfsimError):
+    """The user has stopped a command; the message says what is kept and how to go on. Exit code 130."""
+
+
 class NoStiffnessError(VsfError):
     """The forces of all touches are zero or pull, so that no stiffness can be estimated from them."""
 
@@ -60,3 +65,20 @@ def did_you_mean(given: str, allowed: Iterable[str]) -> str:
 def unknown_key(where: str, given: str, allowed: Iterable[str]) -> str:
     """The message for a key that a table does not have."""
     return f"{where}: unknown key '{given}'. {did_you_mean(given, allowed)}"
+
+
+def no_such_file(kind: str, given: str | Path) -> str:
+    """The message for a path that leads nowhere: where it stops, and the nearest name there.
+
+    Args:
+        kind: what was wanted, e.g. "scene file".
+        given: the path.
+    """
+    path = Path(given)
+    parent = path.parent
+    if not parent.is_dir():
+        return f"there is no {kind} '{path}': there is no folder '{parent}'."
+    names = sorted(found.name for found in parent.iterdir() if not found.name.startswith("."))
+    near = difflib.get_close_matches(path.name, names, n=1, cutoff=0.6)
+    hint = f" Did you mean '{parent / near[0]}'?" if near else f" Nothing in '{parent.resolve()}' has a similar name."
+    return f"there is no {kind} '{path}'.{hint}"

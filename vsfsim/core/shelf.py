@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.metadata
 import importlib.resources
+import os
+import tomllib
 from pathlib import Path
+from typing import Any
 
-from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean
+from vsfsim.core.errors import SceneError, TaskError, VsfsimError, did_you_mean, no_such_file
 
 METHOD_GROUP = "vsfsim.methods"
 EFFECTOR_GROUP = "vsfsim.effectors"
@@ -59,10 +63,13 @@ def _find(given: str, shelf: dict[str, Path], kind: str, error: type[VsfsimError
     if path.suffix == ".toml":
         if path.is_file():
             return path
-        raise error(f"{kind} file '{given}' does not exist. Give the path of a .toml file, or one of: "
-                    f"{', '.join(shelf)}.")
+        raise error(f"{no_such_file(f'{kind} file', given)} Shipped {kind}s are given by name: {', '.join(shelf)}.")
     if given in shelf:
         return shelf[given]
+    if path.suffix or len(path.parts) > 1:
+        there = path.exists()
+        raise error(f"'{given}' is no .toml file; a {kind} is one. Shipped {kind}s are given by name: "
+                    f"{', '.join(shelf)}." if there else no_such_file(f"{kind} file", given))
     raise error(f"unknown {kind} '{given}'. {did_you_mean(given, shelf)} `vsfsim {kind}s` lists them; a path to a "
                 f".toml file works too.")
 
@@ -96,3 +103,26 @@ def effectors() -> list[str]:
     files = (Path(__file__).parents[1] / "generate" / "effectors").glob("*.py")
     shipped = {path.stem.replace("_", "-") for path in files if not path.stem.startswith("_")}
     return sorted(shipped | {ep.name for ep in importlib.metadata.entry_points(group=EFFECTOR_GROUP)})
+
+
+def datasets() -> Path:
+    """Where datasets are made and looked for: $VSFSIM_DATASETS, else the folder datasets/ of the current one."""
+    return Path(os.environ.get("VSFSIM_DATASETS", "datasets"))
+
+
+def dataset_folder(scene: str, *, text: str, **recipe: Any) -> Path:
+    """Where a dataset goes if nobody says where: the folder in which a task looks for it, else `datasets` / SCENE.
+
+    Args:
+        scene: name of the scene.
+        text: of the scene file.
+        recipe: seed, objects, views, touches and tier of the dataset.
+    """
+    asked = {"scene": scene, "scene_sha256": hashlib.sha256(text.encode()).hexdigest(), **recipe}
+    wanted = [tomllib.loads(path.read_text(encoding="utf-8")) for path in tasks().values()]
+    # The dataset of a task that another one corrects comes last.
+    for tree in sorted(wanted, key=lambda tree: "superseded_by" in tree):
+        want = tree["dataset"]
+        if all(want.get(key) in (value, None, "", "auto") for key, value in asked.items()):
+            return datasets() / want["folder"]
+    return datasets() / scene

@@ -9,6 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.core.errors import SceneError, VsfsimError, did_you_mean, unknown_key
+from vsfsim.core.plain_text import plain
+
+LARGEST_FILE = 4 << 20
+"""A TOML file with more bytes is not read."""
 
 
 def read_text(path: Path, kind: str, error: type[VsfsimError]) -> str:
@@ -18,8 +22,10 @@ def read_text(path: Path, kind: str, error: type[VsfsimError]) -> str:
         VsfsimError: of class ``error``; it cannot be read.
     """
     try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise OSError(f"it has more than {LARGEST_FILE} bytes")
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as problem:
+    except (OSError, ValueError) as problem:
         raise error(f"{kind} file '{path}' cannot be read: {problem}. Give the path of a TOML text file.") from problem
 
 
@@ -31,8 +37,8 @@ def parse_toml(text: str, path: Path, kind: str, error: type[VsfsimError]) -> di
     """
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as problem:
-        raise error(f"{kind} file '{path}' is not valid TOML: {problem}.") from problem
+    except (tomllib.TOMLDecodeError, RecursionError, ValueError) as problem:
+        raise error(f"{kind} file '{path}' is not valid TOML: {plain(problem)}.") from problem
 
 
 class Table:

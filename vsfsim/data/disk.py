@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError, VsfsimError
+from vsfsim.core.system.file_lock import sync_folder
 
 
 def write_atomic(path: Path, content: bytes, *, error: type[VsfsimError] = DatasetError) -> None:
@@ -40,15 +41,6 @@ def file_sha256(path: Path) -> str:
     """sha256 of a file, hexadecimal."""
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the entries of ``folder`` durable."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _complaint(path: Path, size: int, problem: OSError) -> str:

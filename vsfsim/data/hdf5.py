@@ -10,16 +10,20 @@ import h5py
 import numpy as np
 
 from vsfsim.core.errors import DatasetError, SceneError
+from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import ProbeShape, parse_probe_shape, probe_table
 from vsfsim.data.disk import write_atomic
 from vsfsim.data.records import ObjectView, Touch, Truth, View
+from vsfsim.data.safety import check_name, check_tree, whole_number
 from vsfsim.data.schema import (
     ATTRIBUTES,
+    FIELDS,
     FORMAT,
     SCHEMA_VERSION,
     TEXT,
     Field,
     check_array,
+    check_shape,
     fields_of,
     first_bad,
 )
@@ -121,18 +125,45 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
+            check_tree(file, path)
             check_attributes(file, path)
             view = View(**_read_group(file["view"], "view", f"{path} view"))
             touches = tuple(_read_touch(file["touches"][name], f"{path} touches/{name}")
                             for name in sorted(file["touches"]))
             truth = None if blind else Truth(**_read_group(file["truth"], "truth", f"{path} truth"))
             attrs = file.attrs
-            return ObjectView(str(attrs["name"]), int(attrs["object_index"]), int(attrs["view_index"]),
-                              str(attrs["split"]),
+            return ObjectView(check_name(attrs["name"], f"{path} @name"),
+                              whole_number(attrs["object_index"], f"{path} @object_index"),
+                              whole_number(attrs["view_index"], f"{path} @view_index"),
+                              check_name(attrs["split"], f"{path} @split"),
                               _probe(attrs["probe"], path), view, touches, truth)
-    except (OSError, KeyError, RuntimeError) as error:
-        raise DatasetError(f"{path} cannot be read: {error}. It is damaged; delete it and run the same `vsfsim "
-                           f"generate` again, which makes only what is missing.") from error
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
+
+
+_DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError, MemoryError)
+"""What h5py raises on damaged files, by what is damaged."""
+
+
+def _damaged(path: Path, error: BaseException) -> DatasetError:
+    return DatasetError(f"{path} cannot be read: {plain(error)}. It is damaged; delete it and run the same `vsfsim "
+                        f"generate` again, which makes only what is missing.")
+
+
+def read_field(path: Path, field_path: str) -> np.ndarray:
+    """One field of the view or the truth of an object file, e.g. "truth/probe_points"; no other is read.
+
+    Raises:
+        DatasetError: as `read_view`.
+    """
+    (field,) = (f for f in FIELDS if f.path == field_path)
+    try:
+        with h5py.File(path, "r") as file:
+            check_tree(file, path)
+            check_attributes(file, path)
+            return check_array(field, read_array(file[field_path], field), f"{path} {field_path}", {})
+    except _DAMAGE as error:
+        raise _damaged(path, error) from error
 
 
 def check_attributes(file: h5py.File, path: Path) -> None:
@@ -142,12 +173,13 @@ def check_attributes(file: h5py.File, path: Path) -> None:
         DatasetError: with what it is instead.
     """
     kind = file.attrs.get("format")
-    if kind != FORMAT:
-        raise DatasetError(f"{path} is not an object view of vsfsim (its @format is {kind!r}, not {FORMAT!r}).")
+    if not isinstance(kind, str) or kind != FORMAT:
+        raise DatasetError(f"{path} is not an object view of vsfsim (its @format is {plain(repr(kind), longest=60)}, "
+                           f"not {FORMAT!r}).")
     version = file.attrs.get("schema_version")
-    if version != SCHEMA_VERSION:
-        raise DatasetError(f"{path} has schema version {version}; this vsfsim reads {SCHEMA_VERSION}. Use the vsfsim "
-                           f"version that dataset.json names, or generate it again.")
+    if np.ndim(version) or version != SCHEMA_VERSION:
+        raise DatasetError(f"{path} has schema version {plain(version, longest=60)}; this vsfsim reads "
+                           f"{SCHEMA_VERSION}. Use the vsfsim version that dataset.json names, or generate it again.")
     for name in ATTRIBUTES:
         if name not in file.attrs:
             raise DatasetError(f"{path} has no attribute '{name}'; it is damaged.")
@@ -156,8 +188,9 @@ def check_attributes(file: h5py.File, path: Path) -> None:
 def _probe(text: str, path: Path) -> ProbeShape:
     try:
         return parse_probe_shape(json.loads(text), str(path))
-    except (ValueError, SceneError) as error:
-        raise DatasetError(f"{path}: attribute 'probe' is {text!r}, not a probe's shape: {error}") from error
+    except (ValueError, TypeError, RecursionError, SceneError) as error:
+        raise DatasetError(f"{path}: attribute 'probe' is {plain(text, longest=200)}, not a probe's shape: "
+                           f"{plain(error)}") from error
 
 
 def _read_touch(group: h5py.Group, where: str) -> Touch:
@@ -180,6 +213,9 @@ def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:
                                    f"written by vsfsim.")
             values[field.name] = None
             continue
+        if not isinstance(group[field.name], h5py.Dataset):
+            raise DatasetError(f"{where}/{field.name} is a group; the schema has a dataset there.")
+        check_shape(field, group[field.name].shape, f"{where}/{field.name}", lengths)
         array = read_array(group[field.name], field)
         values[field.name] = check_array(field, array, f"{where}/{field.name}", lengths)
         if field.dtype == TEXT:
@@ -191,5 +227,8 @@ def read_array(dataset: h5py.Dataset, field: Field) -> np.ndarray:
     """The values of an HDF5 dataset; text rows decoded to str."""
     array = dataset[()]
     if field.dtype == TEXT:
+        if array.dtype.kind != "S" or array.ndim != 1:
+            raise DatasetError(f"{dataset.name} has dtype {array.dtype} and shape {array.shape}; it must be a list of "
+                               f"texts.")
         return np.array([text.decode() for text in array], dtype=object)
     return np.asarray(array)

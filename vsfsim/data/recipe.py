@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from vsfsim.core.errors import DatasetError, unknown_key
+from vsfsim.core.plain_text import plain
 
 
 @dataclass(frozen=True)
@@ -67,6 +68,10 @@ class Recipe:
         for name in names:
             if name not in table:
                 raise DatasetError(f"{where}: the recipe has no '{name}'; the file is damaged or of another version.")
+        for name, kind in _KINDS.items():
+            if not isinstance(table[name], kind) or isinstance(table[name], bool):
+                raise DatasetError(f"{where}: the recipe's {name} is {plain(table[name], longest=60)}; the file is "
+                                   f"damaged or of another version.")
         return cls(**{name: table[name] for name in names})
 
     def differences(self, other: Recipe) -> list[str]:
@@ -81,6 +86,10 @@ class Recipe:
             else:
                 out.append(f"{key} {mine[key]!r} there, {theirs[key]!r} asked for")
         return out
+
+
+_KINDS = {"scene": str, "scene_text": str, "seed": int, "objects": int, "views": int, "touches": int, "splits": dict,
+          "device": str, "tier": str, "precision": str, "renderer": str, "options": dict}
 
 
 def text_sha256(text: str) -> str:

@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.shape import ProbeShape
 
 REASON_OK = 0
@@ -20,9 +22,11 @@ REASON_OK = 0
 
 AUDIT_COLUMNS = ("force_balance", "min_det_f", "energy", "penetration")
 """Columns of `Touch.audit` that every simulated touch has; see there for the units."""
+CONTACT_COLUMNS = ("contact_points", "contact_radius")
+"""Further columns of a touch by a rigid probe."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class View:
     """One RGB-D image of the object at rest."""
 
@@ -44,8 +48,12 @@ class View:
         ray = np.linalg.solve(self.intrinsics, np.stack([column, row, np.ones_like(row)]).astype(np.float64))
         return (ray * depth).T @ self.camera_pose[:3, :3].T + self.camera_pose[:3, 3]
 
+    def __repr__(self) -> str:
+        height, width = self.mask.shape
+        return f"View({width} x {height} pixels, {int(np.count_nonzero(self.mask))} on the object)"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Touch:
     """One press of T frames: free approach, in, hold and out again."""
 
@@ -77,8 +85,10 @@ class Touch:
     """What the codes of `reason` mean, one sentence each."""
     audit: Mapping[str, np.ndarray] = field(default_factory=dict)
     """Columns by name, each (T,): force_balance = |force - reaction - weight| over the larger norm [-]; min_det_f =
-    smallest det F of an element [-]; energy = elastic energy of the object [J]; penetration = deepest quadrature
-    point of the surface inside the probe [m]."""
+    smallest det F of an element [-]; energy = elastic energy of the object [J]; penetration = deepest point of the
+    surface inside the probe, between the contact points too [m]. Of a rigid probe also contact_points = number of
+    points in contact, and contact_radius = radius of a circle of the area in contact over the edge of the elements
+    there [-]."""
     q: np.ndarray | None = None
     """Joint angles of the arm (T, 7) [rad], or None without an arm."""
     torque: np.ndarray | None = None
@@ -133,8 +143,14 @@ class Touch:
         """Force of the object on the probe against the press direction (T,) [N]; positive when it pushes back."""
         return -(self.force @ self.axis)
 
+    def __repr__(self) -> str:
+        good = np.asarray(self.converged, bool)
+        most = float(self.normal_force()[good].max(initial=0.0))
+        return (f"Touch({len(self.time)} frames, {int((~good).sum())} not converged, "
+                f"{f'normal force up to {most:.3g} N' if self.touched else 'no contact'})")
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Truth:
     """Ground truth, which no method may read."""
 
@@ -165,8 +181,13 @@ class Truth:
     segment_ends: np.ndarray | None = None
     """Of a plant's segments on its middle line, world (M, 2, 3) [m]; None for a solid."""
 
+    def __repr__(self) -> str:
+        modulus = self.young_modulus
+        span = f"E {modulus.min():.3g} to {modulus.max():.3g} Pa" if modulus.size else "no elements"
+        return f"Truth({len(self.points)} elements, {span}, regions: {', '.join(self.region_names)})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class ObjectView:
     """One view of an object and the touches of it: one file of a dataset."""
 
@@ -186,3 +207,24 @@ class ObjectView:
     """In the order in which they were made."""
     truth: Truth | None
     """None where it is withheld (a blind dataset)."""
+
+    def __repr__(self) -> str:
+        return (f"ObjectView({self.name!r}, {self.split}, {len(self.touches)} touches"
+                f"{'' if self.truth is not None else ', truth withheld'})")
+
+    def _repr_html_(self) -> str:
+        rows = [(k, len(t.time), int((~np.asarray(t.converged, bool)).sum()), "yes" if t.touched else "no",
+                 f"{float(t.normal_force()[np.asarray(t.converged, bool)].max(initial=0.0)):.3g}")
+                for k, t in enumerate(self.touches)]
+        return html_table(f"{self!r}; {self.view!r}",
+                          ("touch", "frames", "not converged", "contact", "largest normal force [N]"), rows)
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw its picture, depth, touched points and force over travel; returns the `matplotlib.figure.Figure`.
+
+        Args:
+            path: PNG to write, or None.
+        """
+        from vsfsim.data.contact_sheet import contact_sheet
+
+        return contact_sheet([self], path)

@@ -96,8 +96,13 @@ FIELDS: list[Field] = [
     _touch("audit/energy", "float64", "T", "J", "Elastic energy of the object; with a bubble, of object, skin and air.",
            masked=True),
     _touch("audit/penetration", "float64", "T", "m",
-           "Deepest quadrature point of the surface inside the probe; of a bubble, deepest node of either surface "
-           "inside the other.", masked=True),
+           "Deepest point of the surface inside the probe, between the contact points too; of a bubble, deepest node "
+           "of either surface inside the other.", masked=True),
+    _touch("audit/contact_points", "int64", "T", "1", "Number of contact points that touch; of a rigid probe.",
+           required=False),
+    _touch("audit/contact_radius", "float64", "T", "1",
+           "How well the contact is resolved: radius of a circle of its area over the edge of the elements there; of a "
+           "rigid probe.", required=False),
     _touch("q", "float64", "T 7", "rad", "Joint angles of the arm.", required=False),
     _touch("torque", "float64", "T 7", "N m", "Joint torques due to the contact.", required=False, masked=True),
     _touch("link_force", "float64", "T L 3", "N", "Contact force on each link of the arm, world.", required=False,
@@ -198,14 +203,23 @@ def check_array(field: Field, array: np.ndarray, where: str, lengths: dict[str, 
             raise DatasetError(f"{where} has dtype {array.dtype}; the schema wants {field.dtype}. Convert it before "
                                f"it is stored.")
         array = array.astype(field.dtype, copy=False)
-    if array.ndim != len(field.dims):
-        raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}).")
-    for dim, length in zip(field.dims, array.shape):
+    check_shape(field, array.shape, where, lengths)
+    return array
+
+
+def check_shape(field: Field, shape: tuple[int, ...], where: str, lengths: dict[str, int]) -> None:
+    """Refuse a shape that the schema does not allow, before the array is read; operands as of `check_array`.
+
+    Raises:
+        DatasetError: wrong number of dimensions, or a length that disagrees.
+    """
+    if len(shape) != len(field.dims):
+        raise DatasetError(f"{where} has shape {shape}; the schema wants ({', '.join(field.dims)}).")
+    for dim, length in zip(field.dims, shape):
         want = int(dim) if dim.isdigit() else lengths.setdefault(dim, length)
         if length != want:
-            raise DatasetError(f"{where} has shape {array.shape}; the schema wants ({', '.join(field.dims)}) with "
+            raise DatasetError(f"{where} has shape {shape}; the schema wants ({', '.join(field.dims)}) with "
                                f"{dim} = {want} here.")
-    return array
 
 
 def first_bad(field: Field, array: np.ndarray, converged: np.ndarray | None) -> tuple[int, ...] | None:
@@ -236,7 +250,10 @@ def schema_markdown() -> str:
         "| key of dataset.json | meaning |", "|---|---|",
         *(f"| `{key}` | {doc} |" for key, doc in MANIFEST_KEYS.items()), "",
         "## The object file", "",
-        f"Schema version {SCHEMA_VERSION}. Every HDF5 dataset carries `@units` and `@dims`.",
+        f"Schema version {SCHEMA_VERSION}. Every HDF5 dataset carries `@units` and `@dims`. A file holds its data "
+        "itself: links, data in other files, filters other than gzip and shuffle, and fields of more than 512 MiB are "
+        "refused before they are read, and so are entries of dataset.json that are there twice or whose names are "
+        "paths.",
         "`touches/*` stands for `touches/000`, `touches/001`, ... in the order they were made. Letters are "
         "lengths: H, W of",
         "the image; T frames of a touch; N read-out vertices, F their triangles; V vertices of the solved mesh, K its "

@@ -12,7 +12,17 @@ from vsfsim.data.verify import contact_frames
 
 
 def summary(path: str | Path) -> str:
-    """Objects, splits, touches, frames, forces, effort, truth and size of the dataset in folder ``path``.
+    """`summary_rows` as text, one line a row.
+
+    Raises:
+        DatasetError: no finished dataset there.
+    """
+    return "\n".join(f"{key:<16}{value}" for key, value in summary_rows(path))
+
+
+def summary_rows(path: str | Path) -> list[tuple[str, str]]:
+    """Objects, splits, touches, frames, forces, effort, truth and size of the dataset in folder ``path``, each with its
+    name.
 
     Raises:
         DatasetError: no finished dataset there.
@@ -77,7 +87,7 @@ def summary(path: str | Path) -> str:
     ]
     rows += [(f"  {name}", f"{_span(np.concatenate(parts))} Pa") for name, parts in regions.items()]
     rows.append(("on disk", f"{sum(e.bytes for e in dataset.entries) / 1e6:.1f} MB"))
-    return "\n".join(f"{key:<16}{value}" for key, value in rows)
+    return rows
 
 
 def _span(values: np.ndarray) -> str:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -14,6 +16,7 @@ from vsfsim.data.dataset import MANIFEST, Dataset, Entry
 from vsfsim.data.disk import file_sha256
 from vsfsim.data.hdf5 import check_attributes, read_array, read_view
 from vsfsim.data.records import ObjectView, Touch
+from vsfsim.data.safety import check_tree
 from vsfsim.data.schema import TEXT, Field, check_array, fields_of, first_bad
 
 BALANCE_LIMIT = 1e-3
@@ -72,6 +75,10 @@ class Report:
         """Nothing is wrong."""
         return not self.problems
 
+    def table(self) -> dict[str, Any]:
+        """For JSON."""
+        return {**dataclasses.asdict(self), "path": str(self.path), "ok": self.ok}
+
     def text(self) -> str:
         """For the terminal."""
         share = 100.0 * self.unconverged / max(self.frames, 1)
@@ -112,6 +119,10 @@ def verify(path: str | Path) -> Report:
         if not file.is_file():
             problems.append(Problem(entry.file, f"is missing, but {MANIFEST} lists it.",
                                     "Run the same `vsfsim generate` again; it makes only what is missing."))
+            continue
+        if file.is_symlink():
+            problems.append(Problem(entry.file, "is a link; a dataset is one folder with plain files.",
+                                    "Copy the file into it."))
             continue
         counts["files"] += 1
         if file_sha256(file) != entry.sha256:
@@ -180,6 +191,7 @@ def _check_schema(path: Path) -> list[Problem]:
 
     try:
         with h5py.File(path, "r") as file:
+            check_tree(file, path)
             check_attributes(file, path)
             for name in file:
                 if name not in ("view", "touches", "truth"):
@@ -191,7 +203,7 @@ def _check_schema(path: Path) -> list[Problem]:
                     wrong(f"has no group '{name}'.")
                 else:
                     _check_group(file[name], kind, wrong)
-    except (OSError, KeyError, RuntimeError, DatasetError) as error:
+    except (OSError, KeyError, RuntimeError, ValueError, TypeError, DatasetError) as error:
         wrong(f"cannot be read: {error}")
     return problems
 

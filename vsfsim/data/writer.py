@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
+from vsfsim.core.system.file_lock import lock, release, sync_folder
 from vsfsim.data.dataset import (
     FORMAT,
     LOCK,
@@ -19,11 +20,12 @@ from vsfsim.data.dataset import (
     manifest_bytes,
     read_manifest,
 )
-from vsfsim.data.disk import file_sha256, sync_folder, write_atomic
+from vsfsim.data.disk import file_sha256, write_atomic
 from vsfsim.data.hdf5 import encode_view, read_view
 from vsfsim.data.provenance import made_by
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
+from vsfsim.data.safety import check_name
 from vsfsim.data.schema import SCHEMA_VERSION
 
 _OUR_PART = re.compile(r"\.(h5|json)\.\d+\.part$")
@@ -54,6 +56,8 @@ class DatasetWriter:
         self._fresh = False  # dataset.part.json was made by this writer
         if len(set(self.names)) != len(self.names) or not self.names:
             raise DatasetError(f"names of object views must be unique and at least one, not {self.names!r}.")
+        for name in self.names:
+            check_name(name, "a name")
         self._made_folder = not self.path.exists()
         try:
             self.path.mkdir(parents=True, exist_ok=True)
@@ -120,9 +124,8 @@ class DatasetWriter:
     def close(self) -> None:
         """Let go of the folder, finished or not. Safe to call twice."""
         if self._lock is not None:
-            (self.path / LOCK).unlink(missing_ok=True)
             _HELD.discard(self._lock)
-            os.close(self._lock)
+            release(self._lock, self.path / LOCK)
             self._lock = None
 
     def __enter__(self) -> DatasetWriter:
@@ -199,10 +202,8 @@ class DatasetWriter:
             return False
 
     def _take_lock(self) -> int:
-        """An flock on dataset.lock: the kernel lets go of it when we die, so a stale lock cannot outlive its
+        """A lock on dataset.lock: the system lets go of it when we die, so a stale lock cannot outlive its
         process."""
-        import fcntl
-
         path = self.path / LOCK
         try:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -210,27 +211,34 @@ class DatasetWriter:
             raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Choose "
                                f"another --out.") from error
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(handle, wait=False)
         except OSError:
-            holder = os.pread(handle, 64, 0).decode(errors="replace").strip() or "unknown"
+            holder = _content(handle) or "unknown"
             os.close(handle)
             raise DatasetError(f"folder {self.path} is being written by process {holder}. Wait for it, stop it, or "
                                f"choose another --out.") from None
         if not path.exists() or path.stat().st_ino != os.fstat(handle).st_ino:
             os.close(handle)  # its last holder finished and removed it while we waited
             return self._take_lock()
-        before = os.pread(handle, 64, 0).decode(errors="replace").strip()
+        before = _content(handle)
         if before:
             self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         try:
             os.ftruncate(handle, 0)
-            os.pwrite(handle, f"{os.getpid()}\n".encode(), 0)
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, f"{os.getpid()}\n".encode())
         except OSError as error:
             os.close(handle)
             raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Free some space or choose "
                                f"another --out.") from error
         _HELD.add(handle)
         return handle
+
+
+def _content(handle: int) -> str:
+    """The process id in a lock's file."""
+    os.lseek(handle, 0, os.SEEK_SET)
+    return os.read(handle, 64).decode(errors="replace").strip()
 
 
 def describe(path: Path) -> Entry:

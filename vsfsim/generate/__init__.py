@@ -1,1 +1,18 @@
-"""From a scene to touches to a dataset."""
+"""From a scene to touches to a dataset.
+
+The package can be called: `vsfsim.generate(scene, out)` is `vsfsim.generate.command.generate`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from vsfsim.core.interactive.callable_package import make_callable
+
+
+def _function() -> Callable[..., Any]:
+    from vsfsim.generate.command import generate
+
+    return generate
+
+
+make_callable(__name__, _function)

@@ -150,7 +150,7 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
     frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
                     options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
-    force = np.linalg.norm(frames.force, axis=-1)
+    force = np.linalg.norm(np.where(frames.converged[..., None], frames.force, frames.unbalanced_force), axis=-1)
     out = []
     for k, a in enumerate(aims):
         curve = np.concatenate([[0.0], force[:, k]])

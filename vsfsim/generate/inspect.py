@@ -3,33 +3,44 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
+
+from vsfsim.core.errors import DatasetError, no_such_file
 
 
-def inspect(what: str, out: Path | None, *, seed: int, device: str) -> list[str]:
-    """Draw the picture of a dataset folder or of a scene; returns lines to print.
+def inspect(what: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
+    """Draw the picture of a dataset folder or of a scene.
+
+    Returns:
+        The lines to print, and the same for JSON.
 
     Raises:
         DatasetError, SceneError: neither a dataset nor a scene, or one that is damaged.
     """
-    if Path(what).is_dir():
-        return _dataset(Path(what), out)
+    path = Path(what)
+    if path.is_dir():
+        return _dataset(path, out)
+    if len(path.parts) > 1 and path.suffix != ".toml":
+        raise DatasetError(no_such_file("folder of a dataset", what))
     return _scene(what, out, seed=seed, device=device)
 
 
-def _dataset(folder: Path, out: Path | None) -> list[str]:
+def _dataset(folder: Path, out: Path | None) -> tuple[list[str], dict[str, Any]]:
+    from vsfsim.data.contact_sheet import contact_sheet
     from vsfsim.data.dataset import Dataset
-    from vsfsim.data.summary import summary
-    from vsfsim.sensing.contact_sheet import contact_sheet
+    from vsfsim.data.summary import summary_rows
 
     data = Dataset.open(folder)
     path = out or Path(f"{folder.resolve().name}.png")
     views = [data.load(name) for name in data.names()[:24]]
     contact_sheet(views, path, title=f"{data.recipe.scene}, tier {data.recipe.tier}, seed {data.recipe.seed}")
     more = f" (the first {len(views)} of {len(data)} object views)" if len(views) < len(data) else ""
-    return [summary(folder), f"contact sheet{more}: {path}"]
+    rows = summary_rows(folder)
+    return ([*(f"{key:<16}{value}" for key, value in rows), f"contact sheet{more}: {path}"],
+            {**{key.strip(): value for key, value in rows}, "picture": str(path)})
 
 
-def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
+def _scene(name: str, out: Path | None, *, seed: int, device: str) -> tuple[list[str], dict[str, Any]]:
     from vsfsim.core.scene import load_scene
     from vsfsim.core.shelf import find_scene
     from vsfsim.data.streams import Stream, stream
@@ -44,4 +55,5 @@ def _scene(name: str, out: Path | None, *, seed: int, device: str) -> list[str]:
     turntable(drawing.surface, path, young_modulus=drawing.young_modulus,
               title=f"{loaded.name}, {drawing.subtitle or f'seed {seed}'}", device=device)
     first, *others = drawing.lines
-    return [f"{loaded.name}: {first}", *others, f"turntable: {path}"]
+    return ([f"{loaded.name}: {first}", *others, f"turntable: {path}"],
+            {"scene": loaded.name, "seed": seed, "lines": list(drawing.lines), "picture": str(path)})

@@ -5,6 +5,7 @@ The effector fills a `PressResult`; `vsfsim.press` prints, draws and saves it wi
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.sensing.surface import Surface
 
 
@@ -29,10 +31,16 @@ class PressRequest:
     """Precision of the solver, "float32" or "float64"."""
     cache: Path | None = None
     """Folder of meshes that were made before, or None for the user's own cache."""
+    seconds: float | None = None
+    """Wall-clock limit of a frame [s], or None for the tier's own."""
     keep: bool = False
     """Whether `PressResult.panels` and `PressResult.arrays` are filled."""
     progress: Callable[[int, int, str], None] | None = None
     """Called with (done, in all, what)."""
+
+    def limited(self, options: SolverOptions) -> SolverOptions:
+        """The options with this request's time limit."""
+        return options if self.seconds is None else dataclasses.replace(options, seconds=self.seconds)
 
 
 @dataclass(frozen=True)
@@ -47,8 +55,8 @@ class Column:
     """Format specification of a value, e.g. ".4f"."""
 
     def cells(self) -> list[str]:
-        """The values as text; no minus before a zero."""
-        return [format(v if isinstance(v, str) else v + 0, self.form) for v in self.values]
+        """The values as text; no minus before a zero, and a dash where there is no value (NaN)."""
+        return [v if isinstance(v, str) else "-" if v != v else format(v + 0, self.form) for v in self.values]
 
 
 @dataclass(frozen=True)
@@ -144,6 +152,8 @@ class PressResult:
     """How far the effector is past first contact, or past its target (T,) [m]."""
     force: np.ndarray
     """Contact force on the effector, in the world (T, 3) [N]."""
+    axis: np.ndarray
+    """Unit direction of the press, in the world (3,) [-]; of a path with corners, of its first part."""
     reaction: np.ndarray
     """Force of the supports on what is pressed, or of the mount on the sensor, in the world (T, 3) [N]."""
     converged: np.ndarray
@@ -179,9 +189,16 @@ class PressResult:
     arrays: Mapping[str, tuple[np.ndarray, str]] = field(default_factory=dict)
     """What ``--save`` writes, by key: the array, and its shape and unit in words; empty without `PressRequest.keep`."""
 
+    @property
+    def normal_force(self) -> np.ndarray:
+        """Component of the force against the direction of the press (T,) [N]: the quantity that `Touch.normal_force`
+        gives and tasks call normal-force."""
+        return -(self.force @ self.axis)
+
     def table(self) -> dict[str, Any]:
         """What ``--json`` prints: lists, numbers and texts by key."""
-        names = ("depth", "force", "reaction", "converged", "residual", "iterations", "audit", "notes")
+        names = ("depth", "force", "normal_force", "axis", "reaction", "converged", "residual", "iterations", "audit",
+                 "notes")
         return plain({**{name: getattr(self, name) for name in names}, **self.more})
 
 

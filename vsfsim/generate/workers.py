@@ -5,9 +5,12 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 from vsfsim.core.errors import DatasetError
@@ -29,8 +32,13 @@ def process_pool(jobs: int, workers: int | None, **options: Any) -> Iterator[Pro
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
                                mp_context=multiprocessing.get_context("spawn"), **options)
+    before_us = set(multiprocessing.active_children())
     try:
         yield pool
+    except KeyboardInterrupt:
+        for process in set(multiprocessing.active_children()) - before_us:
+            process.terminate()  # a view can take minutes, and what is not finished is made again
+        raise
     finally:
         pool.shutdown(cancel_futures=True)
         for name, value in before.items():
@@ -38,6 +46,21 @@ def process_pool(jobs: int, workers: int | None, **options: Any) -> Iterator[Pro
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+
+
+def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+    """``pool.submit``, whose new process does not run the user's script again.
+
+    A spawned process imports the file that Python was started with. Without ``if __name__ == "__main__"`` that file
+    would make the dataset once more. Our workers need modules of vsfsim alone.
+    """
+    script = sys.modules["__main__"]
+    hidden = {name: vars(script).pop(name) for name in ("__file__", "__spec__") if name in vars(script)}
+    script.__spec__ = None
+    try:
+        return pool.submit(function, *arguments)
+    finally:
+        vars(script).update(hidden)
 
 
 def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Iterator[tuple[int, str]]:
@@ -55,13 +78,18 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
     count = workers or (None if device == "cpu" else 1)
     queue = multiprocessing.get_context("spawn").Queue()
     with process_pool(len(jobs), count, initializer=_begin, initargs=(queue,)) as pool:
-        futures = [pool.submit(_make, job, device) for job in jobs]
+        futures = [submit(pool, _make, job, device) for job in jobs]
         threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
         while (item := queue.get()) is not None:
             yield item
         for future in as_completed(futures):
             if not future.cancelled():
-                future.result()
+                try:
+                    future.result()
+                except BrokenProcessPool as error:
+                    raise DatasetError("a worker process ended before its object view was finished, as one does that "
+                                       "is killed or out of memory. Run the same command again, which makes only what "
+                                       "is missing; with fewer --workers it needs less memory.") from error
 
 
 def write(job: Job, view: ObjectView) -> None:
@@ -87,6 +115,7 @@ _report: Callable[[tuple[int, str] | None], None]  # set when the worker starts
 def _begin(queue: Any) -> None:
     global _report
     _report = queue.put
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C reaches every process of a terminal: end without a traceback
     parent = multiprocessing.parent_process()
     if parent is not None:
         # a worker whose parent was killed must not go on writing beside the next run

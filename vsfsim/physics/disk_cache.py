@@ -4,13 +4,14 @@ worker while the others wait."""
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+
+from vsfsim.core.system.file_lock import lock
 
 
 def folder() -> Path:
@@ -27,7 +28,7 @@ def locked(path: Path) -> Iterator[None]:
         # a folder that cannot be written, or a file system without locks, only costs double work
         with contextlib.suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
-            fcntl.flock(stack.enter_context(path.with_suffix(".lock").open("a")), fcntl.LOCK_EX)
+            lock(stack.enter_context(path.with_suffix(".lock").open("a")).fileno(), wait=True)
         yield
 
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from vsfsim.core.errors import SceneError
+from vsfsim.core.scene_tables.foam import Foam
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
-from vsfsim.physics.elements import tet10
+from vsfsim.physics.elements import hyperfoam, tet10
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
@@ -85,6 +86,15 @@ def tetrahedra(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: fl
     """
     mu, lam = lame(young_modulus, poisson_ratio)
     return (tet10.block(mesh.tets, mesh.gradients, mesh.volume, mu, lam),)
+
+
+def foam_tetrahedra(foam: Foam) -> Elements:
+    """Makes the elements of a solid of foam: quadratic tetrahedra of the hyperfoam law, scaled to Young's modulus at
+    each Gauss point; Poisson's ratio is the foam's own."""
+    def make(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
+        return (hyperfoam.block(mesh.tets, mesh.gradients, mesh.volume, young_modulus / foam.young_modulus, foam),)
+
+    return make
 
 
 def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np.ndarray:

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import warp as wp
+
+from vsfsim.core.errors import VsfsimError, did_you_mean
+
+PRECISIONS = ("float32", "float64")
+"""Of the solver."""
 
 
 def _start() -> None:
@@ -25,6 +31,41 @@ def _start() -> None:
 
 
 _start()
+
+
+def devices() -> list[str]:
+    """The devices of Warp in words: alias, name and memory."""
+    return [f"{d.alias} ({d.name}" + (f", {d.total_memory / 2**30:.0f} GiB)" if d.is_cuda else ")")
+            for d in wp.get_devices()]
+
+
+def torch_devices() -> list[str]:
+    """The devices of torch in words."""
+    import torch
+
+    return ["cpu", *(f"cuda:{k} ({torch.cuda.get_device_name(k)})" for k in range(torch.cuda.device_count()))]
+
+
+def kernel_cache() -> Path:
+    """The folder in which Warp keeps compiled kernels."""
+    return Path(wp.config.kernel_cache_dir)
+
+
+def check_device(device: str) -> None:
+    """Raises:
+        VsfsimError: this machine has no such Warp device.
+    """
+    names = [str(d.alias) for d in wp.get_devices()]
+    if device not in names:
+        raise VsfsimError(f"--device is '{device}', but this machine has {', '.join(names)}. Choose one of them.")
+
+
+def check_precision(precision: str) -> None:
+    """Raises:
+        VsfsimError: the solver has no such precision.
+    """
+    if precision not in PRECISIONS:
+        raise VsfsimError(f"--precision is '{precision}'. {did_you_mean(precision, PRECISIONS)}")
 
 
 def compile_kernels(kernels: list[Any], device: str, *,

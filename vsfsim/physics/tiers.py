@@ -18,7 +18,7 @@ from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.inclusions import snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
-from vsfsim.physics.model import Elements, Model, build_model, tetrahedra
+from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, tetrahedra
 from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
 from vsfsim.physics.solve.frames import SolverOptions
 
@@ -42,6 +42,8 @@ class Tier:
     plain: bool = False
     """Stop conjugate gradients by the length of the residual (see `SolverOptions.cg_plain`) at a looser tolerance: a
     third fewer back-solves for the same force. Off where datasets have been released: their bits would change."""
+    local_indentation: bool = False
+    """See `SolverOptions`."""
 
 
 TIERS: dict[str, Tier] = {
@@ -49,8 +51,9 @@ TIERS: dict[str, Tier] = {
     "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
     "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4),
     "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3),
-    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True),
-    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True),
+    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True),
+    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True,
+                     local_indentation=True),
 }
 FOOT = 0.05
 """Part of a scan's height that is held in place of a flat base, which it has none of [-]. A ball of 80 mm then stands
@@ -63,6 +66,7 @@ along its length with this many, which its bending resolves."""
 # the cheapest tier that shows each need
 _SHOWS = {"appearance": "vsf", "contact": "vsf", "coupling": "spring", "normal-force": "linear",
           "bulging": "fem-coarse", "large-deformation": "fem"}
+_FOAM = "fem-coarse"  # the cheapest tier with a material's law at large strain
 _DEFAULT = "linear"  # of a scene that names no need: the cheapest tier with a trustworthy force
 
 
@@ -81,6 +85,8 @@ def choose(scene: Scene, asked: str | None = None) -> str:
     tier = asked or scene.object.tier
     incompressible = scene.object.poisson_ratio > MOST_POISSON_RATIO
     if tier == "auto":
+        if scene.object.foam is not None and order.index(enough) < order.index(_FOAM):
+            return _FOAM
         return "spring" if enough == "vsf" and incompressible else enough
     if tier not in TIERS:
         raise SceneError(f"{scene.source} [object]: unknown tier '{tier}'. {did_you_mean(tier, (*TIERS, 'auto'))}")
@@ -141,7 +147,7 @@ def thin_limit(size: np.ndarray) -> float:
 def options(tier: str) -> SolverOptions:
     """Solver limits of a tier."""
     own = TIERS[tier]
-    return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain,
+    return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain, local_indentation=own.local_indentation,
                          cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
 
 
@@ -239,6 +245,13 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
             f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has about "
             f"{OBSERVED_POISSON_RATIO:g}, whatever its constants. "
             "Young's modulus is kept; use 'linear' or above where nu matters.")))
+    elements = TIERS[tier].elements
+    if spec.foam is not None and elements is tetrahedra and TIERS[tier].nonlinear:
+        elements = foam_tetrahedra(spec.foam)
+    elif spec.foam is not None:
+        solid = dataclasses.replace(solid, notes=(*solid.notes, (
+            f"Tier '{tier}' takes the foam at small strain, with the modulus at rest; use '{_FOAM}' or above for its "
+            f"law.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
                        where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift,
-                       elements=TIERS[tier].elements)
+                       elements=elements)

@@ -1,1 +1,18 @@
-"""One press: result, text, figures, files, refinement."""
+"""One press: result, text, figures, files, refinement.
+
+The package can be called: `vsfsim.press(scene)` is `vsfsim.press.command.press`.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from vsfsim.core.interactive.callable_package import make_callable
+
+
+def _function() -> Callable[..., Any]:
+    from vsfsim.press.command import press
+
+    return press
+
+
+make_callable(__name__, _function)

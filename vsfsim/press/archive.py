@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from vsfsim.core.errors import DatasetError
 from vsfsim.data.disk import write_atomic
 from vsfsim.generate.press_result import PressResult
 
@@ -16,9 +17,10 @@ def save(result: PressResult, path: Path) -> None:
     """Write the arrays of a result that kept them to ``path`` (.npz), with their shapes and units as JSON in ``units``.
 
     Raises:
-        DatasetError: the file cannot be written.
+        DatasetError: the result kept no arrays, or the file cannot be written.
     """
-    assert result.arrays
+    if not result.arrays:
+        raise DatasetError(f"{path} is not written: the press was made with keep=False. Press again with keep=True.")
     units = {name: words for name, (_, words) in result.arrays.items()}
     buffer = io.BytesIO()
     np.savez_compressed(buffer, units=np.array(json.dumps(units)),

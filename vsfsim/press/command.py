@@ -1,59 +1,148 @@
-"""What `vsfsim press` does: one press or several meshes of it, then its pictures and files."""
+"""`vsfsim.press(scene)` and `vsfsim press SCENE`: one press, or the same press on several meshes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.scene import SceneFile
+import numpy as np
+
+from vsfsim.core.interactive.html_table import html_table
+from vsfsim.core.scene import SceneFile, load_scene
+from vsfsim.core.shelf import find_scene
 from vsfsim.generate.effector import effector_of
-from vsfsim.generate.press_result import PressRequest
-from vsfsim.press import archive, refine
+from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
+from vsfsim.physics.runtime import check_device, check_precision
+from vsfsim.press import archive
+from vsfsim.press import refine as refinement
 from vsfsim.press.text import text
 
 
-def press(loaded: SceneFile, *, seed: int = 0, tier: str | None = None, device: str = "cpu", precision: str = "float64",
-          meshes: int | None = None, plot: Path | None = None, picture: Path | None = None, save: Path | None = None,
-          cache: Path | None = None,
-          progress: Callable[[int, int, str], None] | None = None) -> tuple[str, dict[str, Any], bool]:
-    """Make the press and write the files.
+@dataclass(frozen=True, repr=False)
+class Press:
+    """A press that was made: force against depth, and whether it can be trusted."""
 
-    Args:
-        loaded: the scene.
-        seed, tier, device, precision, cache, progress: as of `PressRequest`.
-        meshes: number of meshes, or None for one press.
-        plot, picture, save: files to write, or None.
+    scene: str
+    """Name of the scene."""
+    results: tuple[PressResult, ...]
+    """One result a mesh, coarsest first; one result without a refinement."""
+    device: str
+    """Warp device, also of `picture`."""
+    series: MeshSeries | None = None
+    """The meshes of a refinement, or None."""
+    convergence: Mapping[str, refinement.Convergence] | None = None
+    """Of a refinement: order, extrapolated value and error of each quantity at full depth, by name; else None."""
 
-    Returns:
-        The text to print, the object for JSON, and whether every frame converged.
+    @property
+    def result(self) -> PressResult:
+        """The result on the only, or finest, mesh."""
+        return self.results[-1]
 
-    Raises:
-        VsfsimError: the scene cannot be built, or a file cannot be written.
-    """
-    request = PressRequest(seed, tier, device, precision, cache, picture is not None or save is not None, progress)
-    effector = effector_of(loaded.sample(seed))
-    words: list[str] = []
-    extrapolated: dict[str, Any] = {}
-    if meshes is None:
-        results = (effector.press(loaded, request),)
-    else:
-        series = effector.refine(loaded, request, meshes)
-        results = series.results
-        found = refine.extrapolate(series, str(loaded.path))
-        words, extrapolated = ["", *refine.text(series, found)], {"refinement": refine.table(series, found)}
-    result = results[-1]
-    if plot is not None or picture is not None:
+    @property
+    def depth(self) -> np.ndarray:
+        """How far the effector is past first contact, or past its target (T,) [m]."""
+        return self.result.depth
+
+    @property
+    def force(self) -> np.ndarray:
+        """Contact force on the effector, world (T, 3) [N]."""
+        return self.result.force
+
+    @property
+    def normal_force(self) -> np.ndarray:
+        """Component of the force against the direction of the press (T,) [N]; what the tasks call normal-force."""
+        return self.result.normal_force
+
+    @property
+    def converged(self) -> bool:
+        """Whether every frame, of every mesh, is an equilibrium within the solver's tolerance."""
+        return all(bool(result.converged.all()) for result in self.results)
+
+    def text(self) -> str:
+        """What the command prints: the table of the frames, whether it can be trusted, notes, the refinement."""
+        words = [text(self.result)]
+        if self.series is not None and self.convergence is not None:
+            words += ["", *refinement.text(self.series, self.convergence)]
+        return "\n".join(words)
+
+    def table(self) -> dict[str, Any]:
+        """What the command writes as JSON."""
+        if self.series is None or self.convergence is None:
+            return self.result.table()
+        return {**self.result.table(), "refinement": refinement.table(self.series, self.convergence)}
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw the force, and what else is read, against depth; returns the `matplotlib.figure.Figure`.
+
+        Args:
+            path: PNG to write, or None.
+        """
         from vsfsim.press import figures  # imports matplotlib
 
-        if plot is not None:
-            figures.plot(result, loaded.name, plot)
-            words.append(f"plot: {plot}")
-        if picture is not None:
-            figures.picture(result, loaded.name, picture, device=device)
-            words.append(f"picture: {picture}")
-    if save is not None:
-        archive.save(result, save)
-        words.append(f"saved: {save}")
-    return ("\n".join([text(result), *words]), {**result.table(), **extrapolated},
-            all(bool(r.converged.all()) for r in results))
+        return figures.plot(self.result, self.scene, path)
+
+    def picture(self, path: str | Path | None = None) -> Any:
+        """Draw the deformed body at full depth; returns the `matplotlib.figure.Figure`.
+
+        Args:
+            path: PNG to write, or None.
+        """
+        from vsfsim.press import figures
+
+        return figures.picture(self.result, self.scene, path, device=self.device)
+
+    def save(self, path: str | Path) -> None:
+        """Write mesh, displacements and contact forces of every frame (.npz).
+
+        Raises:
+            DatasetError: the file cannot be written.
+        """
+        archive.save(self.result, Path(path))
+
+    def __repr__(self) -> str:
+        result, good = self.result, self.converged
+        return f"Press({self.scene}: {len(result.depth)} frames, {result.headline}{'' if good else ', NOT CONVERGED'})"
+
+    def _repr_html_(self) -> str:
+        columns = self.result.columns
+        good = ["" if frame else "NOT CONVERGED" for frame in self.result.converged]
+        rows = list(zip(*(column.cells() for column in columns), good, strict=True))
+        return html_table(f"{self.scene}: {' '.join(self.result.words)}",
+                          (*(column.heading for column in columns), ""), rows)
+
+
+def press(scene: str | Path | SceneFile, *, seed: int = 0, tier: str | None = None, device: str = "cpu",
+          precision: str = "float64", refine: int | None = None, limit: float | None = None, keep: bool = True,
+          cache: Path | None = None,
+          progress: Callable[[int, int, str], None] | None = None) -> Press:
+    """Press a probe into an object; `vsfsim.press` is this function.
+
+    Args:
+        scene: name of a shipped scene, path of a .toml file, or a loaded scene.
+        seed: of the scene's distributions and of all random streams.
+        tier: fidelity, None for the scene's own.
+        device: Warp device, "cpu" or "cuda:0".
+        precision: of the solver, "float64" or "float32".
+        refine: press 3 to 6 finer and finer meshes, for the observed order of convergence; None for one mesh.
+        limit: wall-clock limit of a frame [s], None for the tier's own; a frame that takes longer is marked.
+        keep: whether `Press.picture` and `Press.save` are wanted.
+        cache: folder of meshes that were made before, None for the user's own cache.
+        progress: called with (done, in all, what).
+
+    Returns:
+        The press. Frames that did not converge are kept and marked: see `Press.converged`.
+
+    Raises:
+        VsfsimError: there is no such scene, it cannot be built, or an option has a value that is not allowed.
+    """
+    loaded = scene if isinstance(scene, SceneFile) else load_scene(find_scene(str(scene)))
+    check_device(device)
+    check_precision(precision)
+    request = PressRequest(seed, tier, device, precision, cache, limit, keep, progress)
+    effector = effector_of(loaded.sample(seed))
+    if refine is None:
+        return Press(loaded.name, (effector.press(loaded, request),), device)
+    series = effector.refine(loaded, request, refine)
+    return Press(loaded.name, series.results, device, series, refinement.extrapolate(series, str(loaded.path)))

@@ -7,9 +7,10 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.interactive.figure import new_figure
 from vsfsim.generate.press_result import BodyPanel, Colours, ImagePanel, MapPanel, Panel, PressResult
 from vsfsim.sensing.camera import render
 from vsfsim.sensing.surface import flat_coloured, with_rigid
@@ -22,17 +23,18 @@ _GREY = 0.82  # of a surface without contact
 _SHADING = 0.55  # of a body that is coloured by values, so that a colour can be found again on the bar
 
 
-def plot(result: PressResult, title: str, path: Path) -> None:
-    """Draw the curves of a result against depth into ``path`` (PNG); frames that did not converge are crossed out."""
+def plot(result: PressResult, title: str, path: str | Path | None = None) -> Figure:
+    """Draw the curves of a result against depth, into ``path`` (PNG) if it is given; frames that did not converge are
+    crossed out."""
     count = len(result.plot)
-    figure = Figure(figsize=(6.4, 1.2 + 3.0 * count), dpi=130, facecolor="white", layout="tight")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(6.4, 1.2 + 3.0 * count), dpi=130, facecolor="white", layout="tight")
     panels = figure.subplots(count, 1, sharex=True, squeeze=False)[:, 0]
     depth, bad = 1e3 * result.depth, ~result.converged
     for axes, panel in zip(panels, result.plot, strict=True):
         for name, values in panel.values.items():
             axes.plot(depth, values, ".-", ms=5, label=name)
-            axes.plot(depth[bad], values[bad], "x", ms=9, color="tab:red")
+            # there is no value of an equilibrium to show: the cross lies on the axis
+            axes.plot(depth[bad], np.nan_to_num(values[bad]), "x", ms=9, color="tab:red")
         if bad.any():
             axes.plot([], [], "x", ms=9, color="tab:red", label="not converged")
         axes.set_ylabel(panel.label)
@@ -40,24 +42,29 @@ def plot(result: PressResult, title: str, path: Path) -> None:
         axes.grid(alpha=0.3)
     panels[-1].set_xlabel(result.abscissa)
     panels[0].set_title(f"{title}: {result.model}", fontsize=10)
-    figure.savefig(path)
+    if path is not None:
+        figure.savefig(path)
+    return figure
 
 
-def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu") -> None:
-    """Draw the panels of a result that kept them into ``path`` (PNG), side by side.
+def picture(result: PressResult, title: str, path: str | Path | None = None, *, device: str = "cpu") -> Figure:
+    """Draw the panels of a result that kept them, side by side; returns the figure.
 
     Args:
         result: with panels.
         title: above everything.
-        path: the file.
+        path: PNG to write, or None.
         device: Warp device of the ray caster.
+
+    Raises:
+        VsfsimError: the result kept no panels.
     """
-    assert result.panels
+    if not result.panels:
+        raise VsfsimError("this press has nothing to draw: it was made with keep=False. Press again with keep=True.")
     tall = max(panel.camera.height for panel in result.panels if isinstance(panel, BodyPanel)) / DPI
     widths = [_width(panel, tall) for panel in result.panels]
     height = tall + _HEAD + _FOOT
-    figure = Figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(sum(widths), height), dpi=DPI, facecolor="white")
     left = 0.0
     for panel, width in zip(result.panels, widths, strict=True):
         bar = _BAR if isinstance(panel, BodyPanel) and _has_bar(panel) else 0.0
@@ -76,7 +83,9 @@ def picture(result: PressResult, title: str, path: Path, *, device: str = "cpu")
     figure.text(0.01, 1.0 - 0.5 * _HEAD / height, f"{title}: {result.headline}{mark}", va="center", fontsize=12)
     caption = f"{result.model}; {result.caption}" if result.caption else result.model
     figure.text(0.01, 0.5 * _FOOT / height, caption, va="center", fontsize=9, color="0.35")
-    figure.savefig(path)
+    if path is not None:
+        figure.savefig(path)
+    return figure
 
 
 def _width(panel: Panel, tall: float) -> float:

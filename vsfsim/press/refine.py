@@ -61,6 +61,10 @@ def convergence(edge: Sequence[float], force: Sequence[float], *, tolerance: flo
     """
     h, f = np.asarray(edge, float), np.asarray(force, float)
     assert len(h) == len(f) >= 3 and (np.diff(h) < 0.0).all()
+    if not np.isfinite(f[-3:]).all():
+        return Convergence(h, f, None, None, float("nan"),
+                           f"No order of convergence is observed: at full depth a frame did not converge, so there is "
+                           f"no {name} on every mesh.")
     e21, e32 = f[-2] - f[-1], f[-3] - f[-2]
     spread = float(np.ptp(f[-3:]))
     size = max(abs(float(f[-1])), 1e-300)
@@ -137,4 +141,4 @@ def text(series: MeshSeries, found: dict[str, Convergence]) -> list[str]:
 def table(series: MeshSeries, found: dict[str, Convergence]) -> dict[str, Any]:
     """For JSON: the meshes and the convergence of each quantity, that of the force alone on the same level."""
     tables = {name.replace(" ", "_"): c.table() for name, c in found.items()}
-    return {**(tables["force"] if len(tables) == 1 else tables), "meshes": series.rows}
+    return {**(tables["normal_force"] if len(tables) == 1 else tables), "meshes": series.rows}

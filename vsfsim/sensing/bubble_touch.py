@@ -83,9 +83,47 @@ def touch_fields(model: BubbleModel, position: np.ndarray, force: np.ndarray, pr
     return out
 
 
+def aligned_nodes(position: np.ndarray, mount_pose: np.ndarray, time: np.ndarray, lag: float) -> np.ndarray:
+    """Node positions at the times of the frames from images that show the sensor ``lag`` earlier.
+
+    The image that shows a frame is taken ``lag`` after it, so this works on recorded touches, not while touching. The
+    mount's pose has no lag and the shape of the skin is aligned in the mount's frame, linear between images.
+
+    Args:
+        position: measured nodes, world (T, N, 3) [m]; NaN where there is no image.
+        mount_pose: mount to world at the frames (T, 4, 4) [m].
+        time: of the frames (T,) [s], increasing.
+        lag: delay of the images against the pressure [s], at least 0.
+
+    Returns:
+        World (T, N, 3) [m]. NaN where the touch ends before the image is taken, and where there was none.
+
+    Raises:
+        SensorError: the lag is negative, or the shapes do not fit.
+    """
+    position, time = np.asarray(position, np.float64), np.asarray(time, np.float64)
+    if (not lag >= 0.0 or position.ndim != 3 or time.shape != (len(position),)
+            or np.shape(mount_pose) != (len(position), 4, 4)):
+        raise SensorError(f"dense force: lag {lag} s, positions {position.shape}, mount poses {np.shape(mount_pose)} "
+                          f"and times {time.shape}; give a lag of at least 0, (T, N, 3), (T, 4, 4) and (T,).")
+    turn, shift = mount_pose[:, :3, :3], mount_pose[:, None, :3, 3]
+    local = np.einsum("tni,tij->tnj", position - shift, turn)
+    good = np.isfinite(local).all(axis=(1, 2))
+    known, out = time[good], np.full(position.shape, np.nan)
+    # a frame whose image falls on the last one, up to rounding, still has it
+    shown = good & (time + lag <= (known[-1] + 1e-9 if len(known) > 1 else -np.inf))
+    if shown.any():
+        after = np.clip(np.searchsorted(known, time[shown] + lag), 1, len(known) - 1)
+        share = np.clip((time[shown] + lag - known[after - 1]) / (known[after] - known[after - 1]), 0.0, 1.0)
+        share = share[:, None, None]
+        late = (1.0 - share) * local[good][after - 1] + share * local[good][after]
+        out[shown] = np.einsum("tni,tji->tnj", late, turn[shown]) + shift[shown]
+    return out
+
+
 def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
                     options: EstimatorOptions | None = None, position: np.ndarray | None = None,
-                    pressure: np.ndarray | None = None) -> DenseForce:
+                    pressure: np.ndarray | None = None, image_lag: float = 0.0) -> DenseForce:
     """Contact forces on the nodes of a dataset's touch, estimated by `DenseForceEstimator`, in the world.
 
     Args:
@@ -95,9 +133,12 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
         position: measured nodes, world (T, N, 3) [m], e.g. of `vsfsim.bench.noise_bubble.noisy_nodes`; None for the
             true ones.
         pressure: measured gauge pressure (T,) [Pa]; None for the true one.
+        image_lag: delay of ``position`` against ``pressure`` [s], which is taken out first (`aligned_nodes`). A real
+            Punyo has 0.077 s; without that the forces of a moving sensor are wrong by more than their size.
 
     Returns:
-        Forces and positions in the world; NaN in frames that did not converge, whose ``converged`` is False.
+        Forces and positions in the world. They are NaN, and ``converged`` is False, in frames of the touch that did
+        not converge, and with a lag in those at its end whose image was never taken.
 
     Raises:
         SensorError: the touch was made by a rigid probe, or the readings have other shapes than the touch.
@@ -114,7 +155,9 @@ def estimate_forces(touch: Touch, *, stiffness: float, method: str = "membrane",
     calibration = BubbleCalibration(touch.node_rest, touch.node_triangles,
                                     rim_of(touch.node_triangles, len(touch.node_rest)), stiffness, touch.rest_pressure,
                                     reference=touch.node_reference)
-    good = np.asarray(touch.converged, bool)
+    if image_lag != 0.0:
+        position = aligned_nodes(position, touch.mount_pose, touch.time, image_lag)
+    good = np.asarray(touch.converged, bool) & np.isfinite(position).all(axis=(1, 2))
     turn, shift = touch.mount_pose[good, :3, :3], touch.mount_pose[good, None, :3, 3]
     found = DenseForceEstimator(calibration, method=method,
                                 options=options).estimate(np.einsum("tni,tij->tnj", position[good] - shift, turn),

@@ -86,10 +86,10 @@ def test_only_what_is_sharp_and_near_asks_for_a_finer_mesh(even):
 def test_sums_over_points_are_those_of_the_table_of_shape_values(even):
     rng = np.random.default_rng(0)
     table = shape_table(3, 2)
-    mesh, parts = even.mesh, len(table)
+    mesh, parts = even.mesh, len(table)  # cuts squared
     area = mesh.face_area()
     patches = [make_patch(mesh, np.sort(rng.choice(len(mesh.faces), n, replace=False)), np.ones(n), area[:n],
-                                  parts=parts) for n in (40, 25)]
+                           np.full(n, 2), {2: 0}) for n in (40, 25)]
     faces, nodes = 40, max(len(p.nodes) for p in patches)
     points = np.zeros((2, 6 * parts * faces, nodes))
     for b, p in enumerate(patches):

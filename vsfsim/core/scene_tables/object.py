@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vsfsim.core.errors import SceneError
+from vsfsim.core.errors import SceneError, did_you_mean
 from vsfsim.core.material import MaterialField, parse_material
 from vsfsim.core.rigid import MAX_FRICTION, beside
+from vsfsim.core.scene_tables.foam import FOAMS, Foam
 from vsfsim.core.shape import Family, ObjectShape, parse_object_shape
 from vsfsim.core.table import Table
 
@@ -42,6 +43,8 @@ class ObjectSpec:
     """Coulomb coefficient against rigid bodies [-]."""
     young_modulus: MaterialField
     """The field E(x) [Pa]."""
+    foam: Foam | None
+    """The foam that `material` names, whose moduli are scaled to `young_modulus`; None for the neo-Hookean law."""
     appearance: Mapping[str, Any]
     """Table for the family or the renderer."""
 
@@ -54,7 +57,7 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     """
     where = f"{path} [object]"
     t = Table(node, where, ("shape", "pose", "yaw", "fixed", "tier", "resolution", "poisson_ratio", "density",
-                             "friction", "young_modulus", "appearance"))
+                             "friction", "young_modulus", "material", "appearance"))
     shape = parse_object_shape(t.table.get("shape"), where)
     fixed = t.table.get("fixed", "bottom")
     if isinstance(fixed, str):
@@ -62,6 +65,9 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
     else:
         fixed = t.vector("fixed", None, 6)
     material = parse_material(t.table.get("young_modulus"), where)
+    foam = _foam(t, isinstance(shape, Family))
+    if foam is not None and "young_modulus" not in t.table:
+        material = MaterialField(foam.young_modulus, {})
     if material.base is None and not isinstance(shape, Family):
         raise SceneError(f"{where}: young_modulus is missing; give pascals, e.g. young_modulus = 1e5, or "
                          f"{{ base = 1e5, inclusions = [..] }}.")
@@ -78,9 +84,32 @@ def parse_object(node: Any, path: Path) -> ObjectSpec:
         fixed=fixed,
         tier=t.word("tier", "auto", TIERS),
         resolution=resolution,
-        poisson_ratio=t.number("poisson_ratio", 0.45, 0.0, 0.4999),
+        poisson_ratio=foam.poisson_ratio if foam is not None else t.number("poisson_ratio", 0.45, 0.0, 0.4999),
         density=t.number("density", 1000.0, 1e-3, 3e4, "kg/m^3"),
         friction=friction,
         young_modulus=material,
+        foam=foam,
         appearance=appearance,
     )
+
+
+def _foam(t: Table, family: bool) -> Foam | None:
+    """The foam that ``material`` names.
+
+    Raises:
+        SceneError: there is no such foam, it has a Poisson's ratio of its own, or the object is of several materials.
+    """
+    if "material" not in t.table:
+        return None
+    name = t.table["material"]
+    if not isinstance(name, str) or name not in FOAMS:
+        raise SceneError(f"{t.where}: material is {name!r}, which is no foam with known parameters. "
+                         f"{did_you_mean(str(name), tuple(FOAMS))} Without material the law is neo-Hookean, with "
+                         f"young_modulus and poisson_ratio.")
+    if "poisson_ratio" in t.table:
+        raise SceneError(f"{t.where}: material = {name!r} has a Poisson's ratio of its own, "
+                         f"{FOAMS[name].poisson_ratio:.3g}; leave poisson_ratio = {t.table['poisson_ratio']!r} out.")
+    if family:
+        raise SceneError(f"{t.where}: material = {name!r} is for objects of one material; a family's parts have "
+                         f"materials of their own. Leave it out, or give a box, a cylinder, a sphere or a mesh.")
+    return FOAMS[name]

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
-from vsfsim.data.records import ObjectView, Touch
+from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, ObjectView, Touch
 from vsfsim.generate.aim import Aim, aim_probe
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
@@ -109,4 +109,5 @@ def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:
         time=times(len(poses)), mount_pose=poses, axis=a.axis, target=a.target, normal=a.normal,
         force=frames.force[:, k], reaction=frames.reaction[:, k], residual=frames.residual[:, k],
         iterations=frames.iterations[:, k], touched=bool((frames.penetration[:, k] > 0.0).any()),
-        audit=audit(frames, k), **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))
+        audit=audit(frames, k, columns=(*AUDIT_COLUMNS, *CONTACT_COLUMNS)),
+        **verdict(found, frames.force_balance[:, k], frames.reason[:, k]))

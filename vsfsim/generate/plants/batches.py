@@ -20,7 +20,7 @@ from vsfsim.generate.job import Job
 from vsfsim.generate.plants.aim import ArmAim, load
 from vsfsim.generate.plants.prepare import Outline, Seconds, Subject, choose, look, outline
 from vsfsim.generate.plants.touches import begin, finish, rod_options
-from vsfsim.generate.workers import process_pool, write
+from vsfsim.generate.workers import process_pool, submit, write
 from vsfsim.physics.rods.solver import GPU_SPAN, RodBatch, RodFrames, RodSolver
 
 PLACES = 4096  # touches on a device at once, which take 7 GB
@@ -40,7 +40,7 @@ class _Preparation:
     def __init__(self, jobs: Sequence[Job], pool: ProcessPoolExecutor, device: str, spent: Seconds, part: int):
         self._jobs, self._pool, self._spent, self._part = jobs, pool, spent, part
         self._looking: dict[Future[tuple[View, np.ndarray, Seconds]], int] = {
-            pool.submit(look_one, job, device): k for k, job in enumerate(jobs)}
+            submit(pool, look_one, job, device): k for k, job in enumerate(jobs)}
         self._aiming: dict[Future[tuple[list[ArmAim], np.ndarray, Seconds]], tuple[int, int]] = {}
         self._views: dict[int, View] = {}
         since = spent.begin()  # the processes start meanwhile
@@ -74,7 +74,7 @@ class _Preparation:
                 self._views[k], cloud, took = future.result()
                 for part in range(self.parts(k)):
                     numbers = range(part * self._part, min((part + 1) * self._part, self._count(k)))
-                    self._aiming[self._pool.submit(aim_one, self._jobs[k], cloud, numbers)] = k, part
+                    self._aiming[submit(self._pool, aim_one, self._jobs[k], cloud, numbers)] = k, part
             else:
                 k, part = self._aiming.pop(future)
                 aims, poses, took = future.result()
@@ -169,7 +169,7 @@ def make_together(jobs: Sequence[Job], *, device: str, workers: int | None,
     with process_pool(len(jobs), workers) as pool:
         writing: list[Future[None]] = []
         for k, subject, frames in touched(jobs, pool, device=device, spent=Seconds(), part=part):
-            writing.append(pool.submit(_write, jobs[k], subject, frames, device))
+            writing.append(submit(pool, _write, jobs[k], subject, frames, device))
             yield sum(len(a.plan) for a in subject.aims), jobs[k].name
         for future in writing:
             future.result()

@@ -78,11 +78,11 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
     fields = {"converged": touch.converged, "residual": touch.residual, "iterations": touch.iterations, "audit": audit}
     contacts, size = frames.contacts[:n, 0], np.linalg.norm(touch.force, axis=1)
     return PressResult(
-        depth=depth, force=touch.force, reaction=touch.reaction, **fields, deepest=full,
-        more={"torque": touch.torque, "q": touch.q, "target": aim.target, "axis": aim.axis, "draws": aim.draws,
+        depth=depth, force=touch.force, axis=aim.axis, reaction=touch.reaction, **fields, deepest=full,
+        more={"torque": touch.torque, "q": touch.q, "target": aim.target, "draws": aim.draws,
               "contacts": contacts, "reason": reason, "segments": segments, "deepest": full, "build_seconds": built,
               "seconds": seconds, "tier": recipe.tier, "device": request.device, "precision": request.precision},
-        columns=(Column("tool mm past target", 1e3 * depth, ".2f"), Column("force N", size, ".4f"),
+        columns=(Column("tool mm past target", 1e3 * depth, ".2f"), Column("|force| N", size, ".4f"),
                  *(Column(f"joint {j + 1}{' N m' * (j == 6)}", touch.torque[:, j], ".4f") for j in range(7)),
                  Column("balance", audit["force_balance"], ".1e"),
                  Column("penetr. mm", 1e3 * audit["penetration"], ".3f"), Column("contacts", contacts, "d"),
@@ -94,11 +94,11 @@ def press(loaded: SceneFile, request: PressRequest) -> PressResult:
                f"{segments} segments, tier {recipe.tier}, {request.precision} on {request.device}; plant, picture and "
                f"path in {built:.1f} s, solved in {seconds:.1f} s."),
         notes=tuple(_notes(subject, aim, touch, frames)),
-        plot=(Curves("force [N]", {"force on the arm": size}),
+        plot=(Curves("size of the force [N]", {"force on the arm": size}),
               Curves("joint torque of the contact [N m]",
                      {f"joint {j + 1}": touch.torque[:, j] for j in range(7)})),
         abscissa="tool past its target [mm]", model=f"plant of {segments} segments",
-        headline=f"tool {1e3 * depth[full]:.0f} mm past its target, force {size[full]:.3g} N",
+        headline=f"tool {1e3 * depth[full]:.0f} mm past its target, |force| {size[full]:.3g} N",
         panels=(_panel(subject, touch.q, frames, full),) if request.keep else (),
         arrays={**_arrays(subject, touch, frames),
                 **series(depth, touch.force, touch.reaction, fields, "of the pot on the plant, world")}

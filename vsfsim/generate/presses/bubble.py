@@ -26,6 +26,7 @@ from vsfsim.generate.presses.boundary import deformed_surface
 from vsfsim.generate.presses.bubble_solve import OPTIONS, Solved, in_mount, solve
 from vsfsim.generate.presses.dent import dent, inward_distance
 from vsfsim.generate.presses.verdict import (
+    FORCES,
     direction,
     force_columns,
     of_mesh,
@@ -72,23 +73,26 @@ def result_of(s: Solved, request: PressRequest) -> PressResult:
              "cg_iterations": frames.cg_iterations[:, 0], "apex": apex, "dome_volume": dome, "edge": edge,
              "build_seconds": s.build_seconds, "triangles": triangles, "nodes": nodes, "device": request.device,
              "precision": request.precision, "tolerance": s.tolerance, "inward": full + 1, "statement": said}
-    size = np.linalg.norm(force, axis=1)
+    axis = direction(s.path)
+    normal = -(force @ axis)
     at_full = wrench[full] + 0.0
-    words = (f"At full depth, wrench of the contact at the mount, in its frame: "
+    words = (FORCES, f"At full depth, wrench of the contact at the mount, in its frame: "
              f"({', '.join(f'{v:.4f}' for v in at_full[:3])}) N, ({', '.join(f'{v:.5f}' for v in at_full[3:])}) N m; "
              f"{100 * more['slipping'][full]:.0f} % of the points in contact slip.", said,
              f"Free dome: apex {1e3 * apex:.2f} mm, {1e6 * dome:.2f} mL, {model.pressure:.1f} Pa gauge. {triangles} "
              f"triangles, {nodes} nodes, mean edge where it is touched {1e3 * edge:.2f} mm, {request.precision} on "
              f"{request.device}; built in {s.build_seconds:.1f} s, solved in {frames.seconds.sum():.1f} s.")
     return PressResult(
-        depth=depth, force=force, reaction=s.reaction, **fields, deepest=full, more=more,
-        columns=(*force_columns(depth, force), Column("pressure Pa", s.pressure, ".2f"),
+        depth=depth, force=force, axis=axis, reaction=s.reaction, **fields, deepest=full, more=more,
+        columns=(*force_columns(depth, force, axis), Column("pressure Pa", s.pressure, ".2f"),
                  Column("change Pa", change, ".2f"), Column("volume mL", 1e6 * volume, ".4f"),
                  Column("balance", frames.force_balance[:, 0], ".1e"), *solver_columns(frames, edge)),
         words=words, notes=(*path_notes(s.gap, float(s.way.max())), *s.notes),
-        plot=(Curves("force [N]", {"force on the sensor": size}), Curves("pressure change [Pa]", {"gas": change})),
+        plot=(Curves("normal force [N]", {"force on the sensor": normal}),
+              Curves("pressure change [Pa]", {"gas": change})),
         abscissa="depth past first contact [mm]", model=f"bubble of {nodes} nodes",
-        headline=f"depth {1e3 * depth[full]:.2f} mm, force {size[full]:.4g} N, pressure change {change[full]:.4g} Pa",
+        headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N, pressure change "
+                 f"{change[full]:.4g} Pa",
         caption="left: from outside; middle: how far the skin went in along the free dome's normal, dots: nodes in "
                 "contact, larger with their force; right: from the camera inside",
         panels=_panels(s, request.device) if request.keep else (),
@@ -122,7 +126,7 @@ def _panels(s: Solved, device: str) -> tuple[BodyPanel, MapPanel, ImagePanel]:
     colours = Colours("RdBu_r", min(float(inward.min()), -1e-6), max(float(inward.max()), 1e-6))
     inside = look_inside(s.position[t:t + 1], mesh.faces, s.model.flat, BubbleCamera(), device=device).rgb[0]
     return (outside(s, t, inward[mesh.faces].mean(axis=1), colours),
-            MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward, np.linalg.norm(s.push[t], axis=1),
+            MapPanel(1e3 * mesh.points[:, :2], mesh.faces, inward, np.nan_to_num(np.linalg.norm(s.push[t], axis=1)),
                      dataclasses.replace(colours, label="inwards [mm]"), ("x of the mount, free dome [mm]", "y [mm]")),
             ImagePanel(inside))
 
@@ -185,19 +189,19 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         results.append(result_of(found, asked))
         rows += _rows(found, results[-1])
     force, change = ([float(values) for values in column] for column in
-                     zip(*((np.linalg.norm(r.force[r.deepest]), r.more["pressure_change"][r.deepest]) for r in results),
+                     zip(*((r.normal_force[r.deepest], r.more["pressure_change"][r.deepest]) for r in results),
                          strict=True))
 
     def column(heading: str, key: str, form: str, scale: float = 1.0) -> Column:
         return Column(heading, [scale * row[key] for row in rows], form)
 
     columns = (Column("nodes", [row["nodes"] for row in rows], "d"), column("edge mm", "edge", ".2f", 1e3),
-               column("depth mm", "depth", ".2f", 1e3), column("force N", "force", ".4f"),
+               column("depth mm", "depth", ".2f", 1e3), column("normal N", "normal_force", ".4f"),
                column("change Pa", "pressure_change", ".1f"), column("dent radius mm", "dent_radius", ".2f", 1e3),
                column("bulge mm", "bulge", ".3f", 1e3), column("s a frame", "seconds", ".2f"),
                column("Newton a frame", "newton", ".1f"))
     return MeshSeries(tuple(results), tuple(r.more["edge"] for r in results),
-                      {"force": ("N", force), "pressure change": ("Pa", change)}, OPTIONS.tolerance,
+                      {"normal force": ("N", force), "pressure change": ("Pa", change)}, OPTIONS.tolerance,
                       f"The press on {meshes} meshes, at half and at full depth:", columns, rows,
                       f"{', '.join(str(r.more['nodes']) for r in results)} nodes",
                       "give fewer meshes, or a smaller contact_edge in [sensor]")
@@ -211,7 +215,7 @@ def _rows(s: Solved, r: PressResult) -> list[dict[str, Any]]:
     for t in (half, r.deepest):
         shape = dent(s.model, s.position[t], axis)
         out.append({"nodes": r.more["nodes"], "edge": r.more["edge"], "depth": float(r.depth[t]),
-                    "force": float(np.linalg.norm(r.force[t])), "pressure_change": float(r.more["pressure_change"][t]),
+                    "normal_force": float(r.normal_force[t]), "pressure_change": float(r.more["pressure_change"][t]),
                     "dent_depth": shape.depth, "dent_radius": shape.radius, "bulge": shape.bulge,
                     "converged": bool(r.converged[t]), "seconds": float(r.more["seconds"].mean()),
                     "newton": float(r.iterations.mean())})

@@ -31,6 +31,7 @@ from vsfsim.physics.solve.kernels import coupled_kernels, solver_kernels
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import press_path
 
+_INTO_HOUSING = 1e-4  # how far an obstacle may reach into it [m]
 OPTIONS = SolverOptions(tolerance=5e-4)
 """As tier fem: with friction, a smaller residual is not always reached where a point is at the limit of contact."""
 
@@ -133,6 +134,7 @@ def solve(scene: Scene, request: PressRequest) -> Solved:
 
 def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, poses: np.ndarray,
                   request: PressRequest, built: float, notes: tuple[str, ...]) -> Solved:
+    _before_housing(scene, model, poses)
     compile_kernels(solver_kernels(request.precision, [block.kind for block in model.blocks]), request.device,
                     progress=request.progress)
     first = np.eye(4)
@@ -141,7 +143,7 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
               for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
-                    options=OPTIONS)
+                    options=request.limited(OPTIONS))
     pressure: list[float] = []
     volume: list[float] = []
 
@@ -164,6 +166,27 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
                   notes, build_seconds=built)
 
 
+def _before_housing(scene: Scene, model: BubbleModel, poses: np.ndarray) -> None:
+    """Refuse obstacles that reach into the housing, a rigid plate in the plane of the rim.
+
+    Args:
+        poses: of the obstacles in the mount frame (T, K, 4, 4).
+
+    Raises:
+        SceneError: an obstacle is behind the plate, within the rim.
+    """
+    bodies = RigidBodies(scene.bodies)
+    plate = np.column_stack([model.flat, np.zeros(len(model.flat))])
+    for t, frame in enumerate(poses):
+        for k, pose in enumerate(frame):
+            depth = -float(bodies.distance(k, (plate - pose[:3, 3]) @ pose[:3, :3]).min())
+            if depth > _INTO_HOUSING:
+                raise SceneError(f"{scene.source}: in frame {t} of [press] obstacle {k + 1} is {1e3 * depth:.2g} mm "
+                                 f"behind the plane of the sensor's rim, where its housing is. The free dome is "
+                                 f"{1e3 * float(model.mesh.points[:, 2].max()):.1f} mm high; let the path end before "
+                                 f"the plate.")
+
+
 def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndarray, request: PressRequest,
                built: float) -> Solved:
     friction = scene.required_sensor.friction
@@ -178,7 +201,7 @@ def _on_object(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.ndar
                     request.device, progress=request.progress)
     first = mount[0].copy()
     first[:3, 3] = path.start
-    options = tiers.options(chosen)
+    options = request.limited(tiers.options(chosen))
     solver = CoupledSolver(body, model, friction=friction, device=request.device, precision=request.precision,
                            options=options)
     frames = solver.run(mount[:, None], keep=True, progress=None if request.progress is None

@@ -26,6 +26,7 @@ from vsfsim.generate.press_result import (
 from vsfsim.generate.presses.assume import with_press, with_probe
 from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
 from vsfsim.generate.presses.verdict import (
+    FORCES,
     direction,
     force_columns,
     of_mesh,
@@ -99,18 +100,18 @@ def refine(loaded: SceneFile, request: PressRequest, meshes: int) -> MeshSeries:
         volume = float(prepared.model.mesh.volume.sum())
         edge.append((volume / results[-1].more["tets"]) ** (1.0 / 3.0)
                     if isinstance(first.scene.object.shape, MeshFile) else results[-1].more["edge_at_contact"])
-    force = [float(np.linalg.norm(r.force[r.deepest])) for r in results]
-    change = ["", *(f"{100 * (b / a - 1.0):+.2f}" if a else "-" for a, b in pairwise(force))]
+    force = [float(r.normal_force[r.deepest]) for r in results]
+    change = ["", *(f"{100 * (b / a - 1.0):+.2f}" if a and np.isfinite(b / a) else "-" for a, b in pairwise(force))]
     columns = (
         Column("mesh", range(1, meshes + 1), "d"), Column("tetrahedra", [r.more["tets"] for r in results], "d"),
         Column("nodes", [r.more["nodes"] for r in results], "d"), Column("edge mm", [1e3 * h for h in edge], ".2f"),
-        Column("force N", force, ".5g"), Column("change %", change),
+        Column("normal N", force, ".5g"), Column("change %", change),
         Column("converged", [f"{int(r.converged.sum())}/{len(r.converged)}" for r in results]),
         Column("balance", [r.audit["force_balance"].max() for r in results], ".1e"),
         Column("penetr. %", [100 * r.audit["penetration"].max() / r.more["edge"] for r in results], ".2g"),
         Column("seconds", [r.more["build_seconds"] + r.more["seconds"].sum() for r in results], ".1f"))
-    return MeshSeries(tuple(results), tuple(edge), {"force": ("N", force)}, results[0].more["tolerance"],
-                      f"Force at full depth on {meshes} meshes:", columns, [r.table() for r in results],
+    return MeshSeries(tuple(results), tuple(edge), {"normal force": ("N", force)}, results[0].more["tolerance"],
+                      f"Normal force at full depth on {meshes} meshes:", columns, [r.table() for r in results],
                       f"{', '.join(str(r.more['tets']) for r in results)} tetrahedra",
                       "give a finer resolution in [object]")
 
@@ -153,7 +154,7 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     moving = 1 + len(scene.parts)
     gap = min(clearance(model, shape, pose, axis)
               for shape, pose in zip(scene.bodies[:moving], body_poses(scene, first[None])[0], strict=False))
-    linear, options = not tiers.TIERS[tier].nonlinear, tiers.options(tier)
+    linear, options = not tiers.TIERS[tier].nonlinear, request.limited(tiers.options(tier))
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
                     options=options, linear=linear)
     placed = body_poses(scene, poses)
@@ -177,7 +178,7 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
              "edge_at_contact": edge_at(model, tip(scene, np.array(spec.stop), axis)),
              "volume": float(model.mesh.volume.sum()), "tolerance": options.tolerance, "inward": spec.inward,
              "statement": said}
-    words = [said, f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
+    words = [FORCES, said, f"Tier {tier}, {tets} quadratic tetrahedra, {nodes} nodes, element size "
                    f"{1e3 * prepared.element_size:.1f} mm, {request.precision} on {request.device}; built in "
                    f"{prepared.seconds:.1f} s, solved in {frames.seconds.sum():.1f} s."]
     if len(names) > 1 or max(scene.frictions) > 0.0:
@@ -186,19 +187,19 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     if request.keep:
         moved = np.stack([u[:, 0].reshape(-1, 3) for u in solver.history])
         push = np.stack([f[..., 0] for f in solver.surface_force])
-        panels = _panels(model, scene.bodies, placed[full], moved[full], push[full])
+        panels = _panels(model, scene.bodies, placed[full], moved[full], np.nan_to_num(push[full]))
         arrays = {**_arrays(model, placed, moved, push), **series(depth, force, frames.reaction[:, 0], fields)}
-    size = np.linalg.norm(force, axis=1)
+    normal = -(force @ axis)
     return PressResult(
-        depth=depth, force=force, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
-        columns=(*force_columns(depth, force), Column("balance", frames.force_balance[:, 0], ".1e"),
+        depth=depth, force=force, axis=axis, reaction=frames.reaction[:, 0], **fields, deepest=full, more=more,
+        columns=(*force_columns(depth, force, axis), Column("balance", frames.force_balance[:, 0], ".1e"),
                  Column("min det F", frames.min_det_f[:, 0], ".3f"), Column("energy J", frames.energy[:, 0], ".2e"),
                  *solver_columns(frames, edge)),
         words=tuple(words), notes=notes,
-        plot=(Curves("force [N]", {"reaction of the supports": np.linalg.norm(frames.reaction[:, 0], axis=1),
-                                   "force on the probe": size}),),
+        plot=(Curves("normal force [N]", {"reaction of the supports": -(frames.reaction[:, 0] @ axis),
+                                          "force on the probe": normal}),),
         abscissa="depth past first contact [mm]", model=f"tier {tier}, {tets} tetrahedra",
-        headline=f"depth {1e3 * depth[full]:.2f} mm, force {size[full]:.4g} N",
+        headline=f"depth {1e3 * depth[full]:.2f} mm, normal force {normal[full]:.4g} N",
         caption="left: with the rigid bodies; right: the body alone", panels=panels, arrays=arrays)
 
 

@@ -66,7 +66,8 @@ def solved(frames: Frames) -> tuple[dict[str, Any], dict[str, Any]]:
     """Fields of a `PressResult`, and entries of its ``more``, that a solver's frames of one touch give."""
     return ({"converged": frames.converged[:, 0], "residual": frames.residual[:, 0],
              "iterations": frames.iterations[:, 0], "audit": audit(frames, 0)},
-            {"slipping": frames.slipping[:, 0], "seconds": frames.seconds})
+            {"slipping": frames.slipping[:, 0], "seconds": frames.seconds,
+             "reason": tuple(Reason(r).text for r in frames.reason[:, 0])})
 
 
 def series(depth: np.ndarray, force: np.ndarray, reaction: np.ndarray,
@@ -80,9 +81,15 @@ def series(depth: np.ndarray, force: np.ndarray, reaction: np.ndarray,
             **{name: (values, units[name]) for name, values in fields["audit"].items()}}
 
 
-def force_columns(depth: np.ndarray, force: np.ndarray) -> list[Column]:
-    """Columns of depth (T,) [m] and force (T, 3) [N]."""
-    return [Column("depth mm", 1e3 * depth, ".3f"), Column("force N", np.linalg.norm(force, axis=1), ".4f"),
+FORCES = ("normal N is the component of the force against the direction of the press, which the tasks call "
+          "normal-force; |force| N is the length of the force.")
+"""Printed below a table with both."""
+
+
+def force_columns(depth: np.ndarray, force: np.ndarray, axis: np.ndarray) -> list[Column]:
+    """Columns of depth (T,) [m] and force (T, 3) [N] in a press along ``axis`` (3,)."""
+    return [Column("depth mm", 1e3 * depth, ".3f"), Column("normal N", -(force @ axis), ".4f"),
+            Column("|force| N", np.linalg.norm(force, axis=1), ".4f"),
             *(Column(name, force[:, k], ".4f") for k, name in enumerate(("fx", "fy", "fz")))]
 
 

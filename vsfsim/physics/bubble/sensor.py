@@ -19,7 +19,7 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics import disk_cache
 from vsfsim.physics.bubble import inflation
 from vsfsim.physics.bubble.sheet import Sheet
-from vsfsim.physics.elements import gas, hinge, triangle
+from vsfsim.physics.elements import gas, hinge, stop, triangle
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.membrane_factor import MembraneFactor
 from vsfsim.physics.mesh import membrane as membrane_mesh
@@ -32,6 +32,7 @@ from vsfsim.physics.model import Model
 _VERSION = 1  # part of the cache key: raise it when a mesh, a law or the inflation changes
 _KEPT = 8  # models kept in this process
 _COARSE = 390  # nodes of the mesh on which the branch from flat to inflated is followed
+_STOP = 10.0  # penalty of the housing over E h: the gas presses a node 4 mm from the next 0.02 mm into it
 _SHALLOW = 0.1  # height of the first dome over the short semi-axis
 
 _models: OrderedDict[str, BubbleModel] = OrderedDict()
@@ -246,8 +247,11 @@ def assemble_bubble(spec: Bubble, flat: np.ndarray, faces: np.ndarray, rim: np.n
                          "the enclosed air, dome and chamber behind it, so give more than that (in m^3).")
     air = gas.block(closed(faces, rim), points, pressure=spec.gauge_pressure, volume=inside, gamma=spec.gamma,
                     ambient=spec.ambient_pressure, dead_volume=dead, sealed=spec.sealed)
-    blocks = (*elastic_blocks(spec, points, flat, faces), air)
     free = _free(len(points), rim)
+    # the housing: a plate in the plane of the rim, before every node that is not clamped
+    stopped = np.flatnonzero((free[2::3] > 0.0) & (points[:, 2] >= 0.0))
+    plate = stop.block(stopped, int(rim[0]), points, _STOP * spec.modulus)
+    blocks = (*elastic_blocks(spec, points, flat, faces), air, plate)
     factor = MembraneFactor.of(assemble(len(points), blocks), free, mesh.surface_nodes(),
                                *gas.rest_coupling(air, len(points)))
     edge = mesh.edge(touched)

@@ -10,6 +10,8 @@ line search on that energy solves it for all touches at once. It is the `linear`
 
 from __future__ import annotations
 
+import time
+
 import torch
 
 from vsfsim.physics.contact.interface import Contact
@@ -23,7 +25,8 @@ _COMPACT = 0.8  # share of running touches under which the others are dropped fr
 
 
 def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float, start: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor]:
+          tolerance: float, start: torch.Tensor | None = None,
+          deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
     Args:
@@ -34,29 +37,31 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch.
         start: first guess of the changes (k, 3 s) [N]; None is zero.
+        deadline: `time.perf_counter` after which no iteration but the first begins [s].
 
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
     if not contact.has_friction:
-        return _newton(contact, columns, base, pushed, start, iterations, tolerance)
+        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     contact.stick = STICK
-    best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance)
+    best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     again = (error > tolerance).nonzero()[:, 0]
-    if len(again):
+    if len(again) and time.perf_counter() < deadline:
         # the potential has a kink between stick and slip: approach it through smoother ones
         part = None if start is None else start[again]
         for share in _STICK_STAGES:
             contact.stick = share * STICK
             part, new = _newton(contact, columns[again], base[again], pushed[again], part, 3 * iterations,
-                                tolerance if share == 1.0 else _STAGE_TOLERANCE)
+                                tolerance if share == 1.0 else _STAGE_TOLERANCE, deadline)
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
 
 
 def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
-            start: torch.Tensor | None, iterations: int, tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
+            start: torch.Tensor | None, iterations: int, tolerance: float,
+            deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
     compliance = contact.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q) if start is not None else base.clone()
@@ -68,7 +73,9 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     wrong_side = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
     best_change = best.clone()
     running = torch.ones_like(best_error, dtype=torch.bool)
-    for _ in range(iterations):
+    for step_number in range(iterations):
+        if step_number and time.perf_counter() > deadline:
+            break
         contact.evaluate(columns, trial)
         energy = ((0.5 * q + pushed) * (trial - base)).sum(dim=1) + contact.energy(columns)
         crossed = contact.wrong_side(columns)

@@ -31,6 +31,8 @@ class Contact(Protocol):
     """1 where `dof` is no padding (B, 3 s) [-]."""
     free: torch.Tensor
     """1 where a degree of freedom may move (B, 3 s) [-]."""
+    deadline: float
+    """`time.perf_counter` after which `condensed` begins no further iteration [s]."""
     response: Any
     """Displacements of the whole body at rest under forces: ``solve(right)`` and ``patch(touches, force)``."""
     compliance: Any
@@ -62,6 +64,9 @@ class Contact(Protocol):
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """Potential of the contact (k,) [J]."""
 
+    def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """Elastic energy of the object that its elements do not show (k,) [J], see `local_indentation`."""
+
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """Number of points beyond the middle of the other body (k,); a solution has none."""
 
@@ -82,6 +87,10 @@ class Contact(Protocol):
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """Share of the points in contact that slip (k,) [-]; 0 without contact."""
+
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Number of points in contact (k,), and the radius of a circle of their area over the element size there (k,)
+        [-]."""
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
         """Contact stiffness on the patches (k, 3 s, 3 s) [N/m], a tensor or an operator.
@@ -120,5 +129,14 @@ class Contact(Protocol):
     def no_force(self) -> torch.Tensor:
         """What `remember` returns without contact."""
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
-        """Extend the patches by surface that came into contact outside them at u (3 n, B); whether any changed."""
+    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
+        """Whether a rigid body lies inside the object where no contact point feels it (k,) bool, by the geometry at the
+        last `extend_patch`."""
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
+                     touched: torch.Tensor | None = None) -> bool:
+        """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
+        bodies were found between those; whether any changed.
+
+        ``touched``: which touches were in contact when the step began (B,) bool. If one of them has lost a body, no
+        points are added, because it jumped: a shorter step has to follow it."""

@@ -1,7 +1,8 @@
 """The part of an object's surface that a touch can reach, and the quadrature over its faces.
 
-Contact is integrated over six Gauss points of every quadratic surface triangle, which is exact to degree 4, or of every
-part of a linear one; never at vertices alone. Each point q carries the penalty stiffness
+Contact is integrated over six Gauss points, which are exact to degree 4, of every surface triangle or of every part
+that it is cut into; never at vertices alone. A triangle is cut where a body is small against it, or was found between
+its points. Each point q carries the penalty stiffness
 
     w_q = area x PENALTY x modulus / element size:
 
@@ -9,17 +10,21 @@ stiff enough that the penetration stays far under 1 % of the element size (it is
 and soft enough that float64 keeps its digits. The solver inverts this block exactly, so stiffness costs no iterations.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.core.shape import Capsule, Plane, Sphere
+from vsfsim.core.shape import Capsule, Plane, ProbeShape, Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 PENALTY = 1000.0
 """Contact pressure at a penetration of one element size, in units of the modulus under the surface [-]."""
+CUTS = (1, 2, 3, 4, 6, 8)
+"""Parts along the edge of a quadratic face that its contact may be integrated over."""
 _MOST_CUTS = 4  # of a linear face along its edge
+_A_PRIORI = 4  # most cuts of a quadratic face before a body was found between its points
 _FACTOR = (0.1, 20.0)  # bounds of the factor on the contact stiffness of a sheet
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973); the weights add up to 1.
@@ -63,6 +68,38 @@ def shape_grid(steps: int) -> np.ndarray:
     return np.hstack([bary, np.zeros_like(bary)])
 
 
+def shape_tables(corners: int, cuts: Sequence[int]) -> tuple[np.ndarray, dict[int, int]]:
+    """The tables of `shape_table` for several numbers of cuts, one after the other, and the first row of each."""
+    tables = [shape_table(corners, c) for c in cuts]
+    starts = np.cumsum([0, *(len(t) for t in tables)])
+    return np.concatenate(tables), {c: int(s) for c, s in zip(cuts, starts, strict=False)}
+
+
+def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False) -> np.ndarray:
+    """Parts along the edge of quadratic faces (f,) that a body of this ``radius`` [m] needs.
+
+    The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /
+    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges, whose faces are
+    cut where it is found between the points.
+
+    Args:
+        radius: of the body; 0 where it has edges, infinite for a plane.
+        edge: of the faces (f,) [m].
+        local: whether the contact is to be right where it is small against the faces, too.
+    """
+    if radius <= 0.0 or not np.isfinite(radius):
+        return np.ones(len(edge), int)
+    wanted = np.minimum(np.sqrt((2.2 if local else 1.6) * edge / radius), _A_PRIORI)
+    return np.array(CUTS)[np.searchsorted(CUTS, wanted - 1e-9)]
+
+
+def smooth_radius(shape: ProbeShape) -> float:
+    """Radius of curvature of a body [m]: 0 if it has edges, infinite for a plane."""
+    if isinstance(shape, Plane):
+        return float("inf")
+    return shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
+
+
 @dataclass(frozen=True)
 class Patch:
     """The boundary triangles that one touch can reach."""
@@ -76,10 +113,18 @@ class Patch:
     face has three nodes, and any number in the other columns."""
     stiffness: np.ndarray
     """w_q of each Gauss point (f parts, 6) [N/m]."""
+    cuts: np.ndarray
+    """Parts along the edge of each triangle (f,)."""
+    part: np.ndarray
+    """Row of each part in the table of shape values (f parts,)."""
+
+    def starts(self) -> np.ndarray:
+        """First part of each triangle (f,)."""
+        return np.cumsum(self.cuts**2) - self.cuts**2
 
 
-def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, *, parts: int = 1,
-               factor: float = 1.0) -> Patch:
+def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, cuts: np.ndarray,
+               rows: Mapping[int, int], *, factor: float = 1.0) -> Patch:
     """The patch of some boundary triangles.
 
     Args:
@@ -87,7 +132,8 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
         faces: indices of the triangles (f,).
         area: their areas (f,) [m^2].
         modulus: Young's modulus under them (f,) [Pa].
-        parts: number of parts that each face is cut into, see `shape_table`.
+        cuts: parts along the edge of each (f,), see `shape_table`.
+        rows: first row of each number of cuts in the table of shape values, see `shape_tables`.
         factor: on the stiffness [-].
     """
     corners = mesh.faces.shape[1]
@@ -95,8 +141,10 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     padded = np.zeros((len(faces), 6), np.int64)
     padded[:, :corners] = local.reshape(len(faces), corners)
     pressure_per_metre = factor * PENALTY * modulus / np.sqrt(area)
+    parts = cuts**2
     stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
-    return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0))
+    part = np.concatenate([np.zeros(0, int), *(rows[int(c)] + np.arange(c * c) for c in cuts)])
+    return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0), cuts, part)
 
 
 def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
@@ -110,11 +158,5 @@ def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
     grows with edge / R: 10 times that suffices for a ball of 3 mm, and a plate needs a hundredth of it. A stiffer
     contact costs iterations, since the sheet itself is soft. Bodies with edges get the most.
     """
-    def least_radius(k: int) -> float:
-        shape = bodies.shapes[k]
-        if isinstance(shape, Plane):
-            return float("inf")
-        return shape.radius if isinstance(shape, (Sphere, Capsule)) else 0.0
-
-    ratio = max(edge / max(least_radius(k), 1e-9) for k in range(len(bodies)))
+    ratio = max(edge / max(smooth_radius(shape), 1e-9) for shape in bodies.shapes)
     return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))

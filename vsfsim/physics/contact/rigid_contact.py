@@ -7,6 +7,7 @@ padded to the largest patch.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,8 +17,13 @@ from vsfsim.physics.contact import condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.face_sums import FaceSums
 from vsfsim.physics.contact.friction import Relaxation
-from vsfsim.physics.contact.patch import Patch, make_patch, shape_grid, shape_table, sheet_contact
-from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble
+from vsfsim.physics.contact.growth import carry, finer, neighbours
+from vsfsim.physics.contact.intrusion import Intrusion
+from vsfsim.physics.contact.local_indentation import LocalIndentation
+from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
+from vsfsim.physics.contact.reach import Reach
+from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
+from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble, gram
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
@@ -31,11 +37,12 @@ class RigidContact:
         friction: Coulomb's coefficient of each body with the object (K,) [-].
         poses: all poses to come, bodies to world (T, B, K, 4, 4): they tell what is in reach.
         device: Warp device.
+        local: whether round bodies sink in locally, see `local_indentation`.
         exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
     """
 
     potential_trusted_above, decrease = 0.05, 0.5
-    friction_updated_below = 0.03
+    friction_updated_below, deadline = 0.03, float("inf")
     patience = 10**9  # never: the limit on iterations ends a touch
 
     patches: list[Patch]
@@ -54,71 +61,52 @@ class RigidContact:
     """1 where a Gauss point slips (B, 6 f)."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
-                 exact: bool = True):
-        self.model, self.bodies, self.device, self._exact = model, bodies, device, exact
+                 exact: bool = True, local: bool = False):
+        self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
         self.kernels = rigid_kernels.kernels()
         self.has_friction = bool((friction > 0.0).any())
         self.stick = rigid_kernels.STICK
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
         corners = model.mesh.faces.shape[1]
-        cuts, self._factor = (1, 1.0) if corners == 6 else sheet_contact(bodies, model.element_size)
-        self._table = shape_table(corners, cuts)
-        self._parts = len(self._table)
+        self._solid = corners == 6
+        cuts, self._factor = (1, 1.0) if self._solid else sheet_contact(bodies, model.element_size)
+        self._parts = cuts**2  # of a linear face; those of a quadratic one differ
+        self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
         self._shape = wp.array(self._table, dtype=wp.float64, device=device)
-        # penetration is also measured at corners, on edges and inside of every linear face; a quadratic face has its
-        # Gauss points
-        self._fine = torch.as_tensor(shape_grid(3 * cuts) if corners == 3 else np.zeros((0, 6)), device=device)
-        self._surface = model.mesh.surface_nodes()
-        self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
-        rest = torch.as_tensor(model.mesh.points[self._surface], device=device)[:, None]
-        self.first_gap = self._nearest(poses[:1], rest).amin(dim=0).cpu().numpy()
+        # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
+        self._fine = torch.as_tensor(np.zeros((0, 6)) if self._solid else shape_grid(3 * cuts), device=device)
+        check = Intrusion if self._solid else SheetIntrusion
+        self._passage = check(model.mesh, bodies, model.element_size, device=device)
+        self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
+        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local)
+        self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
-        reachable = self._reachable(self._nearest(poses, rest)).cpu().numpy()
-        self.patches = [self._patch(np.flatnonzero(within)) for within in reachable]
+        self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self._upload()
-
-    def _nearest(self, poses: np.ndarray, points: torch.Tensor) -> torch.Tensor:
-        """Least gap (s, B) [m] of points (s, 1 or B, 3) over the poses (T, B, K, 4, 4)."""
-        k = self.kernels
-        out = torch.empty((len(points), poses.shape[1]), dtype=torch.float64, device=self.device)
-        wp.launch(k.nearest, dim=out.shape, device=self.device, inputs=[
-            self._set, len(self.bodies), wp.array(poses[..., :3, 3], dtype=k.vec3, device=self.device),
-            wp.array(poses[..., :3, :3], dtype=k.mat33, device=self.device),
-            wp.from_torch(points.contiguous(), dtype=k.vec3), wp.from_torch(out)])
-        return out
-
-    def _reachable(self, gap: torch.Tensor) -> torch.Tensor:
-        """Boundary triangles (B, f) bool that may come into contact: by the least gaps (s, B) [m] of the surface nodes
-        at rest, with a margin for surface that bulges up."""
-        nearest = torch.full((len(self.model.mesh.points), gap.shape[1]), float("inf"), dtype=gap.dtype,
-                             device=self.device)
-        nearest[torch.as_tensor(self._surface, device=self.device)] = gap
-        margin = 0.15 * (-gap.amin(dim=0)).clamp(min=0.0) + 0.1 * self.model.element_size
-        return (torch.stack([nearest[nodes] for nodes in self._faces.T]).amin(dim=0) < margin).T
 
     @property
     def batch(self) -> int:
         """Number of touches B."""
         return len(self.patches)
 
-    def _patch(self, faces: np.ndarray) -> Patch:
+    def _patch(self, b: int, faces: np.ndarray) -> Patch:
         return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
-                          parts=self._parts, factor=self._factor)
+                          self._cuts[b, faces], self._rows_of, factor=self._factor)
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        faces = self._parts * max(1, max(len(p.faces) for p in self.patches))
+        faces = max(self._parts, max(len(p.part) for p in self.patches))
         nodes = max(1, max(len(p.nodes) for p in self.patches))
         listed = np.full((batch, nodes), -1, np.int64)
         local = np.zeros((batch, faces, 6), np.int32)
-        stiffness = np.zeros((batch, faces, 6))
+        stiffness, part = np.zeros((batch, faces, 6)), np.zeros((batch, faces), np.int32)
         member = np.zeros((batch, len(self.model.mesh.faces)), bool)
         for b, p in enumerate(self.patches):
             f = len(p.local)
             listed[b, :len(p.nodes)], local[b, :f] = p.nodes, p.local
-            stiffness[b, :f], member[b, p.faces] = p.stiffness, True
+            stiffness[b, :f], part[b, :f], member[b, p.faces] = p.stiffness, p.part, True
 
         def tensor(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(values, device=self.device)
@@ -127,19 +115,21 @@ class RigidContact:
             return torch.zeros(size, dtype=torch.float64, device=self.device)
 
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
+        same = hasattr(self, "dof") and np.array_equal(self.dof.cpu().numpy(), dof)
         self.dof = tensor(dof)
         self._index = self.dof.clamp(min=0)
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
-        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
+        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness. Added,
+        # since the columns that a linear face does not use are 0 and may name any node
         at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-        values = tensor(self._table.reshape(-1, 6)).repeat(faces // self._parts, 1).expand(batch, -1, -1)
-        # added: the columns that a linear face does not use are 0, and may name any node
+        values = tensor(self._table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
         self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
         self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
-                              device=self.device) if self.model.mesh.faces.shape[1] == 3 else None
+                              device=self.device) if not self._solid else None
         self._member = tensor(member)
+        self._part = wp.array(part, dtype=wp.int32, device=self.device)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
@@ -156,6 +146,8 @@ class RigidContact:
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
         cut = (batch, faces, 6)
         self._relaxation = Relaxation(cut, self.device)
+        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
+                                                   self._points @ self.rest.view(batch, nodes, 3), on=self._sinks)
         scalars = {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner}
         vectors = {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across}
         matrices = {"rows": self._rows, "geometric": self._geometric}
@@ -166,8 +158,9 @@ class RigidContact:
             "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
             "softening": wp.from_torch(self.softening)}
-        self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
-        self.compliance = self.response.compliance()
+        if not same:  # the same nodes may have more points
+            self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
+            self.compliance = self.response.compliance()
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
         k = self.kernels
@@ -181,8 +174,10 @@ class RigidContact:
         self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
-        """See `Contact`; here the touches ``columns`` make no difference."""
+        """See `Contact`."""
         self._pose = self._placed(pose)
+        self._local_indentation.move(pose)
+        self._overlap[:, slice(None) if columns is None else columns] = 0.0
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -198,14 +193,14 @@ class RigidContact:
         these ``names``; those of the poses before stand for "<"."""
         state = [a for name in names.split() for a in (self._before if name == "<" else (self._arrays[name],))]
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device,
-                  inputs=[self._shape, *model, *self._pose, *state, *more])
+                  inputs=[self._shape, self._part, *model, *self._pose, *state, *more])
 
     def evaluate(self, columns: torch.Tensor, displacement: torch.Tensor) -> None:
         """See `Contact`."""
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
-                      self._stiffness, self._arrays["softening"], self.stick],
+                      self._stiffness, *self._local_indentation.arrays, self._arrays["softening"], self.stick],
                      "x anchor owner limit across gap body normal force rows geometric slips wrong_side energy")
 
     def update_friction(self, columns: torch.Tensor) -> None:
@@ -213,7 +208,7 @@ class RigidContact:
         if self.has_friction:
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
-                          self._arrays["softening"], self._coefficient],
+                          *self._local_indentation.arrays, self._arrays["softening"], self._coefficient],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
 
     def end_step(self, columns: torch.Tensor) -> None:
@@ -223,18 +218,29 @@ class RigidContact:
                          [wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness, rigid_kernels.STICK],
                          "x gap body limit across anchor owner")
 
-    def friction_state(self) -> tuple[torch.Tensor, ...]:
+    def friction_state(self) -> tuple[Any, ...]:
         """See `Contact`; empty without friction."""
-        return tuple(t.clone() for t in self._friction_tensors()) if self.has_friction else ()
+        return (list(self.patches), *(t.clone() for t in self._friction_tensors())) if self.has_friction else ()
 
     def _friction_tensors(self) -> tuple[torch.Tensor, ...]:
         return self._anchor, self._owner, self._limit, self._across
 
-    def restore_friction(self, columns: torch.Tensor, state: tuple[torch.Tensor, ...]) -> None:
-        """See `Contact`."""
-        for mine, theirs in zip(self._friction_tensors(), state, strict=False):
-            if mine.shape == theirs.shape:
-                mine[columns] = theirs[columns]
+    def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
+        """See `Contact`; a patch that has grown since takes what its old points remembered."""
+        if not state:
+            return
+        patches, *kept = state
+        for b in columns.tolist():
+            if patches[b] is self.patches[b] and kept[0].shape == self._anchor.shape:
+                for mine, theirs in zip(self._friction_tensors(), kept, strict=True):
+                    mine[b] = theirs[b]
+                continue
+            rest, u = self.model.mesh.points, self._u_before[:, b].to(torch.float64).cpu().numpy()
+            memory = carry(patches[b], self.patches[b], tuple(t[b].cpu().numpy() for t in kept), self._table,
+                           rest, rest + u.reshape(-1, 3), self._before[1].numpy()[b])
+            for mine, values in zip(self._friction_tensors(), memory, strict=True):
+                mine[b] = -1 if mine is self._owner else 0
+                mine[b, :len(values)] = torch.as_tensor(values, device=self.device)
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -243,6 +249,10 @@ class RigidContact:
     def energy(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         return self._energy[columns].sum(dim=1)
+
+    def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`."""
+        return self._local_indentation.energy(self.gap[columns], wp.to_torch(self._stiffness)[columns], columns)
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -254,17 +264,18 @@ class RigidContact:
             return self._sums.nodal(columns, self.force[columns])
         return (self._points[columns].mT @ self.force[columns]).flatten(1)
 
+    def _held(self, columns: torch.Tensor) -> torch.Tensor:
+        return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
+
     def on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
-        return -(held.mT @ self.force[columns])
+        return -(self._held(columns).mT @ self.force[columns])
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        held = torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
         places = self._points[columns] @ self._x[columns]
         origin = wp.to_torch(self._pose[0])[columns]  # (k, K, 3)
-        about_world = held.mT @ torch.linalg.cross(places, -self.force[columns])
+        about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 
     def touches(self, columns: torch.Tensor) -> torch.Tensor:
@@ -272,44 +283,38 @@ class RigidContact:
         return (self.gap[columns] < 0.0).any(dim=1)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: over the Gauss points, and on linear faces over a finer grid as well."""
-        deepest = (-self.gap[columns].amin(dim=1)).clamp(min=0.0)
+        """See `Contact`: over the Gauss points and, between them, over a finer grid as well."""
+        deepest = torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[0, columns])
         if len(self._fine):
-            local = wp.to_torch(self._local)[columns, ::self._parts].long()  # (k, f, 6)
-            count, f = local.shape[:2]
-            corner = self._x[columns].gather(1, local.reshape(count, 6 * f, 1).expand(-1, -1, 3)).view(count, f, 6, 3)
-            spots = torch.einsum("sa,kfac->fskc", self._fine, corner).reshape(-1, count, 3)
-            origin, turn = (wp.to_torch(a)[columns][None].contiguous() for a in self._pose)
-            gap = torch.empty(spots.shape[:2], dtype=torch.float64, device=self.device)
-            k = self.kernels
-            wp.launch(k.nearest, dim=gap.shape, device=self.device, inputs=[
-                self._set, len(self.bodies), wp.from_torch(origin, dtype=k.vec3), wp.from_torch(turn, dtype=k.mat33),
-                wp.from_torch(spots.contiguous(), dtype=k.vec3), wp.from_torch(gap)])
-            used = torch.as_tensor(wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0)  # not padding
-            gap = torch.where(used.T.repeat_interleave(len(self._fine), dim=0), gap, torch.inf)
-            deepest = torch.maximum(deepest, -gap.amin(dim=0))
+            used = wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0  # not padding
+            local = wp.to_torch(self._local)[columns, ::self._parts].long()
+            pose = tuple(wp.to_torch(a)[columns][None] for a in self._pose)
+            deepest = torch.maximum(deepest, self._reach.depth(self._fine, self._x[columns], local, used, pose))
         return deepest
 
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        inside = (self.gap[columns] < 0.0).sum(dim=1)
-        return self.slips[columns].sum(dim=1) / inside.clamp(min=1)
+        inside = self.gap[columns] < 0.0  # a point that has left may still have a limit in this step
+        return (self.slips[columns] * inside).sum(dim=1) / inside.sum(dim=1).clamp(min=1)
+
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Contact`."""
+        return self._local_indentation.resolution(self.gap[columns] < 0.0, columns)
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
         """See `Contact`."""
-        curved = geometric is not None and bool(geometric.any())
+        curved = geometric is not None and bool(geometric.any() and self._geometric[columns].any())
         if self._sums is not None:
             own = self._rows[columns].mT @ self._rows[columns]
             if curved:
                 own[geometric] += self._geometric[columns[geometric]]
             return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
         rows = self.rows(columns)
-        out = rows.mT @ rows
+        out = rows.mT @ rows if self.has_friction else gram(rows)
         if curved:
-            some = columns[geometric]
-            points, which = self._active(some)
-            out[geometric] += (assemble(points, which(self._geometric)) * self.free[some][:, :, None]
-                               * self.free[some][:, None, :])
+            points, which = self._active(columns[geometric])
+            free = self.free[columns[geometric]]
+            out[geometric] += assemble(points, which(self._geometric)) * free[:, :, None] * free[:, None, :]
         return out
 
     def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
@@ -336,7 +341,7 @@ class RigidContact:
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """See `Contact`."""
         if self._sums is None:
-            return ContactBlock.of(self.rows(columns), self.compliance[columns])
+            return ContactBlock.of(self.rows(columns), self.compliance[columns], nodes=self.has_friction)
         own = self._rows[columns].mT @ self._rows[columns]
         nodes = self._sums.pushed(columns, own)
         touch = torch.arange(len(columns), device=self.device)[:, None]
@@ -347,10 +352,11 @@ class RigidContact:
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`."""
-        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance)
+        return condensed.solve(self, columns, base, pushed, iterations=iterations, tolerance=tolerance,
+                               deadline=self.deadline)
 
     def remember(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: the nodal forces (k, 3 s), since the patches stay the same."""
+        """See `Contact`: the nodal forces (k, 3 s)."""
         return self.nodal(columns)
 
     def recall(self, remembered: torch.Tensor) -> torch.Tensor:
@@ -361,33 +367,34 @@ class RigidContact:
         """See `Contact`."""
         return torch.zeros_like(self.rest)
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        mesh = self.model.mesh
-        surface = torch.as_tensor(self._surface, device=self.device)
-        rest = torch.as_tensor(mesh.points[self._surface], device=self.device)[:, None]
-        points = rest + u.view(-1, 3, u.shape[1])[surface].transpose(1, 2)
-        inside = torch.zeros((len(mesh.points), u.shape[1]), dtype=torch.bool, device=self.device)
-        inside[surface] = self._nearest(pose[None], points) < 0.0
-        met = inside[self._faces].any(dim=1).T & ~self._member  # (B, faces)
-        if not bool(met[columns].any()):
+        return self._overlap[:, columns].amax(dim=0) > self._passage.tolerance
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
+                     touched: torch.Tensor | None = None) -> bool:
+        """See `Contact`."""
+        cut = torch.zeros_like(self._member)
+        if isinstance(self._passage, Intrusion):
+            coarse = torch.as_tensor(self._cuts < CUTS[-1], device=self.device)
+            self._overlap[:, columns], met, cut = self._passage.grow(columns, pose, u, coarse, touched)
+        else:
+            self._overlap[1, columns] = self._passage.check(columns, pose, u)
+            met = self._reach.met(pose, u)
+        met &= ~self._member  # (B, faces)
+        if not bool((met | cut)[columns].any()):
             return False
-        old = [p.faces for p in self.patches]
         kept = self.friction_state()
         for b in columns.tolist():
-            extra = np.flatnonzero(met[b].cpu().numpy())
-            if len(extra):
-                near = np.zeros(len(mesh.points), bool)
-                near[mesh.faces[extra]] = True
-                faces = np.union1d(self.patches[b].faces, np.flatnonzero(near[mesh.faces].any(axis=1)))
-                self.patches[b] = self._patch(faces)
+            extra, split = np.flatnonzero(met[b].cpu().numpy()), cut[b].cpu().numpy()
+            if not (len(extra) or split.any()):
+                continue
+            faces = np.union1d(self.patches[b].faces, neighbours(self.model.mesh, extra))
+            self._cuts[b] = finer(self._cuts[b], split)
+            self.patches[b] = self._patch(b, faces)
         self._upload()
+        self._local_indentation.move(pose)
         if self.has_friction:
-            for b, faces in enumerate(old):
-                each = 6 * self._parts
-                at = torch.as_tensor(each * np.searchsorted(self.patches[b].faces, faces)[:, None] + np.arange(each),
-                                     device=self.device).flatten()
-                for mine, theirs in zip(self._friction_tensors(), kept, strict=True):
-                    mine[b, at] = theirs[b, :len(at)]
+            self.restore_friction(torch.arange(self.batch, device=self.device), kept)
             self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
         return True

@@ -2,7 +2,9 @@
 
     Pi_n = sum_q w_q/2 <-g(x_q)>^2,     f_n = -w_q g n     where g < 0
 
-g is the distance to the nearest rigid body at a Gauss point of the surface, w_q its stiffness (`patch`). Friction acts
+g is the distance to the nearest rigid body at a Gauss point of the surface, w_q its stiffness (`patch`). Under round
+bodies the first part of the penetration is softer: it stands for the indentation that the mesh is too coarse for
+(`local_indentation`). Friction acts
 as `friction` says, with the tangential stiffness STICK w_q: a stuck point gives way by a thousandth of an element at
 most. Slipping points drag their anchor along when the frame is done: stick-slip with history.
 
@@ -44,24 +46,35 @@ def kernels() -> Any:
     facing = wp.constant(real(FACING))
 
     @wp.func(module=module)
-    def place(shape: wp.array3d(dtype=real), q: int, b: int, f: int, local: wp.array3d(dtype=wp.int32),
-              x: wp.array2d(dtype=vec3)):
-        # Gauss point q of part f of touch b; the parts of one face follow one another
-        part = f % shape.shape[0]
+    def place(shape: wp.array3d(dtype=real), part: wp.array2d(dtype=wp.int32), q: int, b: int, f: int,
+              local: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # Gauss point q of part f of touch b; part: its row of the table of shape values
         out = vec3()
         for a in range(6):
-            out += shape[part, q, a] * x[b, local[b, f, a]]
+            out += shape[part[b, f], q, a] * x[b, local[b, f, a]]
         return out
+
+    @wp.func(module=module)
+    def push(w: real, share: real, soft: real, depth: real):
+        # normal force, stiffness and energy of a point at a depth >= 0; the stiffness is share w down to the depth soft
+        if depth <= soft:
+            return share * w * depth, share * w, real(0.5) * share * w * depth * depth
+        more = depth - soft
+        force = share * w * soft
+        return (force + w * more, w, real(0.5) * force * soft + force * more + real(0.5) * w * more * more)
 
     @wp.kernel(module=module, enable_backward=False)
     def evaluate(
         # model
         shape: wp.array3d(dtype=real),
+        part: wp.array2d(dtype=wp.int32),
         bodies: probe.Bodies,
         count: int,
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
+        share: wp.array3d(dtype=real),
+        soft: wp.array2d(dtype=real),
         softening: wp.array(dtype=real),
         stick: real,
         # state in
@@ -98,7 +111,7 @@ def kernels() -> Any:
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
             w = softening[b] * stiffness[b, f, q]
             if w > real(0.0):
-                p = place(shape, q, b, f, local, x_in)
+                p = place(shape, part, q, b, f, local, x_in)
                 near = int(0)  # noqa: UP018, RUF046
                 for j in range(count):
                     g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
@@ -116,12 +129,13 @@ def kernels() -> Any:
                         gap = real(0.0)
                 if gap < real(0.0):
                     normal_out[b, f, q] = n
-                    force = -w * gap * n
-                    root = wp.sqrt(w)
+                    size, slope, work = push(w, share[b, f, q], soft[b, f], -gap)
+                    force = size * n
+                    root = wp.sqrt(slope)
                     for c in range(3):
                         rows[0, c] = root * n[c]
-                    geometric = w * gap * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
-                    energy += real(0.5) * w * gap * gap
+                    geometric = -size * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
+                    energy += work
                 # the limit that was found last acts on points that have left since, too: only so there is a potential
                 limit = limit_in[b, f, q]
                 if limit > real(0.0):
@@ -151,10 +165,13 @@ def kernels() -> Any:
     def update_friction(
         # model
         shape: wp.array3d(dtype=real),
+        part: wp.array2d(dtype=wp.int32),
         bodies: probe.Bodies,
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
+        share: wp.array3d(dtype=real),
+        soft: wp.array2d(dtype=real),
         softening: wp.array(dtype=real),
         coefficient: wp.array(dtype=real),
         # state in
@@ -185,14 +202,15 @@ def kernels() -> Any:
             g = gap_in[b, f, q]
             if g < real(0.0):
                 j = body_in[b, f, q]
-                limit = -coefficient[j] * softening[b] * stiffness[b, f, q] * g
+                size, _slope, _work = push(softening[b] * stiffness[b, f, q], share[b, f, q], soft[b, f], -g)
+                limit = coefficient[j] * size
                 across_out[b, f, q] = wp.normalize(normal_in[b, f, q])
                 owner = owner_out[b, f, q]
                 if owner != j and (owner != -2 - j or anchorings_out[b, f, q] < most_anchorings):
                     anchorings_out[b, f, q] = anchorings_out[b, f, q] + 1
                     # where the body's surface met the point in this step if the point had stood still; where the point
                     # is now if it did not, because the object bulged up
-                    p0 = place(shape, q, b, f, local, x_before)
+                    p0 = place(shape, part, q, b, f, local, x_before)
                     start = wp.transpose(turn_before[b, j]) * (p0 - origin_before[b, j])
                     stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
                     g0 = wp.max(probe.gap(bodies, j, start), real(0.0))
@@ -200,7 +218,7 @@ def kernels() -> Any:
                     if g1 < real(0.0):
                         anchor_out[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
                     else:
-                        p1 = place(shape, q, b, f, local, x_in)
+                        p1 = place(shape, part, q, b, f, local, x_in)
                         anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
                     owner_out[b, f, q] = -2 - j
             limit, damping, change, residual = friction.relaxed(limit, limit_out[b, f, q], damping_out[b, f, q],
@@ -214,6 +232,7 @@ def kernels() -> Any:
     def end_step(
         # model
         shape: wp.array3d(dtype=real),
+        part: wp.array2d(dtype=wp.int32),
         columns: wp.array(dtype=wp.int32),
         local: wp.array3d(dtype=wp.int32),
         stiffness: wp.array3d(dtype=real),
@@ -247,7 +266,7 @@ def kernels() -> Any:
                     owner_out[b, f, q] = j
                     m = across_in[b, f, q]
                     at = origin[b, j] + turn[b, j] * anchor_out[b, f, q]
-                    d = friction.tangential(place(shape, q, b, f, local, x_in) - at, m)
+                    d = friction.tangential(place(shape, part, q, b, f, local, x_in) - at, m)
                     way = wp.length(d)
                     v = stick * stiffness[b, f, q]
                     limit = limit_in[b, f, q]
@@ -259,6 +278,7 @@ def kernels() -> Any:
     def nearest(
         # model
         bodies: probe.Bodies,
+        first: int,
         count: int,
         # state in
         origin: wp.array3d(dtype=vec3),
@@ -267,12 +287,13 @@ def kernels() -> Any:
         # state out
         gap_out: wp.array2d(dtype=real),
     ):
-        # least gap of every point over all poses (T, B, K) and bodies; x_in (s, 1) serves all touches, (s, B) each one
+        # least gap of every point over all poses (T, B, K) and the bodies first to count - 1; x_in (s, 1) serves all
+        # touches, (s, B) each one
         i, b = wp.tid()
         p = x_in[i, wp.min(b, x_in.shape[1] - 1)]
         least = real(1e30)
         for t in range(origin.shape[0]):
-            for j in range(count):
+            for j in range(first, count):
                 least = wp.min(least, probe.gap(bodies, j, wp.transpose(turn[t, b, j]) * (p - origin[t, b, j])))
         gap_out[i, b] = least
 

@@ -17,7 +17,7 @@ class ContactBlock:
     """
 
     dof: torch.Tensor
-    """Degrees of freedom of the nodes that touch (k, m)."""
+    """Degrees of freedom that touch (k, m)."""
     rows: torch.Tensor
     """R (k, r, m) [sqrt(N/m)], or C (k, m, m) [N/m] if `joined`."""
     inner: torch.Tensor
@@ -29,9 +29,13 @@ class ContactBlock:
     """Pivots of the LU factor (k, m): a third of the work of the inverse where many nodes touch."""
 
     @classmethod
-    def of(cls, rows: torch.Tensor, compliance: torch.Tensor) -> ContactBlock:
-        """From the rows R (k, m, 3 s) [sqrt(N/m)] and the compliance (k, 3 s, 3 s) [m/N] of the patches."""
-        dof = _used((rows != 0.0).any(dim=1))
+    def of(cls, rows: torch.Tensor, compliance: torch.Tensor, *, nodes: bool = False) -> ContactBlock:
+        """From the rows R (k, m, 3 s) [sqrt(N/m)] and the compliance (k, 3 s, 3 s) [m/N] of the patches.
+
+        ``nodes``: take all degrees of freedom of a node that touches. With friction those that touch change whenever a
+        point begins to slip, and so would the rounding.
+        """
+        dof = _used((rows != 0.0).any(dim=1), nodes)
         rows = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
         own = _between(compliance, dof)
         if rows.shape[1] > rows.shape[2]:
@@ -67,6 +71,15 @@ class ContactBlock:
         return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
 
 
+def gram(rows: torch.Tensor) -> torch.Tensor:
+    """R^T R (k, 3 s, 3 s) of rows R (k, r, 3 s), most of whose columns are 0."""
+    dof = _used((rows != 0.0).any(dim=1))
+    own = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
+    out = rows.new_zeros(len(rows), rows.shape[2], rows.shape[2])
+    out[torch.arange(len(rows), device=rows.device)[:, None, None], dof[:, :, None], dof[:, None, :]] = own.mT @ own
+    return out
+
+
 def _bracket(own: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
     """1 + A C (k, m, m)."""
     inner = own @ stiff
@@ -74,12 +87,13 @@ def _bracket(own: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
     return inner
 
 
-def _used(touched: torch.Tensor) -> torch.Tensor:
-    """Degrees of freedom (k, 3 u) of the nodes that have any of theirs touched (k, 3 s) bool: of the patch only the
-    nodes that touch count."""
-    used = touched.view(len(touched), -1, 3).any(dim=2)
-    most = max(1, int(used.sum(dim=1).amax()))
-    return _dof(torch.sort(used.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most])
+def _used(touched: torch.Tensor, nodes: bool = False) -> torch.Tensor:
+    """Indices (k, m) of the degrees of freedom that are ``touched`` (k, 3 s) bool, or of those of ``nodes`` that have
+    any touched, padded to the largest number. Under a plane across an axis the first are a third of the second."""
+    if nodes:
+        touched = touched.view(len(touched), -1, 3).any(dim=2, keepdim=True).expand(-1, -1, 3).flatten(1)
+    most = max(1, int(touched.sum(dim=1).amax()))
+    return torch.sort(touched.to(torch.int8), dim=1, descending=True, stable=True)[1][:, :most]
 
 
 def _dof(nodes: torch.Tensor) -> torch.Tensor:

@@ -1,32 +1,28 @@
-"""Quadratic tetrahedron of a stable neo-Hookean solid. At a high Poisson's ratio most of the bulk stiffness acts on the
-element's mean volume.
+"""Quadratic tetrahedron of a compressible neo-Hookean solid. At a high Poisson's ratio most of the bulk stiffness acts
+on the element's mean volume.
 
-    Psi(F) = mu/2 (|F|^2 - 3) - mu (J - 1) + mu/2 (J - 1)^2 + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,  J = det F
+    Psi(F) = mu/2 (|F|^2 - 3) - mu f(J) + lambda_p/2 (J - 1)^2 + lambda_m/2 (Jbar - 1)^2,      J = det F
+    f(J) = ln J for J >= 0.1, and below it the Taylor polynomial of second order of ln J about 0.1
 
-The law is that of Smith, de Goes and Kim, "Stable neo-Hookean flesh simulation" (2018), without the origin barrier and
-with the rest state moved back to F = I, so that small strains give exactly (mu, lambda) of linear elasticity. The
-energy is finite at J <= 0, and the force restores an inverted element.
+`neo_hooke.py` describes the law, its continuation below a tenth of the volume, and the projection of its tangent.
 
 At a high Poisson's ratio an element with J at four Gauss points has nearly as many constraints as degrees of freedom,
 and locks. With the element's mean Jbar alone (Nagtegaal, Parks and Rice 1974; Simo, Taylor and Pister 1985: one
 pressure per element) it is too soft. Lambda is therefore divided: lambda_p = min(lambda, `POINTWISE` mu) acts at the
 Gauss points, and lambda_m, the harmonic mean of the remainder, acts on Jbar. The division has no threshold in nu, and
 up to nu = 0.4 lambda_m is zero. The table gives the normal force on the block of scenes/indent-homogeneous.toml at 5 mm
-depth (tier `fem`, 5,040 tetrahedra), against 384 hexahedra with 27 nodes and linear pressure under the same law. The
-hexahedra measure 3.5 mm at the contact of a quarter block; at nu 0.45 their force is within 0.1 % of the extrapolated
-9.67 N of references/s1.json, and at nu 0.499 they were not refined further.
+depth (tier `fem`, 5,040 tetrahedra) against 384 hexahedra with 27 nodes and linear pressure, both under the law of
+Smith, de Goes and Kim (2018), from which this one differs by less than 1 % there. The hexahedra measure 3.5 mm at the
+contact of a quarter block; at nu 0.45 their force is within 0.1 % of the extrapolated 9.67 N of references/s1.json, and
+at nu 0.499 they were not refined further.
 
     all at the points / divided / all on the mean:   nu 0.45   9.72 / 9.68 / 9.52 N   against  9.68 N
                                                      nu 0.499  10.31 / 10.18 / 10.02 N  against 10.17 N
 
-The tangent at a Gauss point is H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p + mu and
-c = kappa (J - 1) - mu + lambda_m (Jbar - 1); lambda_m adds one term of rank one per element. F is recomputed for every
-product, and only c at the Gauss points and the gradient of Jbar are stored. The first two terms are positive
-semi-definite. The third makes the tangent indefinite where |c| is large, so the projected tangent replaces c by theta c
-with the theta <= 1 at which no eigenvalue is negative. (Clamping each eigenvalue, which takes a singular value
-decomposition and 45 numbers, saved no Newton step.) The eigenvalues have a closed form (Smith, de Goes and Kim,
-"Analytic eigensystems for isotropic distortion energies", 2019): mu +- c s_k for twists and flips, and those of the
-3 x 3 block of the stretches, with s_k the singular values of F.
+The tangent at a Gauss point is H = mu I + kappa cof F (x) cof F + c d(cof F)/dF, with kappa = lambda_p - mu f''(J) and
+c = lambda_p (J - 1) - mu f'(J) + lambda_m (Jbar - 1); lambda_m adds one term of rank one per element. F is recomputed
+for every product. The numbers c, kappa and tau at the Gauss points (see `neo_hooke.py`) and the gradient of Jbar are
+stored.
 
 The element has ten nodes (corners 0-3, then the edges of `tet10_shape.EDGES`), straight sides and four Gauss points,
 each with moduli of its own. Vectors are (3 n, B), degree of freedom by touch; node i has rows 3 i, 3 i + 1, 3 i + 2.
@@ -40,7 +36,7 @@ import numpy as np
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.elements import tet10_shape
+from vsfsim.physics.elements import deformation, neo_hooke, tet10_shape
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.elements.tet10_shape import shape_gradients
 
@@ -69,8 +65,9 @@ def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.n
 
 
 def state_size(block: Block) -> int:
-    """A tangent stores c at the Gauss points (4) and, where lambda_m acts, the gradient of Jbar (30)."""
-    return 34 if block.parameters["mean_lam"].any() else 4
+    """A tangent stores c, kappa and tau / J^2 at the Gauss points (12) and, where lambda_m acts, the gradient of Jbar
+    (30)."""
+    return 42 if block.parameters["mean_lam"].any() else 12
 
 
 def rest_stiffness(block: Block) -> np.ndarray:
@@ -100,36 +97,17 @@ def kernels(real: type) -> Any:
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
     mat43 = wp.types.matrix(shape=(4, 3), dtype=real)
     mat103 = wp.types.matrix(shape=(10, 3), dtype=real)
-    third_turn = wp.constant(real(2.0 * np.pi / 3.0))
     module = f"vsfsim_tet10_{real.__name__}"
 
     shape = tet10_shape.functions(real, module)
     load, edge_sums, gradient, stresses, spread, finish = (
         shape.load, shape.edge_sums, shape.gradient, shape.stresses, shape.spread, shape.finish)
-
-    @wp.func(module=module)
-    def deformation(d: mat33):
-        return mat33(d[0, 0] + real(1.0), d[0, 1], d[0, 2], d[1, 0], d[1, 1] + real(1.0), d[1, 2], d[2, 0], d[2, 1],
-                     d[2, 2] + real(1.0))
-
-    @wp.func(module=module)
-    def cofactor(f: mat33):
-        return wp.matrix_from_rows(wp.cross(f[1], f[2]), wp.cross(f[2], f[0]), wp.cross(f[0], f[1]))
-
-    @wp.func(module=module)
-    def cofactor_change(f: mat33, d: mat33):
-        return wp.matrix_from_rows(
-            wp.cross(d[1], f[2]) + wp.cross(f[1], d[2]), wp.cross(d[2], f[0]) + wp.cross(f[2], d[0]),
-            wp.cross(d[0], f[1]) + wp.cross(f[0], d[1]))
-
-    @wp.func(module=module)
-    def volume_change(d: mat33):
-        # J - 1 = tr D + (second invariant of D) + det D, without cancellation: the trace, and the other two terms.
-        second = (
-            d[0, 0] * d[1, 1] + d[1, 1] * d[2, 2] + d[2, 2] * d[0, 0]
-            - d[0, 1] * d[1, 0] - d[1, 2] * d[2, 1] - d[2, 0] * d[0, 2]
-        )
-        return d[0, 0] + d[1, 1] + d[2, 2], second + wp.dot(d[0], wp.cross(d[1], d[2]))
+    kinematics = deformation.functions(real, module)
+    deform, cofactor, cofactor_change, volume_change, squares = (
+        kinematics.gradient, kinematics.cofactor, kinematics.cofactor_change, kinematics.volume_change,
+        kinematics.squares)
+    law = neo_hooke.functions(real, module)
+    barrier, bulk, projection = law.barrier, law.bulk, law.projection
 
     @wp.func(module=module)
     def pressure(x: mat103, s: mat43, g: mat33, mean_lam: real):
@@ -139,54 +117,6 @@ def kernels(real: type) -> Any:
             trace, rest = volume_change(gradient(x, s, g, q))
             total += trace + rest
         return mean_lam * real(0.25) * total
-
-    @wp.func(module=module)
-    def scaling(f: mat33, mu: real, kappa: real, c: real):
-        # theta, the factor of c with which no eigenvalue of mu I + kappa cof (x) cof + theta c d(cof)/dF is negative.
-        # The squared singular values of F are the roots of a cubic (Smith 1961).
-        m = wp.transpose(f) * f
-        centre = (m[0, 0] + m[1, 1] + m[2, 2]) / real(3.0)
-        off = m[0, 1] * m[0, 1] + m[1, 2] * m[1, 2] + m[2, 0] * m[2, 0]
-        a = m[0, 0] - centre
-        b = m[1, 1] - centre
-        e = m[2, 2] - centre
-        p = wp.sqrt((a * a + b * b + e * e + real(2.0) * off) / real(6.0))
-        s0 = wp.sqrt(centre)
-        s1 = s0
-        s2 = s0
-        if p > real(1e-12) * centre:
-            det = (a * (b * e - m[1, 2] * m[1, 2]) - m[0, 1] * (m[0, 1] * e - m[1, 2] * m[2, 0])
-                   + m[2, 0] * (m[0, 1] * m[1, 2] - b * m[2, 0]))
-            turn = wp.acos(wp.clamp(real(0.5) * det / (p * p * p), real(-1.0), real(1.0))) / real(3.0)
-            top = centre + real(2.0) * p * wp.cos(turn)
-            low = wp.max(centre + real(2.0) * p * wp.cos(turn + third_turn), real(0.0))
-            s0 = wp.sqrt(top)
-            s1 = wp.sqrt(wp.max(real(3.0) * centre - top - low, real(0.0)))
-            s2 = wp.sqrt(low)
-        if wp.determinant(f) < real(0.0):
-            s2 = -s2
-        # twists and flips: mu +- theta c s_k
-        size = wp.abs(c) * s0
-        theta = real(1.0)
-        if size > mu:
-            theta = mu / size
-        # Stretches: mu I + kappa p p^T + theta c S, p_k = s_i s_j, S_ij = s_k. Unless all leading minors are positive,
-        # theta is halved, which is enough because |S| <= 2 s0.
-        p0 = s1 * s2
-        p1 = s2 * s0
-        p2 = s0 * s1
-        k01 = kappa * p0 * p1 + theta * c * s2
-        k02 = kappa * p0 * p2 + theta * c * s1
-        k12 = kappa * p1 * p2 + theta * c * s0
-        k00 = mu + kappa * p0 * p0
-        k11 = mu + kappa * p1 * p1 - k01 * k01 / k00
-        k12 = k12 - k01 * k02 / k00
-        k22 = mu + kappa * p2 * p2 - k02 * k02 / k00
-        if k11 <= real(0.0):
-            theta = real(0.5) * theta
-        elif k22 - k12 * k12 / k11 < real(0.0):
-            theta = real(0.5) * theta
-        return theta
 
     @wp.kernel(module=module, enable_backward=False)
     def forces(
@@ -216,24 +146,24 @@ def kernels(real: type) -> Any:
         if mean_lam[t] > real(0.0):
             push = pressure(x, s, g, mean_lam[t])
             energy = real(2.0) * push * push / mean_lam[t]
-        least = real(1e30)
+        lowest = real(1e30)
         force = mat103()
         total = mat43()
         for q in range(4):
             # The energy is computed from the displacement gradient, not from F, so that it keeps its digits at small
             # strains.
             d = gradient(x, s, g, q)
-            f = deformation(d)
+            f = deform(d)
             cof = cofactor(f)
             trace, rest = volume_change(d)
             j1 = trace + rest
             m = mu[t, q]
-            stiff = lam[t, q] + m
+            value, slope = barrier(j1)
             # mu/2 (|F|^2 - 3) - mu (J - 1) = mu (|D|^2/2 - second - det D)
-            energy += m * (real(0.5) * wp.ddot(d, d) - rest) + real(0.5) * stiff * j1 * j1
-            least = wp.min(least, real(1.0) + j1)
-            # P = mu F + c cof F = mu (F - cof F) + (kappa (J - 1) + pressure) cof F
-            p = weight * (m * (f - cof) + (stiff * j1 + push) * cof)
+            energy += m * (real(0.5) * wp.ddot(d, d) - rest + value) + real(0.5) * lam[t, q] * j1 * j1
+            lowest = wp.min(lowest, real(1.0) + j1)
+            # P = mu F + c cof F = mu (F - cof F) + (c + mu) cof F
+            p = weight * (m * (f - cof) + (lam[t, q] * j1 + m * slope + push) * cof)
             stress = stresses(p, g)
             total += stress
             force = spread(force, stress, q)
@@ -242,7 +172,7 @@ def kernels(real: type) -> Any:
             for c in range(3):
                 force_out[t, 3 * a + c, b] = force[a, c]
         energy_out[t, b] = weight * energy
-        det_out[t, b] = least
+        det_out[t, b] = lowest
 
     @wp.kernel(module=module, enable_backward=False)
     def tangent(
@@ -260,7 +190,8 @@ def kernels(real: type) -> Any:
         # state out
         state_out: wp.array3d(dtype=real),
     ):
-        # c at the Gauss points (rows 0-3); the gradient of Jbar times the volume (rows 4-33)
+        # c (rows 0-3), kappa (4-7) and tau / J^2 (8-11) at the Gauss points; the gradient of Jbar times the volume
+        # (12-41)
         t, k = wp.tid()
         b = index[k]
         x = load(nodes, u_in, t, b)
@@ -277,12 +208,16 @@ def kernels(real: type) -> Any:
             d = gradient(x, s, g, q)
             trace, rest = volume_change(d)
             m = mu[t, q]
-            stiff = lam[t, q] + m
-            c = stiff * (trace + rest) + push - m
-            f = deformation(d)
+            _, slope = barrier(trace + rest)
+            c = lam[t, q] * (trace + rest) + m * (slope - real(1.0)) + push
+            kappa = bulk(real(1.0) + trace + rest, m, lam[t, q])
+            tau = real(0.0)
+            f = deform(d)
             if projected == 1:
-                c = c * scaling(f, m, stiff, c)
+                c, kappa, tau = projection(squares(f), real(1.0) + trace + rest, m, kappa, c)
             state_out[t, q, b] = c
+            state_out[t, 4 + q, b] = kappa
+            state_out[t, 8 + q, b] = tau
             if mean:
                 stress = stresses(weight * cofactor(f), g)
                 total += stress
@@ -291,7 +226,7 @@ def kernels(real: type) -> Any:
             force = finish(force, total)
             for a in range(10):
                 for i in range(3):
-                    state_out[t, 4 + 3 * a + i, b] = force[a, i]
+                    state_out[t, 12 + 3 * a + i, b] = force[a, i]
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
@@ -321,12 +256,15 @@ def kernels(real: type) -> Any:
         force = mat103()
         total = mat43()
         for q in range(4):
-            f = deformation(gradient(u, us, g, q))
+            f = deform(gradient(u, us, g, q))
             d = gradient(x, xs, g, q)
             cof = cofactor(f)
-            m = weight * mu[t, q]
-            stiff = m + weight * lam[t, q]
-            p = m * d + (stiff * wp.ddot(cof, d)) * cof + (weight * state_in[t, q, b]) * cofactor_change(f, d)
+            p = weight * (mu[t, q] * d + (state_in[t, 4 + q, b] * wp.ddot(cof, d)) * cof
+                          + state_in[t, q, b] * cofactor_change(f, d))
+            tau = weight * state_in[t, 8 + q, b]
+            if tau > real(0.0):
+                turned = wp.transpose(cof) * d
+                p += (real(0.5) * tau) * (cof * (turned - wp.transpose(turned)))
             stress = stresses(p, g)
             total += stress
             force = spread(force, stress, q)
@@ -335,11 +273,11 @@ def kernels(real: type) -> Any:
             along = real(0.0)
             for a in range(10):
                 for c in range(3):
-                    along += state_in[t, 4 + 3 * a + c, b] * x[a, c]
+                    along += state_in[t, 12 + 3 * a + c, b] * x[a, c]
             along = along * mean_lam[t] / volume[t]
             for a in range(10):
                 for c in range(3):
-                    force[a, c] += along * state_in[t, 4 + 3 * a + c, b]
+                    force[a, c] += along * state_in[t, 12 + 3 * a + c, b]
         for a in range(10):
             for c in range(3):
                 force_out[t, 3 * a + c, k] = force[a, c]

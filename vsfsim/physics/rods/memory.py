@@ -30,7 +30,7 @@ def make_trees(m: Sequence[RodModel], device: str) -> Trees:
     """The plants on a device."""
     tree = Trees()
     total = np.cumsum([0, *(len(x.plant.nodes) for x in m)])
-    samples = np.cumsum([0, *(len(x.along) for x in m)])
+    fibres = np.cumsum([0, *(len(x.radius) for x in m)])
 
     def one(values: list[np.ndarray], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(np.concatenate(values)), dtype=dtype)
@@ -44,7 +44,7 @@ def make_trees(m: Sequence[RodModel], device: str) -> Trees:
         tree.kd, tree.kphi = one([x.kd for x in m], wp.vec3d), one([x.kphi for x in m], wp.vec3d)
         tree.load, tree.reach = one([x.weight for x in m], wp.vec3d), one([x.reach for x in m], wp.float64)
         tree.bound = one([x.plant.radius + x.plant.half_width for x in m], wp.float64)
-        tree.sample = one([*(x.first[:-1] + s for x, s in zip(m, samples)), samples[-1:]], wp.int32)
+        tree.fibre = one([*(x.first[:-1] + f for x, f in zip(m, fibres)), fibres[-1:]], wp.int32)
         children = [_children(x) for x in m]
         tree.child = one([child for child, _ in children], wp.int32)
         tree.next = one([sibling for _, sibling in children], wp.int32)
@@ -52,8 +52,9 @@ def make_trees(m: Sequence[RodModel], device: str) -> Trees:
         tree.rank = one([rank for rank, _ in ranks], wp.int32)
         tree.level = one([level + o for (_, level), o in zip(ranks, total, strict=False)], wp.int32)
         tree.levels = wp.array(np.cumsum([0, *(len(level) for _, level in ranks)]), dtype=wp.int32)
-        tree.along, tree.offset = one([x.along for x in m], wp.float64), one([x.offset for x in m], wp.vec3d)
-        tree.radius, tree.penalty = one([x.radius for x in m], wp.float64), one([x.penalty for x in m], wp.float64)
+        tree.offset, tree.radius = one([x.offset for x in m], wp.vec3d), one([x.radius for x in m], wp.float64)
+        tree.tip = one([x.tip.astype(np.int32) for x in m], wp.int32)
+        tree.softness = one([np.cbrt(1.0 / x.penalty) for x in m], wp.vec2d)
         tree.floor = wp.array([x.floor() for x in m], dtype=wp.float64)
     return tree
 
@@ -87,7 +88,7 @@ def make_work(b: int, n: int, k: int, room: int, levels: int) -> Work:
     work.capsules = _allocate(Capsules, {2: (b, k)})
     work.contacts = _allocate(Contacts, {2: (b, room), 3: (2, b, room)}, count=(2, b))
     work.progress = _allocate(Progress, {1: (b,)})
-    work.guard = _allocate(Guard, {1: (b,), 2: (b, n)}, key=(b, room), stuck=(b, room), anchor=(b, room))
+    work.guard = _allocate(Guard, {1: (b,), 2: (b, n)}, key=(b, room), stuck=(b, room), stretch=(b, room))
     return work
 
 

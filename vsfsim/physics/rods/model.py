@@ -1,8 +1,9 @@
-"""From a plant to the arrays of the solver: section stiffnesses, frames, contact samples, and the compliance at
+"""From a plant to the arrays of the solver: section stiffnesses, frames, contact fibres, and the compliance at
 rest."""
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,9 +12,8 @@ from vsfsim.core.errors import VsfsimError
 from vsfsim.core.plant import Plant
 
 SHEAR_ROUND, SHEAR_FLAT = 0.9, 5.0 / 6.0  # Timoshenko's shear factors of a round and a flat section
-SAMPLE_SPACING = 0.004  # of samples along a branch [m]; under a forearm half of it has a sagitta of 0.06 mm
-BLADE_SPACING = 0.008  # of samples across a leaf blade [m]
-MOST_SAMPLES = 4000  # of a segment
+BLADE_SPACING = 0.008  # of fibres across a leaf blade [m]
+MOST_FIBRES = 1300  # of a segment
 # contact penalty over the stiffness of the plant at that point: the penetration is a thousandth of the deflection
 STIFFER = 1000.0
 PENALTY = (1e2, 1e8)  # limits of the penalty [N/m]
@@ -26,7 +26,9 @@ class RodError(VsfsimError):
 
 @dataclass(frozen=True)
 class RodModel:
-    """A plant ready to be solved, with n nodes and Q contact samples. Entry 0 of the arrays of segments is not used."""
+    """A plant ready to be solved, with n nodes and Q contact fibres. A fibre runs along a segment at a fixed offset
+    from its middle line: one in a round branch, several across a blade. Where a branch ends, its tip is a fibre of no
+    length. Entry 0 of the arrays of segments is not used."""
 
     plant: Plant
     """The plant that it was made from."""
@@ -39,17 +41,16 @@ class RodModel:
     reach: np.ndarray
     """Longest way along segments from a node to a descendant (n,) [m]."""
     first: np.ndarray
-    """First sample of each segment, and the end (n + 1,)."""
-    sample_segment: np.ndarray
-    """Segment of each sample (Q,)."""
-    along: np.ndarray
-    """Place of each sample along its segment, 0 to 1 (Q,) [-]."""
+    """First fibre of each segment, and the end (n + 1,)."""
     offset: np.ndarray
-    """Offset of each sample from the middle line (Q, 3) [m]."""
+    """Offset of each fibre from the middle line (Q, 3) [m]."""
     radius: np.ndarray
-    """Radius of the branch around each sample (Q,) [m]."""
+    """Radius of the branch around each fibre (Q,) [m]."""
+    tip: np.ndarray
+    """Whether a fibre is a tip (Q,) bool."""
     penalty: np.ndarray
-    """Contact penalty of each sample (Q,) [N/m]."""
+    """Contact penalty of 2 mm of each fibre (`kernels.fibre.CONTACT_LENGTH`), at the parent's end and at the child's
+    (Q, 2) [N/m]."""
     compliance: np.ndarray
     """Displacement and spin of each node under a force and a moment there, at rest (n, 6, 6) [m/N and so on]."""
     weight: np.ndarray
@@ -66,19 +67,23 @@ class RodModel:
         not move.
 
         Args:
-            segment, along, offset: the material points, as samples have them (k,), (k,), (k, 3).
+            segment: segments of the material points (k,).
+            along: their places along these, 0 to 1 (k,) [-].
+            offset: their offsets from the middle line (k, 3) [m].
         """
         c = self._point_compliance(segment, along, offset)
         soft = np.einsum("ki,kij,kj->k", direction, c, direction)
         return np.where(soft > 0.0, 1.0 / np.where(soft > 0.0, soft, 1.0), np.inf)
 
     def _point_compliance(self, segment: np.ndarray, along: np.ndarray, offset: np.ndarray) -> np.ndarray:
-        """Compliance of material points (k, 3, 3) [m/N]."""
+        """Compliance of material points (k, 3, 3) [m/N], which move as `kernels.fibre` says."""
         parent = self.plant.parent[segment]
-        carry = _carry(self.plant.nodes[segment] - self.plant.nodes[parent])
+        way, s = self.plant.nodes[segment] - self.plant.nodes[parent], along[:, None]
+        carry = _carry(way)
         cp, cc = self.compliance[parent], self.compliance[segment]
-        to_point = _carry(offset)[:, :3]
-        a, b = (1.0 - along)[:, None, None] * to_point, along[:, None, None] * to_point
+        share = (s**2 * (3.0 - 2.0 * s))[..., None]
+        a = (1.0 - share) * _carry(offset + s / (1.0 + 2.0 * s) * way)[:, :3]
+        b = share * _carry(offset - (1.0 - s) / (3.0 - 2.0 * s) * way)[:, :3]
         mixed = cp @ carry.transpose(0, 2, 1)
         cross = a @ mixed @ b.transpose(0, 2, 1)
         return a @ cp @ a.transpose(0, 2, 1) + b @ cc @ b.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
@@ -92,7 +97,7 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         every frame.
 
     Raises:
-        RodError: a segment is so large that it has too many contact samples.
+        RodError: a segment is so wide that it has too many contact fibres.
     """
     n, length = len(plant.nodes), plant.lengths()
     frame = _frames(plant)
@@ -101,17 +106,17 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     for i in range(n - 1, 0, -1):
         reach[plant.parent[i]] = max(reach[plant.parent[i]], length[i] + reach[i])
     compliance = _compliance(plant, frame, kd, kphi)
-    segment, along, offset, radius = _samples(plant, frame)
-    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), segment, along, offset,
-                     radius, np.zeros(0), compliance, np.zeros((n, 3)))
-    softest = np.linalg.eigvalsh(model._point_compliance(segment, along, offset))[:, -1]
+    segment, offset, radius, tip = _fibres(plant, frame)
+    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), offset, radius, tip,
+                     np.zeros((0, 2)), compliance, np.zeros((n, 3)))
+    softest = np.stack([np.linalg.eigvalsh(model._point_compliance(segment, np.full(len(segment), end), offset))[:, -1]
+                        for end in (0.0, 1.0)], axis=1)
     penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)
     area = np.where(plant.half_width > 0.0, 4.0 * plant.half_width * plant.radius, np.pi * plant.radius**2)
     mass = np.zeros(n)
     np.add.at(mass, np.arange(1, n), 0.5 * (plant.density * area * length)[1:])
     np.add.at(mass, plant.parent[1:], 0.5 * (plant.density * area * length)[1:])
-    return RodModel(plant, frame, kd, kphi, reach, model.first, segment, along, offset, radius, penalty, compliance,
-                    mass[:, None] * np.asarray(gravity, float))
+    return dataclasses.replace(model, penalty=penalty, weight=mass[:, None] * np.asarray(gravity, float))
 
 
 def sections(plant: Plant) -> tuple[np.ndarray, np.ndarray]:
@@ -180,21 +185,18 @@ def _compliance(plant: Plant, frame: np.ndarray, kd: np.ndarray, kphi: np.ndarra
     return out
 
 
-def _samples(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Contact samples: segment, place along it, offset [m], radius [m], sorted by segment."""
+def _fibres(plant: Plant, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Contact fibres: segment, offset [m], radius [m] and whether it is a tip, sorted by segment."""
     parts = []
     has_child = np.bincount(plant.parent[1:], minlength=len(plant.nodes)) > 0
     for i in range(1, len(plant.nodes)):
-        along = max(2, int(np.ceil(plant.lengths()[i] / SAMPLE_SPACING)))
-        s = (np.arange(along) + 0.5) / along
-        if not has_child[i]:
-            s = np.append(s, 1.0)  # the tip itself
         across = 1 + 2 * int(np.ceil(plant.half_width[i] / BLADE_SPACING)) if plant.half_width[i] > 0.0 else 1
         side = np.linspace(-1.0, 1.0, across) * plant.half_width[i] if across > 1 else np.zeros(1)
-        grid, width = (a.ravel() for a in np.meshgrid(s, side, indexing="ij"))
-        parts.append((np.full(len(grid), i), grid, width[:, None] * frame[i][:, 1],
-                      np.full(len(grid), plant.radius[i])))
-        if len(grid) > MOST_SAMPLES:
-            raise RodError(f"segment {i} of the plant is {plant.lengths()[i]:g} m long and {2 * plant.half_width[i]:g} "
-                           f"m wide: more contact samples than a segment may have. Cut it into shorter ones.")
+        tip = np.repeat([False] if has_child[i] else [False, True], across)
+        width = np.resize(side, len(tip))
+        parts.append((np.full(len(tip), i), width[:, None] * frame[i][:, 1], np.full(len(tip), plant.radius[i]), tip))
+        if len(tip) > MOST_FIBRES:
+            widest = (MOST_FIBRES // 4 - 1) * BLADE_SPACING
+            raise RodError(f"segment {i} of the plant is {2 * plant.half_width[i]:g} m wide: it has more contact "
+                           f"fibres than a segment may have. A blade may be {2 * widest:g} m wide.")
     return tuple(np.concatenate(column) for column in zip(*parts, strict=True))  # type: ignore[return-value]

@@ -1,6 +1,6 @@
 """What the rod kernels are given and give back, as Warp structs: the plants, the touches and the results.
 
-Shapes: P plants, S nodes of all plants together, Q contact samples of all plants, B touches, N nodes of the largest
+Shapes: P plants, S nodes of all plants together, Q contact fibres of all plants, B touches, N nodes of the largest
 plant, K capsules, T frames, W poses on the way of a touch.
 """
 
@@ -33,9 +33,9 @@ class Trees:
     reach: wp.array(dtype=wp.float64)
     """Longest way along segments from the node to a descendant, at rest (S,) [m]."""
     bound: wp.array(dtype=wp.float64)
-    """Radius around the segment that holds all its samples (S,) [m]."""
-    sample: wp.array(dtype=wp.int32)
-    """First sample of each segment, and the end (S + 1,)."""
+    """Radius around the segment's middle line that holds all its fibres (S,) [m]."""
+    fibre: wp.array(dtype=wp.int32)
+    """First fibre of each segment, and the end (S + 1,)."""
     child: wp.array(dtype=wp.int32)
     """Child with the highest number, counted within the plant; -1 for none (S,)."""
     next: wp.array(dtype=wp.int32)
@@ -46,14 +46,15 @@ class Trees:
     """First place of each level in `rank`, and the end, plant after plant."""
     levels: wp.array(dtype=wp.int32)
     """First entry of each plant in `level`, and the end (P + 1,)."""
-    along: wp.array(dtype=wp.float64)
-    """Place of a sample along its segment, 0 to 1 (Q,)."""
     offset: wp.array(dtype=wp.vec3d)
-    """Offset of a sample from the segment's middle line, at rest (Q,) [m]."""
+    """Offset of a fibre from the segment's middle line, at rest (Q,) [m]."""
     radius: wp.array(dtype=wp.float64)
-    """Radius of the branch around a sample (Q,) [m]."""
-    penalty: wp.array(dtype=wp.float64)
-    """Contact penalty of a sample (Q,) [N/m]."""
+    """Radius of the branch around a fibre (Q,) [m]."""
+    tip: wp.array(dtype=wp.int32)
+    """1 where a fibre is the tip of a branch, a point (Q,)."""
+    softness: wp.array(dtype=wp.vec2d)
+    """Inverse cube root of the contact penalty of `kernels.fibre.CONTACT_LENGTH` at the parent's end and at the child's
+    (Q,) [(m/N)^(1/3)]. It is linear between them: the stiffness of a cantilever falls with the cube of its length."""
     floor: wp.array(dtype=wp.float64)
     """Bound on the rounding error of the residual of each plant (P,) [N]."""
 
@@ -119,9 +120,9 @@ class Results:
     energy: wp.array2d(dtype=wp.float64)
     """Elastic energy (B, T) [J]."""
     penetration: wp.array2d(dtype=wp.float64)
-    """Depth of the deepest sample inside a capsule (B, T) [m]."""
+    """Depth of the deepest point inside a capsule (B, T) [m]."""
     slipping: wp.array2d(dtype=wp.float64)
-    """Share of the touching samples that slip (B, T) [-]."""
+    """Share of the Gauss points in contact that slip (B, T) [-]."""
     where: wp.array2d(dtype=wp.float64)
     """Where the arm was on its way (B, T) [poses]."""
     iterations: wp.array2d(dtype=wp.int32)
@@ -129,7 +130,7 @@ class Results:
     reason: wp.array2d(dtype=wp.int32)
     """`frames.Reason` (B, T)."""
     contacts: wp.array2d(dtype=wp.int32)
-    """Number of touching samples (B, T)."""
+    """Number of touching patches, pairs of a fibre and a capsule (B, T)."""
     x: wp.array3d(dtype=wp.vec3d)
     """Positions of the nodes (B, T, N) [m], or of no length."""
     q: wp.array3d(dtype=wp.quatd)

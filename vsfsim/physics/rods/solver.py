@@ -21,7 +21,7 @@ from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touc
 from vsfsim.physics.rods.model import RodError, RodModel
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
-ROOM = 512  # places for the contacts (pairs of a sample and a capsule) of a touch
+ROOM = 512  # places for the contacts (three points of a fibre beside a capsule) of a touch
 CPU_SHARE = 1000  # Newton iterations of a touch in one launch on a CPU: some seconds for a view on a core
 # Duration of a launch on a GPU [s]. It ends up to 1 s later, as an attempt at a stride is not interrupted. Touches for
 # which it had no multiprocessor go first in the next one.
@@ -104,11 +104,11 @@ class RodFrames:
     energy: np.ndarray
     """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
-    """Depth of the deepest sample inside a capsule (T, B) [m]."""
+    """Depth of the deepest point inside a capsule (T, B) [m]."""
     contacts: np.ndarray
-    """Number of samples in contact (T, B)."""
+    """Number of patches in contact, pairs of a fibre of the plant and a capsule (T, B)."""
     slipping: np.ndarray
-    """Share of them that slips (T, B) [-]."""
+    """Share of the points in contact that slip (T, B) [-]."""
     force_balance: np.ndarray
     """|force on the capsules - reaction - weight| over the larger of force and reaction, or over 0.1 N (T, B) [-]."""
     where: np.ndarray

@@ -19,14 +19,14 @@ class Phase(IntEnum):
 
 
 class Stick(IntEnum):
-    """Whether a contact has an anchor."""
+    """Whether a point of a patch may have friction."""
 
     FREE = 0
-    """No: the sample did not touch at the end of the last step."""
+    """No: it did not touch at the end of the last stride."""
     STUCK = 1
-    """Yes, from an earlier step."""
+    """Yes, since an earlier stride."""
     NEW = 2
-    """Yes, since this step, which may still lose it."""
+    """Yes, since this stride, which may still lose it."""
 
 
 class Stale(IntEnum):
@@ -163,49 +163,55 @@ class Capsules:
 
 @wp.struct
 class Contacts:
-    """Pairs of a sample and a capsule that are close. Arrays (2, B, C) hold two lists, which take turns as the list of
-    the last stride and that of the present one; arrays (B, C) belong to the present one."""
+    """The points of the patches of fibres and capsules that are close, `kernels.fibre.POINTS` of each. Arrays (2, B, C)
+    hold two lists, which take turns as the list of the last stride and that of the present one; arrays (B, C) belong to
+    the present one."""
 
     count: wp.array2d(dtype=wp.int32)
     """Length of each list (2, B)."""
     key: wp.array3d(dtype=wp.int32)
-    """Number of the pair; the lists are sorted by it (2, B, C)."""
-    sample: wp.array3d(dtype=wp.int32)
-    """Number of the sample in `Trees` (2, B, C)."""
+    """Number of the point; the lists are sorted by it (2, B, C)."""
+    fibre: wp.array3d(dtype=wp.int32)
+    """Number of the fibre in `Trees` (2, B, C)."""
     node: wp.array3d(dtype=wp.int32)
-    """Segment of the sample, counted within the plant (2, B, C)."""
+    """Segment of the fibre, counted within the plant (2, B, C)."""
     capsule: wp.array3d(dtype=wp.int32)
     """Number of the capsule (2, B, C)."""
+    place: wp.array3d(dtype=wp.float64)
+    """Place of the point along the segment, 0 to 1 (2, B, C) [-]."""
+    stiffness: wp.array3d(dtype=wp.float64)
+    """Penalty of the point (2, B, C) [N/m]."""
     stuck: wp.array3d(dtype=wp.int32)
     """`Stick` (2, B, C)."""
     in_step: wp.array3d(dtype=wp.int32)
     """1 where the contact takes part in the model of the step (2, B, C)."""
+    stretch: wp.array3d(dtype=wp.vec3d)
+    """Elastic part of the tangential displacement of the surface point at the start of the stride, in the capsule's
+    frame (2, B, C) [m]."""
     anchor: wp.array3d(dtype=wp.vec3d)
-    """Where the surface point sticks, in the capsule's frame (2, B, C) [m]."""
-    anchor_world: wp.array3d(dtype=wp.vec3d)
-    """The anchor in the world (2, B, C) [m]."""
-    point_start: wp.array3d(dtype=wp.vec3d)
-    """The surface point at the start of the stride, in the capsule's frame (2, B, C) [m]."""
+    """Where the surface point would be without friction force, in the world (2, B, C) [m]."""
     gap_start: wp.array3d(dtype=wp.float64)
-    """Gap at the start of the stride, 0 where it was closed (2, B, C) [m]."""
+    """Gap of the patch at the start of the stride, 0 where it was closed (2, B, C) [m]."""
     lever: wp.array3d(dtype=wp.vec3d)
-    """From the sample to the surface point, in the world at the start of the stride (2, B, C) [m]."""
+    """From the fibre to the surface point, in the world at the start of the stride (2, B, C) [m]."""
     normal: wp.array3d(dtype=wp.vec3d)
-    """Unit normal, from the capsule to the sample (2, B, C)."""
+    """Unit normal, from the capsule to the fibre (2, B, C)."""
     depth: wp.array3d(dtype=wp.float64)
     """Penetration, negative for a gap (2, B, C) [m]."""
     friction_limit: wp.array3d(dtype=wp.float64)
     """Largest friction force, the coefficient times the normal force (2, B, C) [N]."""
+    child_share: wp.array2d(dtype=wp.float64)
+    """Share of the child's node in the displacement of the point (B, C) [-]."""
     arm_parent: wp.array2d(dtype=wp.vec3d)
-    """Lever of the sample from the parent's node (B, C) [m]."""
+    """Lever of the point from the parent's node (B, C) [m]."""
     arm_child: wp.array2d(dtype=wp.vec3d)
-    """Lever of the sample from the child's node (B, C) [m]."""
+    """Lever of the point from the child's node (B, C) [m]."""
     surface_arm_parent: wp.array2d(dtype=wp.vec3d)
     """Lever of the surface point from the parent's node (B, C) [m]."""
     surface_arm_child: wp.array2d(dtype=wp.vec3d)
     """Lever of the surface point from the child's node (B, C) [m]."""
     normal_gradient: wp.array2d(dtype=wp.vec3d)
-    """Gradient of the normal energy by the sample's position (B, C) [N]."""
+    """Gradient of the normal energy by the point's position (B, C) [N]."""
     friction_gradient: wp.array2d(dtype=wp.vec3d)
     """Gradient of the friction energy by the surface point's position (B, C) [N]."""
     slip: wp.array2d(dtype=wp.vec3d)
@@ -215,7 +221,7 @@ class Contacts:
     friction_hessian: wp.array2d(dtype=wp.mat33d)
     """Second derivative of the friction energy (B, C) [N/m]."""
     coulomb_hessian: wp.array2d(dtype=wp.mat33d)
-    """Derivative of the friction force by the sample's position through the friction limit (B, C) [N/m]."""
+    """Derivative of the friction force by the point's position through the friction limit (B, C) [N/m]."""
     force: wp.array2d(dtype=wp.vec3d)
     """Force on the capsule (B, C) [N]."""
     moment: wp.array2d(dtype=wp.vec3d)
@@ -278,8 +284,8 @@ class Guard:
     """`Contacts.key` (B, C)."""
     stuck: wp.array2d(dtype=wp.int32)
     """`Contacts.stuck` (B, C)."""
-    anchor: wp.array2d(dtype=wp.vec3d)
-    """`Contacts.anchor` (B, C) [m]."""
+    stretch: wp.array2d(dtype=wp.vec3d)
+    """`Contacts.stretch` (B, C) [m]."""
 
 
 @wp.struct

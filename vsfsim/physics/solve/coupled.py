@@ -226,12 +226,14 @@ class CoupledSolver(Solver):
         # slightly off its pressure
         return measure > FAR
 
-    def _record(self) -> None:
+    def _record(self, converged: np.ndarray) -> None:
         u = self._balance.u
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         split = 3 * len(self.object.mesh.points)
         force = self._contact_force.view(-1, 3, u.shape[1])
         surface = torch.as_tensor(self.object.mesh.surface_nodes(), device=self.device)
+        marked = torch.as_tensor(~converged, device=self.device)
+        force = force.masked_fill(marked, torch.nan)
         self.surface_force.append(force[surface].cpu().numpy())
         carried = self.contact.surfaces.carried
         self.sensor_force.append(carried(force[split // 3:], place=False).cpu().numpy())
@@ -248,7 +250,8 @@ class CoupledSolver(Solver):
         own["contact"], own["internal"] = state["contact"] * mask, state["internal"] * mask
         out = super()._report(own)
         if self.elasticity.pressure is not None:
-            self.pressure.append(wp.to_torch(self.elasticity.pressure).cpu().numpy().copy())
+            pressure = wp.to_torch(self.elasticity.pressure).cpu().numpy()
+            self.pressure.append(np.where(out["converged"], pressure, np.nan))
             self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
         return out
 

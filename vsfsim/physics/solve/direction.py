@@ -14,7 +14,8 @@ from vsfsim.physics.solve.elasticity import Elasticity
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
-                     plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+                     plain: bool = False, deadline: float = float("inf"),
+                     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`.
 
     Args:
@@ -25,7 +26,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        plain: see `pcg.solve`.
+        plain, deadline: see `pcg.solve`.
 
     Returns:
         Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool; the contact stiffness
@@ -76,5 +77,5 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         return y.to(r.dtype)
 
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
-                                           plain=plain)
+                                           plain=plain, deadline=deadline)
     return direction, steps, negative, stiffness

@@ -19,6 +19,8 @@ class Reason(IntEnum):
     PATCH = 5
     WRONG_SIDE = 6
     INVERTED = 7
+    INTRUSION = 8
+    CRUSHED = 9
 
     @property
     def text(self) -> str:
@@ -27,7 +29,9 @@ class Reason(IntEnum):
                 "no step lowers the potential any more, and the forces do not balance",
                 "the state was not finite; the one before was kept",
                 "the contact patch kept growing", "the surface slipped through a body",
-                "an element is inside out (det F <= 0)")[self]
+                "an element is inside out (det F <= 0)",
+                "a rigid body lies inside the object where no contact point feels it",
+                "an element is compressed below a tenth of its volume (det F < 0.1)")[self]
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,9 @@ class SolverOptions:
     """Factor on it far from the solution, where Newton's linear model is no more accurate [-]."""
     cg_plain: bool = False
     """Measure that residual by its length, not in the preconditioner's norm, see `pcg.solve`."""
+    local_indentation: bool = False
+    """Whether the indentation under balls and capsules that the mesh is too coarse for is a compliance of the contact
+    points, see `contact.local_indentation`."""
     cg_frame: int = 1500
     """Conjugate-gradient iterations of one touch in one frame, halved steps included; a touch that needs more is
     marked."""
@@ -58,12 +65,19 @@ class SolverOptions:
     """Wall-clock limit of one frame of the batch [s]."""
 
 
+OF_AN_EQUILIBRIUM = ("force", "body_force", "body_moment", "reaction", "energy")
+"""Fields of `Frames` that are results of an equilibrium: NaN in the other frames."""
+
+
 @dataclass(frozen=True)
 class Frames:
     """Results of B touches of T frames by K rigid bodies."""
 
     force: np.ndarray
-    """Force on all bodies together (T, B, 3) [N]."""
+    """Force on all bodies together (T, B, 3) [N]; this and the others of `OF_AN_EQUILIBRIUM` are NaN where a frame did
+    not converge."""
+    unbalanced_force: np.ndarray
+    """The same of the state in which a frame ended that did not converge, for diagnosis; 0 elsewhere (T, B, 3) [N]."""
     body_force: np.ndarray
     """Force on each body (T, B, K, 3) [N]."""
     body_moment: np.ndarray
@@ -87,8 +101,13 @@ class Frames:
     energy: np.ndarray
     """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
-    """Depth of the deepest surface point inside a body (T, B) [m]."""
+    """Depth of the deepest point of the object's boundary inside a body, between the contact points too (T, B) [m]."""
     slipping: np.ndarray
     """Share of the points in contact that slip (T, B) [-]."""
+    contact_points: np.ndarray
+    """Number of contact points that touch (T, B)."""
+    contact_radius: np.ndarray
+    """How well the contact is resolved: radius of a circle of its area over the edge of the elements there (T, B) [-];
+    NaN between two soft bodies."""
     seconds: np.ndarray
     """Duration of the frame, shared by the batch (T,) [s]."""

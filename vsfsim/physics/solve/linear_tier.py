@@ -3,6 +3,8 @@ frame."""
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import torch
 
@@ -29,13 +31,15 @@ class LinearTier:
         sag = model.factor.solve((model.load * model.free)[:, None])
         self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
 
-    def frame(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor) -> tuple[torch.Tensor, State]:
+    def frame(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor,
+              deadline: float) -> tuple[torch.Tensor, State]:
         """Solve one frame.
 
         Args:
             before: poses of the frame before (B, K, 4, 4).
             pose: poses of this frame (B, K, 4, 4).
             start: first guess of the contact forces (B, 3 s) [N].
+            deadline: `time.perf_counter` after which no iteration begins [s].
 
         Returns:
             The contact forces on the patches (B, 3 s) [N] and the state of all touches.
@@ -46,12 +50,12 @@ class LinearTier:
         contact.move(pose, every)
         for _ in range(_GROWTHS):
             with clock.measure("contact"):
-                force, error = self._solve(start)
+                force, error = self._solve(start, deadline)
             # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
-            if not contact.extend_patch(every, pose, balance.u):
+            if time.perf_counter() > deadline or not contact.extend_patch(every, pose, balance.u):
                 break
             start = contact.no_force()
         state = balance.evaluate(every)
@@ -64,7 +68,7 @@ class LinearTier:
         contact.end_step(every)
         return force, state
 
-    def _solve(self, start: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _solve(self, start: torch.Tensor, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Contact forces (B, 3 s) [N] and their relative errors (B,); the friction limit is renewed until it no longer
         changes."""
         contact, balance = self._contact, self._balance
@@ -72,7 +76,7 @@ class LinearTier:
         sag = contact.gather(self._sag)
         for _ in range(_RENEWALS if contact.has_friction else 1):
             force, error = condensed.solve(contact, every, sag, torch.zeros_like(sag), iterations=100,
-                                           tolerance=balance.options.tolerance, start=start)
+                                           tolerance=balance.options.tolerance, start=start, deadline=deadline)
             if contact.has_friction:
                 moved = sag + (contact.compliance @ force[:, :, None])[:, :, 0]
                 contact.evaluate(every, moved)
@@ -81,7 +85,7 @@ class LinearTier:
                 off = ((contact.nodal(every) - force).norm(dim=1)
                        + contact.friction_residual(every)) / force.norm(dim=1).clamp(min=balance.floor)
                 error, start = torch.maximum(error, off), force
-                if bool((error <= RENEWED).all()):
+                if bool((error <= RENEWED).all()) or time.perf_counter() > deadline:
                     break
         return force, error
 

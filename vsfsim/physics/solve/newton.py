@@ -18,6 +18,7 @@ import warp as wp
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.elements.neo_hooke import CRUSHED
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import newton_direction
@@ -133,6 +134,7 @@ class Equilibrium:
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
+        self._deadline = self.contact.deadline = deadline
         for _ in range(self.options.newton * (1 + has_friction)):
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
             if has_friction and bool(ready.any()):
@@ -194,6 +196,7 @@ class Equilibrium:
         balanced = (state["measure"] <= tolerance) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
         self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
+        self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
@@ -205,7 +208,8 @@ class Equilibrium:
         opt = self.options
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=opt.cg,
-                                tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain)
+                                tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
+                                deadline=self._deadline)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor) -> torch.Tensor:
         """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
@@ -241,7 +245,9 @@ class Equilibrium:
         step = torch.ones_like(slope)
         moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
         pending = torch.arange(len(columns), device=self.device)
-        for _ in range(12):
+        for halvings in range(12):
+            if halvings and time.perf_counter() > self._deadline:
+                break
             trial = base[:, pending] + step[pending].to(self.real) * direction[:, pending]
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])

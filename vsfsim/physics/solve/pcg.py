@@ -11,6 +11,7 @@ steps.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import torch
@@ -25,7 +26,8 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
-          iterations: int, plain: bool = False) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+          iterations: int, plain: bool = False,
+          deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve A x = ``right`` from x = 0.
 
     Args:
@@ -36,6 +38,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         iterations: limit.
         plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
             preconditioner's norm.
+        deadline: `time.perf_counter` after which no iteration begins [s]; x is then what was reached, a direction of
+            descent all the same.
 
     Returns:
         x (3 n, k), iterations of each column (k,), and which columns met negative curvature (k,) bool: those keep their
@@ -53,6 +57,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
     negative = torch.zeros_like(running)
     steps = torch.zeros(right.shape[1], dtype=torch.int64, device=right.device)
     for step in range(iterations):
+        if step and time.perf_counter() > deadline:
+            break
         ap = multiply(p, which)
         pap = column_dots(p, ap)
         bad = running & ~(pap > 0.0)

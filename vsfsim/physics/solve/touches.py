@@ -25,23 +25,22 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve import path
+from vsfsim.physics.solve import audit, path, weight
+from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier
 from vsfsim.physics.solve.newton import Equilibrium, State
-
-Rows = dict[str, np.ndarray]
-"""The values of one frame by the fields of `Frames`, (B, ...) each."""
 
 # tolerance aimed at, and the one that counts as converged, in single precision
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3
 FAR = 100.0
 """Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
 _SOFTENINGS, _SOFT_TOLERANCE = (0.003, 0.05), 0.05  # of the contact stiffness, stage by stage; their tolerance
-_WEIGHT_NEWTON, _WEIGHT_LEAST = 12, 1 / 256  # iterations for one part of the load; the smallest part
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
-_GROWTHS = 4  # times that the patch may grow in a step
+_NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
+_UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
+_GROWTHS = 8  # times that the patch may grow in a step, cuts of its faces included
 
 
 class _Known(NamedTuple):
@@ -100,7 +99,7 @@ class Solver:
                 deep in the object: the bodies then come in from outside.
             keep: also keep, for every frame, the displacements in ``self.history`` (T entries of (3 n, B)) [m] and the
                 contact force on every surface node in ``self.surface_force`` (T entries of (s, 3, B)) [N], s as
-                `QuadraticMesh.surface_nodes`.
+                `QuadraticMesh.surface_nodes`; NaN on the patch in frames that did not converge.
             progress: called with the number of finished frames.
 
         Returns:
@@ -126,7 +125,7 @@ class Solver:
         if self.linear:
             self._linear_tier = LinearTier(self._balance)
         else:
-            self._apply_load(previous)
+            weight.apply(self._balance, previous)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -135,24 +134,39 @@ class Solver:
             began = time.perf_counter()
             deadline = began + self.options.seconds
             if self.linear:
-                out = self._linear_frame(previous, poses[t])
+                out = self._linear_frame(previous, poses[t], deadline)
             else:
                 self._balance.reset_counts()
                 way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
+                self.contact.deadline, late = deadline, False
                 for pose in way:
                     begin, friction = self._balance.u.clone(), self.contact.friction_state()
+                    self._touched = (self.contact.recall(self._contact_force) != 0.0).any(dim=1)
                     self._start(every, previous, pose)
                     self._reach(every, previous, pose, begin, deadline, self.options.halvings, friction)
-                    self._remember(pose, self.contact.remember(every))
-                    if pose is not way[-1]:
-                        self.contact.end_step(every)
-                    previous = pose
+                    self._contact_force = self.contact.remember(every)
+                    if pose is way[-1]:
+                        break
+                    measure = self._balance.evaluate(every)["measure"] if self._balance.reason.any() else None
+                    self.contact.end_step(every)
+                    previous = self._resume(previous, pose, begin, friction, measure)
+                    late = time.perf_counter() > deadline
+                    if late:  # the next frame goes on from here
+                        self.contact.move(poses[t], every)
+                        self._balance.reason[:] = Reason.TIME
+                        break
                 # the anchors move after the report: the forces balance with the old ones
-                out = self._report(self._balance.evaluate(every))
-                self.contact.end_step(every)
-            previous = poses[t]
+                state = self._balance.evaluate(every)
+                out = self._report(state)
+                if not late:
+                    self.contact.end_step(every)
             if keep:
-                self._record()
+                self._record(out["converged"])
+            if self.linear:
+                previous = poses[t]
+            elif not late:
+                self._balance.reason[:] = out["reason"]
+                previous = self._resume(previous, poses[t], begin, friction, state["measure"])
             out["seconds"] = np.full(batch, time.perf_counter() - began)
             rows.append(out)
             if progress is not None:
@@ -163,9 +177,33 @@ class Solver:
 
     def _make_contact(self, poses: np.ndarray) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
-        contact = RigidContact(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear)
+        contact = RigidContact(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear,
+                               local=self.options.local_indentation)
         self._stride = path.stride(self.bodies, path.mean_thickness(self.model))
         return contact, path.outside(self.bodies, self.model, poses[0], contact.first_gap)
+
+    def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,
+                measure: torch.Tensor | None) -> np.ndarray:
+        """The poses (B, K, 4, 4) from which the next step begins, each with its equilibrium: ``pose`` where one was
+        found. The other touches return to ``before``, with the displacements ``begin`` (3 n, B) [m] and the state of
+        ``friction`` there: what follows a step that failed must not rest on it. A state that is nearly balanced, by its
+        ``measure`` (B,), is kept; None if all have converged."""
+        balance, contact = self._balance, self.contact
+        lost = np.flatnonzero(balance.reason != Reason.NONE)
+        if len(lost) and measure is not None:
+            near = (measure.cpu().numpy() < _NEARLY) & np.isin(balance.reason, _UNFINISHED)
+            lost = lost[~near[lost]]
+        if len(lost):
+            at = torch.as_tensor(lost, device=self.device)
+            pose = pose.copy()
+            pose[lost] = before[lost]
+            balance.u[:, at] = begin[:, at]
+            contact.restore_friction(at, friction)
+            contact.move(pose, balance.every)
+            balance.evaluate(balance.every)
+            self._contact_force = contact.remember(balance.every)
+        self._remember(pose, self._contact_force)
+        return pose
 
     def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
         """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
@@ -175,46 +213,16 @@ class Solver:
         if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
             del self._equilibria[:-2]
 
-    def _record(self) -> None:
-        """Keep the displacements and forces of this frame for the caller."""
+    def _record(self, converged: np.ndarray) -> None:
+        """Keep the displacements and forces of this frame for the caller; forces are NaN where it did not converge."""
         u = self._balance.u
         self.history.append(u.to(torch.float64, copy=True).cpu().numpy())
         force = np.zeros((len(self.model.mesh.points), 3, u.shape[1]))
         for b, (patch, pushed) in enumerate(zip(self.contact.patches, self._contact_force.cpu().numpy(), strict=True)):
-            force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)]
+            force[patch.nodes, :, b] = pushed.reshape(-1, 3)[:len(patch.nodes)] if converged[b] else np.nan
         self.surface_force.append(force[self.model.mesh.surface_nodes()])
 
     # ------------------------------------------------------------------------------------------ one frame
-
-    def _apply_load(self, pose: np.ndarray) -> None:
-        """Find the equilibrium under the load alone, from which all touches begin: in parts that are as large as they
-        converge in few iterations."""
-        balance, contact = self._balance, self.contact
-        if not self.model.load.any():
-            return
-        deadline = time.perf_counter() + self.options.seconds
-        first, whole = balance.every[:1], balance.load
-        contact.begin_step(pose, balance.u)
-        contact.move(pose, balance.every)
-        contact.softening[:] = 0.0  # nothing touches yet
-        balance.options = dataclasses.replace(self.options, newton=_WEIGHT_NEWTON)
-        linear = self.model.factor.solve((self.model.load * self.model.free)[:, None])
-        slope = torch.as_tensor(linear, dtype=balance.real, device=self.device)
-        done, part, u = 0.0, 1.0, torch.zeros_like(slope)
-        while done < 1.0 and part >= _WEIGHT_LEAST and time.perf_counter() < deadline:
-            share = min(part, 1.0 - done)
-            balance.load = (done + share) * whole
-            balance.u[:, :1] = u + share * slope
-            balance.reset_counts()
-            balance.solve(first, balance.evaluate(first), self.options.tolerance, deadline)
-            if balance.reason[0] == Reason.NONE:
-                slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
-                done, part = done + share, 2.0 * part
-            else:
-                part = 0.5 * share
-        balance.load, balance.options = whole, self.options
-        balance.u[:] = u
-        contact.softening[:] = 1.0
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
@@ -289,6 +297,10 @@ class Solver:
         balance.u[:, failed] = begin[:, failed]
         contact.restore_friction(failed, friction)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
+        if time.perf_counter() > deadline:
+            contact.move(pose, failed)
+            balance.reason[host] = Reason.TIME
+            return
         lost = host[balance.reason[host] != Reason.NONE]
         reasons = balance.reason[lost].copy()
         contact.end_step(failed)
@@ -315,13 +327,18 @@ class Solver:
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
-            grown = contact.extend_patch(columns, pose, balance.u)
+            grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
+            intruded = columns[contact.intruded(columns)]
             if grown:
                 self._contact_force = contact.no_force()
+                # a state that has closed around a body is no place to begin from
+                balance.u[:, intruded] = begin[:, intruded]
                 state = balance.evaluate(columns)
             if len(lost):
                 balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
             if not grown:
+                at = intruded.cpu().numpy()
+                balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
                 return
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
 
@@ -330,14 +347,16 @@ class Solver:
         contact should lead the way (k,) bool."""
         return ((measure - 1.0).abs() < 0.03) | (measure > FAR)
 
-    def _linear_frame(self, before: np.ndarray, pose: np.ndarray) -> Rows:
+    def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
         """One frame of the `linear` tier."""
         balance = self._balance
-        force, state = self._linear_tier.frame(before, pose, self._first_force(pose))
+        force, state = self._linear_tier.frame(before, pose, self._first_force(pose), deadline)
         self._remember(pose, force)
         balance.reset_counts()
         balance.newton += 1
-        balance.reason[(state["measure"] > self._linear_accept).cpu().numpy()] = Reason.ITERATIONS
+        late = time.perf_counter() > deadline
+        balance.reason[(state["measure"] > self._linear_accept).cpu().numpy()] = (Reason.TIME if late else
+                                                                                  Reason.ITERATIONS)
         return self._report(state)
 
     def _first_force(self, pose: np.ndarray) -> torch.Tensor:
@@ -357,36 +376,5 @@ class Solver:
 
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
-        balance, contact = self._balance, self.contact
-        every = balance.every
-        batch = len(every)
-        acting, internal = state["contact"], state["internal"]
-        on_object = acting.view(-1, 3, batch).sum(dim=0).T
-        held = (internal - balance.load - acting) * (1.0 - balance.free)
-        # anchor elements tie the object to the ground: their force is a reaction of the supports
-        held = (held - self._grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
-        weight = balance.load.view(-1, 3).sum(dim=0)
-        unbalanced = (held + on_object + weight).norm(dim=1)
-        largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=self._floor)
-        values = {
-            "force": -on_object, "reaction": held, "residual": state["measure"],
-            "body_force": state["body_force"] if "body_force" in state else contact.on_bodies(every),
-            "body_moment": state["body_moment"] if "body_moment" in state else contact.moment_on_bodies(every),
-            "force_balance": unbalanced / largest, "min_det_f": state["det"], "energy": state["energy"],
-            "penetration": contact.penetration(every), "slipping": contact.slipping(every),
-        }
-        out = {key: value.cpu().numpy() for key, value in values.items()}
-        reason = balance.reason.copy()
-        if self.linear:
-            # the elements' det F does not count: small strain has none
-            reason[(state["wrong_side"] > 0).cpu().numpy() & (reason == Reason.NONE)] = Reason.WRONG_SIDE
-        # with friction the limit renewed last counts; without, this is the state that Newton's method left
-        accept = self._linear_accept if self.linear else self._accept
-        reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
-        if not contact.has_friction:
-            # a step that stalled at the floor of rounding may still be good enough, since the path does not matter
-            final = np.isin(reason, (Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED))
-            reason[(out["residual"] <= accept) & ~final] = Reason.NONE
-        out["reason"], out["converged"] = reason, reason == Reason.NONE
-        out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
-        return out
+        return audit.report(self._balance, state, self._grounding, linear=self.linear,
+                            accept=self._linear_accept if self.linear else self._accept)

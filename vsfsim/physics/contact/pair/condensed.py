@@ -14,6 +14,7 @@ the curved surfaces.
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 import torch
@@ -51,6 +52,8 @@ def solve(contact: LinkedContact, columns: torch.Tensor, base: torch.Tensor, pus
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     close = None
     for step in range(min(iterations, _MOST_ITERATIONS)):
+        if step and time.perf_counter() > contact.deadline:
+            break
         contact.evaluate(columns, u)
         miss = compliance.respond(columns, contact.nodal(columns) - pushed - q)
         off = miss.abs().amax(dim=1) / u.abs().amax(dim=1).clamp(min=1e-9)

@@ -59,6 +59,7 @@ class PairContact:
     # rubber mostly sticks, and the limits of the prediction are nearly right
     friction_updated_below = 0.3
     # over flat facets a step may cycle, and half of such steps end elsewhere
+    deadline = float("inf")
     patience = 8
 
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
@@ -117,7 +118,12 @@ class PairContact:
         self.surfaces.place_at(columns, u)
         self._find_candidates(columns, blend=columns)
 
-    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> bool:
+    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`; there is no rigid body."""
+        return torch.zeros(len(columns), dtype=torch.bool, device=self.device)
+
+    def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
+                     touched: torch.Tensor | None = None) -> bool:
         """See `Contact`: finds what may meet what again from where the surfaces are now. True if that finds new
         contact, or normals that have turned."""
         before = [side.state["gap"][columns].clamp(max=0.0) for side in self._sides]
@@ -208,6 +214,10 @@ class PairContact:
         """See `Contact`."""
         return self._sum("energy", columns)
 
+    def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
+        """See `Contact`; there is none."""
+        return torch.zeros(len(columns), dtype=torch.float64, device=self.device)
+
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         return self._sum("wrong_side", columns)
@@ -220,10 +230,18 @@ class PairContact:
         """See `Contact`."""
         return torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0).clamp(min=0.0)
 
+    def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """See `Contact`; nodes have no area, and the radius is not measured."""
+        points = torch.stack([(side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides]).sum(dim=0)
+        return points, torch.full((len(columns),), torch.nan, dtype=torch.float64, device=self.device)
+
     def slipping(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        inside = sum((side.state["gap"][columns] < 0.0).sum(dim=1) for side in self._sides)
-        return self._sum("slips", columns) / inside.clamp(min=1)
+        # a point that has left may still have a limit in this step
+        inside = [side.state["gap"][columns] < 0.0 for side in self._sides]
+        slips = sum((side.state["slips"][columns] * on).sum(dim=1)
+                    for side, on in zip(self._sides, inside, strict=True))
+        return slips / sum(on.sum(dim=1) for on in inside).clamp(min=1)
 
     def _in_contact(self, columns: torch.Tensor) -> _Evaluated:
         """The points in contact, as they were evaluated last."""

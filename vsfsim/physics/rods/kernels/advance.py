@@ -11,7 +11,8 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.contact_law import capsule_gap, friction_force, normal_force, slip
 from vsfsim.physics.rods.kernels.contact_search import carry_unloaded
-from vsfsim.physics.rods.kernels.geometry import sample_point, segment_strain, surface_point
+from vsfsim.physics.rods.kernels.fibre import POINTS, child_share, fibre_point, parent_offset
+from vsfsim.physics.rods.kernels.geometry import fibre_patch, segment_strain, surface_point
 from vsfsim.physics.rods.kernels.guard import HOPELESS, copy_nodes, frame_target, guard_frame, place_capsules
 from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync, time_is_up
 from vsfsim.physics.rods.kernels.newton import equilibrate
@@ -25,7 +26,7 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": L
 
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTEST = wp.constant(wp.float64(1.0 / 64.0))  # least length of a divided stride, as a part of the undivided one
-DEEP = wp.constant(wp.float64(1e-3))  # a sample further inside a link may come out on its wrong side [m]
+DEEP = wp.constant(wp.float64(1e-3))  # a point further inside a link may come out on its wrong side [m]
 # Registers of a thread on a GPU. 128 allow 16 warps a multiprocessor, the compiler's 255 only 8; on an H200 the solver
 # then gives 1.6 times as many readings a second of easy touches.
 REGISTERS = 128
@@ -34,7 +35,7 @@ WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # a frame, up to rounding
 
 @wp.func
 def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, weighs: int, found: int):
-    """Ends a stride: stores the anchors of the contacts, and which segments are strained.
+    """Ends a stride: stores what friction has stretched, and which segments are strained.
 
     Args:
         side: list of the contacts. count: of active nodes. weighs: whether the plants have weight. found: whether an
@@ -45,20 +46,20 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
     for c in range(me.lane, w.contacts.count[side, b], me.lanes):
         i = w.contacts.node[side, b, c]
         k = w.contacts.capsule[side, b, c]
-        j = w.contacts.sample[side, b, c]
+        j = w.contacts.fibre[side, b, c]
+        s = w.contacts.place[side, b, c]
         p = tree.parent[o + i]
-        cx = w.capsules.x[b, k]
         cq = w.capsules.q[b, k]
-        y = sample_point(tree, b, p, i, j, w.nodes.x, w.nodes.q)
-        gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
-        if gap.value < ZERO:
-            ys = surface_point(tree, w, b, p, i, j, w.contacts.lever[side, b, c], w.nodes.x, w.nodes.q)
-            u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor_world[side, b, c])
-            held = friction_force(u, tree.penalty[j], w.contacts.friction_limit[side, b, c]) / tree.penalty[j]
-            w.contacts.anchor[side, b, c] = wp.quat_rotate_inv(cq, y - tree.radius[j] * gap.normal - held - cx)
-            w.contacts.stuck[side, b, c] = Stick.STUCK
-        else:
-            w.contacts.stuck[side, b, c] = Stick.FREE
+        y = fibre_point(tree, b, o, p, i, j, s, w.nodes.x, w.nodes.q)
+        gap = capsule_gap(y, tree.radius[j], w.capsules.x[b, k], cq, touch.half[k], touch.radius[k])
+        w.contacts.stuck[side, b, c] = wp.where(gap.value < ZERO, int(Stick.STUCK), int(Stick.FREE))
+        tau = w.contacts.friction_limit[side, b, c]
+        w.contacts.stretch[side, b, c] = vec3()
+        if gap.value < ZERO and tau > ZERO:
+            ys = surface_point(tree, w, b, o, p, i, j, s, w.contacts.lever[side, b, c], w.nodes.x, w.nodes.q)
+            u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor[side, b, c])
+            kn = w.contacts.stiffness[side, b, c]
+            w.contacts.stretch[side, b, c] = wp.quat_rotate_inv(cq, friction_force(u, kn, tau) / kn)
     sync()
     kept = int(1)  # 0: the unloaded parts returned to their shape at rest
     if found == 1 and weighs == 0:
@@ -82,16 +83,14 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
         copy_nodes(me, w.nodes.x, w.nodes.q, w.nodes.x_saved, w.nodes.q_saved)
         carry_unloaded(tree, w, me)
         through = int(0)
-        for c in range(me.lane, w.contacts.count[side, b], me.lanes):
-            if w.contacts.stuck[side, b, c] == Stick.FREE:
-                i = w.contacts.node[side, b, c]
-                k = w.contacts.capsule[side, b, c]
-                j = w.contacts.sample[side, b, c]
-                p = tree.parent[o + i]
-                y = sample_point(tree, b, p, i, j, w.nodes.x, w.nodes.q)
-                cx = w.capsules.x[b, k]
-                gap = capsule_gap(y, tree.radius[j], cx, w.capsules.q[b, k], touch.half[k], touch.radius[k])
-                if gap.value < ZERO:
+        for pair in range(me.lane, w.contacts.count[side, b] / POINTS, me.lanes):
+            if w.contacts.stuck[side, b, POINTS * pair] == Stick.FREE:
+                i = w.contacts.node[side, b, POINTS * pair]
+                k = w.contacts.capsule[side, b, POINTS * pair]
+                j = w.contacts.fibre[side, b, POINTS * pair]
+                patch = fibre_patch(tree, touch, b, o, tree.parent[o + i], i, j, k, w.nodes.x, w.nodes.q,
+                                    w.capsules.x[b, k], w.capsules.q[b, k])
+                if patch.gap < ZERO:
                     # a soft leaf, bent by less than the tolerance, would return through a link: it stays bent
                     through = 1
         if lane_count(through) == 0:
@@ -114,7 +113,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     """Writes the forces on the capsules and the pot and the audit of frame ``t``.
 
     Returns:
-        The sum of the contact forces [N], the deepest penetration [m], and the number of samples that touch.
+        The sum of the contact forces [N], the deepest penetration [m], and the number of patches that touch.
     """
     b = me.b
     o = me.o
@@ -122,53 +121,61 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     deepest = ZERO
     touching = int(0)
     slipping = int(0)
+    pressing = int(0)
     root_f = vec3()
     root_m = vec3()
     for c in range(me.lane, w.contacts.count[side, b], me.lanes):
         i = w.contacts.node[side, b, c]
         k = w.contacts.capsule[side, b, c]
-        j = w.contacts.sample[side, b, c]
+        j = w.contacts.fibre[side, b, c]
+        s = w.contacts.place[side, b, c]
+        kn = w.contacts.stiffness[side, b, c]
         p = tree.parent[o + i]
         cx = w.capsules.x[b, k]
+        cq = w.capsules.q[b, k]
         force = vec3()
         moment = vec3()
-        y = sample_point(tree, b, p, i, j, w.nodes.x, w.nodes.q)
-        gap = capsule_gap(y, tree.radius[j], cx, w.capsules.q[b, k], touch.half[k], touch.radius[k])
+        if c % POINTS == 0:
+            patch = fibre_patch(tree, touch, b, o, p, i, j, k, w.nodes.x, w.nodes.q, cx, cq)
+            deepest = wp.max(deepest, -patch.gap)
+            if patch.gap < ZERO:
+                touching = touching + 1
+        y = fibre_point(tree, b, o, p, i, j, s, w.nodes.x, w.nodes.q)
+        gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
         if gap.value < ZERO:
-            fn = -normal_force(-gap.value, tree.penalty[j]) * gap.normal
+            fn = -normal_force(-gap.value, kn) * gap.normal
             # the share that the clamp bears without bending anything
-            at_root = wp.where(p == 0, ONE - tree.along[j], ZERO)
-            lp = wp.quat_rotate(w.nodes.q[b, p], tree.offset[j])
+            at_root = wp.where(p == 0, ONE - child_share(s), ZERO)
+            lp = wp.quat_rotate(w.nodes.q[b, p], parent_offset(tree, o, p, i, j, s))
             root_f = root_f + at_root * fn
             root_m = root_m + at_root * wp.cross(lp, fn)
             force = fn
             moment = wp.cross(y - cx, fn)
+            pressing = pressing + 1
             tau = w.contacts.friction_limit[side, b, c]
             if tau > ZERO:
-                ys = surface_point(tree, w, b, p, i, j, w.contacts.lever[side, b, c], w.nodes.x, w.nodes.q)
-                u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor_world[side, b, c])
-                ft = friction_force(u, tree.penalty[j], tau)
+                ys = surface_point(tree, w, b, o, p, i, j, s, w.contacts.lever[side, b, c], w.nodes.x, w.nodes.q)
+                u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor[side, b, c])
+                ft = friction_force(u, kn, tau)
                 lever = wp.quat_rotate_inv(w.nodes.q_start[b, p], w.contacts.lever[side, b, c])
                 lps = lp + wp.quat_rotate(w.nodes.q[b, p], lever)
                 root_f = root_f + at_root * ft
                 root_m = root_m + at_root * wp.cross(lps, ft)
                 force = force + ft
                 moment = moment + wp.cross(ys - cx, ft)
-                if tree.penalty[j] * wp.length(u) > tau:
+                if kn * wp.length(u) > tau:
                     slipping = slipping + 1
             pressed = pressed + wp.length(force)
-            deepest = wp.max(deepest, -gap.value)
-            touching = touching + 1
         w.contacts.force[b, c] = force
         w.contacts.moment[b, c] = moment
     stored = ZERO
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
         p = tree.parent[o + i]
-        s = segment_strain(tree, b, o, p, i, w.nodes.x, w.nodes.q)
-        stored = stored + energy(s, tree.kd[o + i], tree.kphi[o + i])
+        strains = segment_strain(tree, b, o, p, i, w.nodes.x, w.nodes.q)
+        stored = stored + energy(strains, tree.kd[o + i], tree.kphi[o + i])
         if p == 0:
-            f, _mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
+            f, _mc, mp = gradient(strains, tree.kd[o + i], tree.kphi[o + i])
             root_f = root_f - f
             root_m = root_m + mp
     sync()
@@ -186,6 +193,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     deepest = lane_max(deepest)
     touching = lane_count(touching)
     slipping = lane_count(slipping)
+    pressing = lane_count(pressing)
     root = spatial(vec3(lane_sum(root_f[0]), lane_sum(root_f[1]), lane_sum(root_f[2])),
                    vec3(lane_sum(root_m[0]), lane_sum(root_m[1]), lane_sum(root_m[2])))
     if me.lane == 0:
@@ -193,7 +201,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         out.energy[b, t] = stored
         out.penetration[b, t] = deepest
         out.contacts[b, t] = touching
-        out.slipping[b, t] = real(slipping) / real(wp.max(touching, 1))
+        out.slipping[b, t] = real(slipping) / real(wp.max(pressing, 1))
     if out.x.shape[1] > 0:
         for i in range(me.lane, me.n, me.lanes):
             out.x[b, t, i] = w.nodes.x[b, i]

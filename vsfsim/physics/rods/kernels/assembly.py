@@ -21,7 +21,16 @@ from vsfsim.physics.rods.kernels.contact_law import (
     slip,
     turn_hessian,
 )
-from vsfsim.physics.rods.kernels.geometry import sample_point, segment_strain, surface_point
+from vsfsim.physics.rods.kernels.fibre import (
+    POINTS,
+    child_offset,
+    child_share,
+    fibre_point,
+    parent_offset,
+    point_place,
+    point_stiffness,
+)
+from vsfsim.physics.rods.kernels.geometry import fibre_patch, segment_strain, surface_point
 from vsfsim.physics.rods.kernels.lanes import lane_count, lane_sum, sync
 from vsfsim.physics.rods.kernels.segment import (
     ONE,
@@ -48,60 +57,76 @@ CHILD, PARENT, CHILD_PARENT, PARENT_CHILD = (wp.constant(k) for k in range(4))
 
 @wp.func
 def update_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, side: int):
-    """Friction limits, normals, anchors, levers and forces of all contacts at the present state. Returns the sum of the
-    normal forces [N]."""
+    """Patches, friction limits, normals, anchors, levers and forces of all contacts at the present state. Returns the
+    sum of the normal forces [N]."""
     b = me.b
+    o = me.o
     pressed = ZERO
     mu = touch.friction[b]
-    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
-        i = w.contacts.node[side, b, c]
-        k = w.contacts.capsule[side, b, c]
-        j = w.contacts.sample[side, b, c]
-        p = tree.parent[me.o + i]
-        s = tree.along[j]
+    for pair in range(me.lane, w.contacts.count[side, b] / POINTS, me.lanes):
+        i = w.contacts.node[side, b, POINTS * pair]
+        k = w.contacts.capsule[side, b, POINTS * pair]
+        j = w.contacts.fibre[side, b, POINTS * pair]
+        p = tree.parent[o + i]
         cx = w.capsules.x[b, k]
         cq = w.capsules.q[b, k]
+        cx0 = w.capsules.x_start[b, k]
+        cq0 = w.capsules.q_start[b, k]
         qp = w.nodes.q[b, p]
         qc = w.nodes.q[b, i]
-        arm_p = wp.quat_rotate(qp, tree.offset[j])
-        arm_c = wp.quat_rotate(qc, tree.offset[j])
-        y = (ONE - s) * (w.nodes.x[b, p] + arm_p) + s * (w.nodes.x[b, i] + arm_c)
-        gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
-        depth = -gap.value
-        force = normal_force(wp.max(depth, ZERO), tree.penalty[j])
-        tau = mu * force
-        pressed = pressed + force
-        lever = w.contacts.lever[side, b, c]
-        surface_p = arm_p + wp.quat_rotate(qp, wp.quat_rotate_inv(w.nodes.q_start[b, p], lever))
-        surface_c = arm_c + wp.quat_rotate(qc, wp.quat_rotate_inv(w.nodes.q_start[b, i], lever))
-        ys = (ONE - s) * (w.nodes.x[b, p] + surface_p) + s * (w.nodes.x[b, i] + surface_c)
-        stuck = w.contacts.stuck[side, b, c]
-        if gap.value < ZERO and stuck == Stick.FREE:
-            free = w.contacts.gap_start[side, b, c] / wp.max(w.contacts.gap_start[side, b, c] - gap.value, TINY)
-            met = w.contacts.point_start[side, b, c]
-            w.contacts.anchor[side, b, c] = met + free * (wp.quat_rotate_inv(cq, ys - cx) - met)
-            w.contacts.stuck[side, b, c] = Stick.NEW
-        if gap.value >= ZERO and stuck == Stick.NEW:
-            w.contacts.stuck[side, b, c] = Stick.FREE  # it lost contact again within the step
-        hold = cx + wp.quat_rotate(cq, w.contacts.anchor[side, b, c])
-        slid = slip(gap.normal, ys, hold)
-        ft = vec3()
-        if tau > ZERO:
-            ft = friction_force(slid, tree.penalty[j], tau)
-        w.contacts.friction_limit[side, b, c] = tau
-        w.contacts.normal[side, b, c] = gap.normal
-        w.contacts.depth[side, b, c] = depth
-        w.contacts.anchor_world[side, b, c] = hold
-        w.contacts.slip[b, c] = slid
-        w.contacts.arm_parent[b, c] = arm_p
-        w.contacts.arm_child[b, c] = arm_c
-        w.contacts.surface_arm_parent[b, c] = surface_p
-        w.contacts.surface_arm_child[b, c] = surface_c
-        # An open contact has the force of a plane at the capsule's surface; only the model of the step uses it.
-        push = wp.where(depth > ZERO, force, tree.penalty[j] * depth)
-        w.contacts.normal_gradient[b, c] = -push * gap.normal
-        w.contacts.friction_gradient[b, c] = ft
-        w.contacts.in_step[side, b, c] = wp.where(depth > ZERO, 1, 0)
+        patch = fibre_patch(tree, touch, b, o, p, i, j, k, w.nodes.x, w.nodes.q, cx, cq)
+        for n in range(POINTS):
+            c = POINTS * pair + n
+            s = point_place(patch, n)
+            kn = point_stiffness(tree, o, i, j, patch, n, s)
+            share = child_share(s)
+            arm_p = wp.quat_rotate(qp, parent_offset(tree, o, p, i, j, s))
+            arm_c = wp.quat_rotate(qc, child_offset(tree, o, p, i, j, s))
+            y = (ONE - share) * (w.nodes.x[b, p] + arm_p) + share * (w.nodes.x[b, i] + arm_c)
+            gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
+            depth = -gap.value
+            force = normal_force(wp.max(depth, ZERO), kn)
+            tau = mu * force
+            pressed = pressed + force
+            surface_p = arm_p
+            surface_c = arm_c
+            ft = vec3()
+            if tau > ZERO:
+                y0 = fibre_point(tree, b, o, p, i, j, s, w.nodes.x_start, w.nodes.q_start)
+                gap0 = capsule_gap(y0, tree.radius[j], cx0, cq0, touch.half[k], touch.radius[k])
+                lever = -tree.radius[j] * gap0.normal
+                met = wp.quat_rotate_inv(cq0, y0 + lever - cx0)
+                surface_p = arm_p + wp.quat_rotate(qp, wp.quat_rotate_inv(w.nodes.q_start[b, p], lever))
+                surface_c = arm_c + wp.quat_rotate(qc, wp.quat_rotate_inv(w.nodes.q_start[b, i], lever))
+                ys = (ONE - share) * (w.nodes.x[b, p] + surface_p) + share * (w.nodes.x[b, i] + surface_c)
+                if w.contacts.stuck[side, b, c] == Stick.FREE:
+                    start = w.contacts.gap_start[side, b, c]
+                    free = start / wp.max(start - patch.gap, TINY)
+                    w.contacts.stretch[side, b, c] = free * (met - wp.quat_rotate_inv(cq, ys - cx))
+                    w.contacts.stuck[side, b, c] = Stick.NEW
+                hold = cx + wp.quat_rotate(cq, met - w.contacts.stretch[side, b, c])
+                slid = slip(gap.normal, ys, hold)
+                ft = friction_force(slid, kn, tau)
+                w.contacts.lever[side, b, c] = lever
+                w.contacts.anchor[side, b, c] = hold
+                w.contacts.slip[b, c] = slid
+            elif w.contacts.stuck[side, b, c] == Stick.NEW:
+                w.contacts.stuck[side, b, c] = Stick.FREE  # it lost contact again within the stride
+            w.contacts.place[side, b, c] = s
+            w.contacts.stiffness[side, b, c] = kn
+            w.contacts.friction_limit[side, b, c] = tau
+            w.contacts.normal[side, b, c] = gap.normal
+            w.contacts.depth[side, b, c] = depth
+            w.contacts.child_share[b, c] = share
+            w.contacts.arm_parent[b, c] = arm_p
+            w.contacts.arm_child[b, c] = arm_c
+            w.contacts.surface_arm_parent[b, c] = surface_p
+            w.contacts.surface_arm_child[b, c] = surface_c
+            # An open contact has the force of a plane at the capsule's surface; only the model of the step uses it.
+            push = wp.where(depth > ZERO, force, kn * depth)
+            w.contacts.normal_gradient[b, c] = -push * gap.normal
+            w.contacts.friction_gradient[b, c] = ft
+            w.contacts.in_step[side, b, c] = wp.where(depth > ZERO, 1, 0)
     sync()
     return lane_sum(pressed)
 
@@ -109,29 +134,38 @@ def update_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, side: int)
 @wp.func
 def contact_energy(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, x: wp.array2d(dtype=vec3),
                    q: wp.array2d(dtype=quat)):
-    """This lane's share of the contact energy in the state (x, q) [J], with the friction limits of
+    """This lane's share of the contact energy in the state (x, q) [J], with the points and limits of friction of
     `update_contacts`."""
     b = me.b
+    o = me.o
     out = ZERO
-    for c in range(me.lane, w.contacts.count[side, b], me.lanes):
-        i = w.contacts.node[side, b, c]
-        k = w.contacts.capsule[side, b, c]
-        j = w.contacts.sample[side, b, c]
-        p = tree.parent[me.o + i]
-        y = sample_point(tree, b, p, i, j, x, q)
-        gap = capsule_gap(y, tree.radius[j], w.capsules.x[b, k], w.capsules.q[b, k], touch.half[k], touch.radius[k])
-        if gap.value < ZERO:
-            out = out + normal_energy(-gap.value, tree.penalty[j])
-        if w.contacts.friction_limit[side, b, c] > ZERO:
-            ys = surface_point(tree, w, b, p, i, j, w.contacts.lever[side, b, c], x, q)
-            u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor_world[side, b, c])
-            out = out + friction.energy(wp.length(u), tree.penalty[j], w.contacts.friction_limit[side, b, c])
+    for pair in range(me.lane, w.contacts.count[side, b] / POINTS, me.lanes):
+        i = w.contacts.node[side, b, POINTS * pair]
+        k = w.contacts.capsule[side, b, POINTS * pair]
+        j = w.contacts.fibre[side, b, POINTS * pair]
+        p = tree.parent[o + i]
+        cx = w.capsules.x[b, k]
+        cq = w.capsules.q[b, k]
+        patch = fibre_patch(tree, touch, b, o, p, i, j, k, x, q, cx, cq)
+        for n in range(POINTS):
+            c = POINTS * pair + n
+            if patch.gap < ZERO:
+                s = point_place(patch, n)
+                y = fibre_point(tree, b, o, p, i, j, s, x, q)
+                gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
+                out = out + normal_energy(wp.max(-gap.value, ZERO), point_stiffness(tree, o, i, j, patch, n, s))
+            tau = w.contacts.friction_limit[side, b, c]
+            if tau > ZERO:
+                ys = surface_point(tree, w, b, o, p, i, j, w.contacts.place[side, b, c],
+                                   w.contacts.lever[side, b, c], x, q)
+                u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor[side, b, c])
+                out = out + friction.energy(wp.length(u), w.contacts.stiffness[side, b, c], tau)
     return out
 
 
 @wp.func
 def assemble(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side: int, geometric: real):
-    """The gradient, and the blocks of the elastic energy. Returns the number of slipping samples."""
+    """The gradient, and the blocks of the elastic energy. Returns the number of slipping points."""
     b = me.b
     o = me.o
     slipping = int(0)
@@ -153,8 +187,7 @@ def assemble(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side:
         up = vec6()
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             if w.contacts.in_step[side, b, c] == 1:
-                j = w.contacts.sample[side, b, c]
-                al = tree.along[j]
+                al = w.contacts.child_share[b, c]
                 fn = w.contacts.normal_gradient[b, c]
                 ft = w.contacts.friction_gradient[b, c]
                 moment = wp.cross(w.contacts.arm_parent[b, c], fn) + wp.cross(w.contacts.surface_arm_parent[b, c], ft)
@@ -162,7 +195,7 @@ def assemble(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side:
                 moment = wp.cross(w.contacts.arm_child[b, c], fn) + wp.cross(w.contacts.surface_arm_child[b, c], ft)
                 on = on + al * spatial(fn + ft, moment)
                 tau = w.contacts.friction_limit[side, b, c]
-                if tau > ZERO and tree.penalty[j] * wp.length(w.contacts.slip[b, c]) > tau:
+                if tau > ZERO and w.contacts.stiffness[side, b, c] * wp.length(w.contacts.slip[b, c]) > tau:
                     slipping = slipping + 1
         w.system.contact_gradient_child[b, i] = on
         w.system.contact_gradient_parent[b, i] = up
@@ -197,10 +230,10 @@ def contact_hessians(tree: Trees, touch: Touches, w: Work, me: Thread, count: in
     for c in range(me.lane, w.contacts.count[side, b], me.lanes):
         i = w.contacts.node[side, b, c]
         k = w.contacts.capsule[side, b, c]
-        j = w.contacts.sample[side, b, c]
+        j = w.contacts.fibre[side, b, c]
         p = tree.parent[me.o + i]
-        al = tree.along[j]
-        kn = tree.penalty[j]
+        al = w.contacts.child_share[b, c]
+        kn = w.contacts.stiffness[side, b, c]
         n = w.contacts.normal[side, b, c]
         depth = w.contacts.depth[side, b, c]
         tau = w.contacts.friction_limit[side, b, c]
@@ -246,7 +279,7 @@ def assemble_step(tree: Trees, w: Work, me: Thread, count: int, side: int, geome
         right = vec6()
         for c in range(w.segments.first_contact[b, i], w.segments.first_contact[b, i] + w.segments.contact_count[b, i]):
             if w.contacts.in_step[side, b, c] == 1:
-                al = tree.along[w.contacts.sample[side, b, c]]
+                al = w.contacts.child_share[b, c]
                 fn = w.contacts.normal_gradient[b, c]
                 ft = w.contacts.friction_gradient[b, c]
                 row = al
@@ -321,7 +354,7 @@ def predict_contacts(tree: Trees, w: Work, me: Thread, levels: int, count: int, 
         i = w.contacts.node[side, b, c]
         sp = w.system.step[b, tree.parent[me.o + i]]
         sc = w.system.step[b, i]
-        al = tree.along[w.contacts.sample[side, b, c]]
+        al = w.contacts.child_share[b, c]
         way = (ONE - al) * (wp.spatial_top(sp) + wp.cross(wp.spatial_bottom(sp), w.contacts.arm_parent[b, c]))
         way = way + al * (wp.spatial_top(sc) + wp.cross(wp.spatial_bottom(sc), w.contacts.arm_child[b, c]))
         on = int(0)

@@ -1,15 +1,21 @@
-"""Contact of the samples of a plant with rigid capsules: gap, penalty, and Coulomb friction with memory.
+"""Contact of the fibres of a plant with rigid capsules: gap, penalty, and Coulomb friction with memory.
 
-    Pi_n = k p^2 (1/2 + p / (3 h)),   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
+    Pi_n = int k/l p^2 (1/2 + p / (3 h)) ds,   p = <-gap>,   gap = |y - nearest point of the capsule's axis| - R - r
     Pi_t as in `contact.friction`, of the stiffness k
 
-y is a material point of a segment (``s`` along it, ``offset`` from its middle line at rest), r the radius of the branch
-around it. The penalty k hardens at h = 1 mm: soft leaves may have a soft penalty, which Newton's method needs, and a
-capsule still does not pass through them. Friction acts on the surface, at y_s = y - r n; the nodes carry the n of the
-start of the stride along, so a branch may roll. tau = mu dPi_n/dp is updated in every Newton iteration and is constant
-during its line search (a sequence of Tresca problems). u_t is the displacement of y_s over the capsule from its anchor.
-The anchor of a new contact is where the straight path of its surface point met the capsule, by the first iterate that
-is inside.
+y is a material point of a fibre (`fibre`), r the radius of the branch around it, k / l the penalty of a length of
+branch. The integral is over the patch of the fibre inside the capsule, by three Gauss points. The patch follows the
+state; as p is zero at its ends, force and stiffness are the sums of those of its points, as if these were fixed. So a
+capsule that slides along a smooth branch without friction meets no resistance but that of the branch's slope. The
+penalty hardens at h = 1 mm: soft leaves may have a soft penalty, which Newton's method needs, and a capsule still does
+not pass through them.
+
+Friction acts on the surface, at y_s = y - r n; the nodes carry the n of the start of the stride along, so a branch may
+roll. tau = mu dPi_n/dp is updated in every Newton iteration and is constant during its line search (a sequence of
+Tresca problems), as are the points. u_t is the elastic part of the tangential displacement that the point had at the
+start of the stride, plus that of y_s over the capsule since then: a point of the patch is followed by its number, while
+the patch may move along the branch. Of a new contact only the displacement counts that is left of the straight path of
+its point when it meets the capsule, by the first iterate that is inside.
 """
 
 import warp as wp
@@ -26,22 +32,16 @@ HARD = wp.constant(wp.float64(1e-3))  # h, the penetration at which the penalty 
 
 @wp.struct
 class Gap:
-    """Gap between a sample and a capsule."""
+    """Gap between a point of a fibre and a capsule."""
 
     value: wp.float64
     """Signed distance, negative inside [m]."""
     normal: wp.vec3d
-    """Unit normal from the capsule to the sample, in the world."""
+    """Unit normal from the capsule to the point, in the world."""
     away: wp.float64
-    """Distance of the sample from the capsule's axis [m]."""
+    """Distance of the point from the capsule's axis [m]."""
     axis: wp.vec3d
     """Direction of the capsule's axis; 0 where the nearest point is on a cap."""
-
-
-@wp.func
-def material_point(s: real, b: vec3, xp: vec3, qp: quat, xc: vec3, qc: quat):
-    """World position of a material point with the offset ``b`` from the middle line at rest."""
-    return (ONE - s) * (xp + wp.quat_rotate(qp, b)) + s * (xc + wp.quat_rotate(qc, b))
 
 
 @wp.func

@@ -7,8 +7,8 @@ weight.
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
-from vsfsim.physics.rods.kernels.contact_law import capsule_gap
-from vsfsim.physics.rods.kernels.geometry import sample_point
+from vsfsim.physics.rods.kernels.fibre import POINTS
+from vsfsim.physics.rods.kernels.geometry import fibre_patch
 from vsfsim.physics.rods.kernels.lanes import lane_count, lanes_before, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ZERO, real, vec3
 from vsfsim.physics.rods.problem import Touches, Trees
@@ -16,7 +16,7 @@ from vsfsim.physics.rods.workspace import Stick, Thread, Work
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-SAMPLES = wp.constant(4096)  # stride of the keys of contacts; a segment has fewer samples
+KEYS = wp.constant(4096)  # stride of the keys of contacts; the fibres of a segment have fewer points
 
 
 @wp.func
@@ -53,14 +53,18 @@ def find_contact(w: Work, old: int, b: int, key: int):
 
 @wp.func
 def nearby_capsules(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, margin: real):
-    """The capsules that may be closer than ``margin`` to a sample of segment ``i``, a bit each. Sets
+    """The capsules that may be closer than ``margin`` to a fibre of segment ``i``, a bit each. Sets
     `Nodes.segment_clearance`."""
     b = me.b
     p = tree.parent[me.o + i]
     xp = w.nodes.x[b, p]
     xc = w.nodes.x[b, i]
     mid = HALF * (xp + xc)
-    around = HALF * wp.length(xc - xp) + tree.bound[me.o + i]
+    # the control points of the cubic (Bezier) bound it; the middle line is close to it
+    third = (tree.rest[me.o + i] - tree.rest[me.o + p]) / real(3.0)
+    leave = wp.length(xp + wp.quat_rotate(w.nodes.q[b, p], third) - mid)
+    come = wp.length(xc - wp.quat_rotate(w.nodes.q[b, i], third) - mid)
+    around = wp.max(HALF * wp.length(xc - xp), wp.max(leave, come)) + tree.bound[me.o + i]
     clear = real(1.0)
     which = int(0)
     for k in range(touch.half.shape[0]):
@@ -79,57 +83,53 @@ def nearby_capsules(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, ma
 
 @wp.func
 def append_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, i: int, k: int, margin: real, old: int, new: int,
-           begin: int):
-    """Appends the samples of segment ``i`` closer than ``margin`` to capsule ``k`` to the list ``new`` from ``begin``
-    on, as far as there is room. Returns their number. The lanes share the samples: a leaf has hundreds."""
+                    begin: int):
+    """Appends the points of the fibres of segment ``i`` closer than ``margin`` to capsule ``k`` to the list ``new``
+    from ``begin`` on, as far as there is room. Returns their number. The lanes share the fibres: a leaf has many."""
     b = me.b
     m = begin
     p = tree.parent[me.o + i]
     cx = w.capsules.x[b, k]
     cq = w.capsules.q[b, k]
-    start = tree.sample[me.o + i]
-    stop = tree.sample[me.o + i + 1]
+    start = tree.fibre[me.o + i]
+    stop = tree.fibre[me.o + i + 1]
     for base in range(start, stop, me.lanes):
         j = base + me.lane
         hit = int(0)
         if j < stop:
-            y = sample_point(tree, b, p, i, j, w.nodes.x, w.nodes.q)
-            gap = capsule_gap(y, tree.radius[j], cx, cq, touch.half[k], touch.radius[k])
-            if gap.value < margin:
+            patch = fibre_patch(tree, touch, b, me.o, p, i, j, k, w.nodes.x, w.nodes.q, cx, cq)
+            if patch.gap < margin:
                 hit = 1
-        place = m + lanes_before(hit)
-        if hit == 1 and place < w.contacts.key.shape[2]:
-            key = (i * touch.half.shape[0] + k) * SAMPLES + (j - start)
-            w.contacts.key[new, b, place] = key
-            w.contacts.sample[new, b, place] = j
-            w.contacts.node[new, b, place] = i
-            w.contacts.capsule[new, b, place] = k
-            stuck = int(Stick.FREE)
-            there = find_contact(w, old, b, key)
-            if there >= 0:
-                stuck = wp.min(w.contacts.stuck[old, b, there], Stick.STUCK)
-                w.contacts.anchor[new, b, place] = w.contacts.anchor[old, b, there]
-            w.contacts.stuck[new, b, place] = stuck
-            cx0 = w.capsules.x_start[b, k]
-            cq0 = w.capsules.q_start[b, k]
-            y0 = sample_point(tree, b, p, i, j, w.nodes.x_start, w.nodes.q_start)
-            gap0 = capsule_gap(y0, tree.radius[j], cx0, cq0, touch.half[k], touch.radius[k])
-            lever = -tree.radius[j] * gap0.normal
-            w.contacts.lever[new, b, place] = lever
-            w.contacts.gap_start[new, b, place] = wp.max(gap0.value, ZERO)
-            w.contacts.point_start[new, b, place] = wp.quat_rotate_inv(cq0, y0 + lever - cx0)
-            w.contacts.friction_limit[new, b, place] = ZERO
-        m = m + lane_count(hit)
+        place = m + POINTS * lanes_before(hit)
+        if hit == 1 and place + POINTS <= w.contacts.key.shape[2]:
+            begun = fibre_patch(tree, touch, b, me.o, p, i, j, k, w.nodes.x_start, w.nodes.q_start,
+                                w.capsules.x_start[b, k], w.capsules.q_start[b, k])
+            first = (i * touch.half.shape[0] + k) * KEYS + POINTS * (j - start)
+            there = find_contact(w, old, b, first)
+            for n in range(POINTS):
+                c = place + n
+                w.contacts.key[new, b, c] = first + n
+                w.contacts.fibre[new, b, c] = j
+                w.contacts.node[new, b, c] = i
+                w.contacts.capsule[new, b, c] = k
+                stuck = int(Stick.FREE)
+                if there >= 0:
+                    stuck = wp.min(w.contacts.stuck[old, b, there + n], Stick.STUCK)
+                    w.contacts.stretch[new, b, c] = w.contacts.stretch[old, b, there + n]
+                w.contacts.stuck[new, b, c] = stuck
+                w.contacts.gap_start[new, b, c] = wp.max(begun.gap, ZERO)
+                w.contacts.friction_limit[new, b, c] = ZERO
+        m = m + POINTS * lane_count(hit)
     return m - begin
 
 
 @wp.func
 def list_contacts(tree: Trees, touch: Touches, w: Work, me: Thread, margin: real, old: int, new: int):
-    """Lists all pairs of a sample and a capsule closer than ``margin``, sorted by their keys, in the list ``new``;
-    pairs of the list ``old`` keep their anchors.
+    """Lists the points of all pairs of a fibre and a capsule closer than ``margin``, sorted by their keys, in the list
+    ``new``; those of the list ``old`` keep what friction has stretched.
 
     Returns:
-        The number of pairs, or -1 if there is no room for them.
+        The number of points, or -1 if there is no room for them.
     """
     b = me.b
     for i in range(1 + me.lane, me.n, me.lanes):

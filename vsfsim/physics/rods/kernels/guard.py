@@ -140,7 +140,7 @@ def save_equilibrium(w: Work, me: Thread, side: int):
     for c in range(me.lane, w.contacts.count[side, b], me.lanes):
         w.guard.key[b, c] = w.contacts.key[side, b, c]
         w.guard.stuck[b, c] = w.contacts.stuck[side, b, c]
-        w.guard.anchor[b, c] = w.contacts.anchor[side, b, c]
+        w.guard.stretch[b, c] = w.contacts.stretch[side, b, c]
     if me.lane == 0:
         w.guard.count[b] = w.contacts.count[side, b]
     sync()
@@ -148,7 +148,7 @@ def save_equilibrium(w: Work, me: Thread, side: int):
 
 @wp.func
 def restore_equilibrium(w: Work, me: Thread, side: int):
-    """Returns to the stored equilibrium: nodes, strained segments and anchors."""
+    """Returns to the stored equilibrium: nodes, strained segments and contacts."""
     b = me.b
     copy_nodes(me, w.guard.x, w.guard.q, w.nodes.x, w.nodes.q)
     for i in range(me.lane, me.n, me.lanes):
@@ -157,7 +157,7 @@ def restore_equilibrium(w: Work, me: Thread, side: int):
     for c in range(me.lane, w.guard.count[b], me.lanes):
         w.contacts.key[side, b, c] = w.guard.key[b, c]
         w.contacts.stuck[side, b, c] = w.guard.stuck[b, c]
-        w.contacts.anchor[side, b, c] = w.guard.anchor[b, c]
+        w.contacts.stretch[side, b, c] = w.guard.stretch[b, c]
     if me.lane == 0:
         w.contacts.count[side, b] = w.guard.count[b]
     sync()
@@ -172,7 +172,7 @@ def guard_frame(touch: Touches, w: Work, me: Thread, t: int, goal: real, side: i
     force to stop at, so it is only marked; the arm stops where several in a row exceed the force of the stop.
 
     Args:
-        side: list of the contacts. pressed: sum of the contact forces [N]. touching: number of samples that touch.
+        side: list of the contacts. pressed: sum of the contact forces [N]. touching: number of patches that touch.
         reason: `frames.Reason`. wrong_side: whether a link may be inside the plant.
 
     Returns:

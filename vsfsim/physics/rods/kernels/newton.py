@@ -22,7 +22,7 @@ from vsfsim.physics.solve.frames import Reason
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a sample is listed as a contact [m]
+MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a fibre is listed as a contact [m]
 # Longest displacement in one iteration over the clearance of the node, its distance from the capsules. The clearance
 # counts as `MARGIN` at least, which is less than half the thickness of the thinnest capsule.
 MOVE = wp.constant(wp.float64(0.85))

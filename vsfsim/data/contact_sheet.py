@@ -1,17 +1,25 @@
-"""One picture of a dataset: for each object view its image, depth, touched points and force curves."""
+"""One picture of a dataset: for each object view its image, depth, touched points and force curves.
+
+Object views, views and touches are those of `vsfsim.data.records`, which calls this module and is not imported here.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from vsfsim.data.records import ObjectView, Touch, View
-from vsfsim.sensing.surface import RenderError
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.interactive.figure import new_figure
+
+ObjectView: TypeAlias = Any
+View: TypeAlias = Any
+Touch: TypeAlias = Any
 
 
-def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: str = "") -> None:
+def contact_sheet(views: Sequence[ObjectView], out_png: str | Path | None = None, *, title: str = "") -> Any:
     """Draw one row an object view: RGB, depth, where it was touched, and force over travel.
 
     A touch has the same colour in both panels on the right: a dot at the target with the last 20 mm of the approach,
@@ -21,24 +29,24 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
 
     Args:
         views: one or more.
-        out_png: the file to write.
+        out_png: the file to write, or None.
         title: above everything.
 
+    Returns:
+        The `matplotlib.figure.Figure`.
+
     Raises:
-        RenderError: there is no view.
+        DatasetError: there is no view.
     """
     if not views:
-        raise RenderError("contact_sheet: there is no object view to draw; give at least one.")
+        raise DatasetError("contact_sheet: there is no object view to draw; give at least one.")
     import matplotlib
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
     air = any(touch.pressure is not None for object_view in views for touch in object_view.touches)
     inside = any(touch.inside_rgb is not None for object_view in views for touch in object_view.touches)
     columns = 4 + 2 * air + inside
-    figure = Figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90, layout="constrained",
-                    facecolor="white")
-    FigureCanvasAgg(figure)
+    figure = new_figure(figsize=(3.5 * columns, 3.0 * len(views) + (0.4 if title else 0.0)), dpi=90,
+                        layout="constrained", facecolor="white")
     if title:
         figure.suptitle(title, fontsize=11)
     panels = figure.subplots(len(views), columns, squeeze=False)
@@ -49,14 +57,16 @@ def contact_sheet(views: Sequence[ObjectView], out_png: str | Path, *, title: st
         row[0].set_title(f"{object_view.name}  ({object_view.split})", fontsize=9, loc="left")
         _depth(figure, row[1], object_view.view, window)
         _targets(row[2], object_view, colours, window)
-        _curves(row[3], object_view, colours, "normal force [N]", Touch.normal_force)
+        _curves(row[3], object_view, colours, "normal force [N]", lambda touch: touch.normal_force())
         if air:
             _curves(row[4], object_view, colours, "pressure change [Pa]", _pressure_change)
             number, frame = _hardest(object_view)
             _skin(figure, row[5], object_view, number, frame)
             if inside:
                 _inside(row[6], object_view, number, frame)
-    figure.savefig(out_png)
+    if out_png is not None:
+        figure.savefig(out_png)
+    return figure
 
 
 def _window(view: View) -> tuple[int, int, int, int]:

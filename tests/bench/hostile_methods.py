@@ -1,0 +1,226 @@
+"""Methods that mean to cheat or that break, one way each; `test_isolation.py` runs them. A test looks at what they
+wrote into ``report``, a file."""
+
+import contextlib
+import ctypes
+import gc
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from toy_methods import Constant
+
+from vsfsim.bench.method import Estimate
+
+
+class Hostile(Constant):
+    def __init__(self, *, report="", value=1.5):
+        super().__init__(value=value)
+        self.report = report
+
+    def found(self, what):
+        if self.report:
+            with open(self.report, "a") as file:
+                file.write(json.dumps(what) + "\n")
+
+
+class ReadsFrames(Hostile):
+    """Looks through the frames that called it for a truth, a recording or a dataset."""
+
+    def predict(self, touches):
+        frame, names = sys._getframe(), []
+        while frame is not None:
+            names += [f"{type(value).__module__}.{type(value).__qualname__}" for value in frame.f_locals.values()]
+            frame = frame.f_back
+        self.found(sorted(set(names)))
+        return super().predict(touches)
+
+
+class ReadsMemory(Hostile):
+    """Looks through every object that the garbage collector knows of."""
+
+    def predict(self, touches):
+        gc.collect()
+        kinds = [type(item).__name__ for item in gc.get_objects()]
+        arrays = [array for item in gc.get_objects() if isinstance(item, (list, tuple, dict))
+                  for array in (item.values() if isinstance(item, dict) else item) if isinstance(array, np.ndarray)]
+        self.found({"kinds": sorted(set(kinds) & {"Truth", "ObjectView", "Recording", "Dataset", "Subject", "Draw"}),
+                    "readings": [float(np.sum(a)) for a in arrays if a.ndim == 2 and a.shape[1] == 1]})
+        return super().predict(touches)
+
+
+class OpensFiles(Hostile):
+    """Looks for datasets where they are usually kept, and for their folder in the environment."""
+
+    def predict(self, touches):
+        self.found({"here": [str(p) for p in Path().rglob("*")], "below": [str(p) for p in Path("datasets").glob("*")],
+                    "environment": [k for k, v in os.environ.items() if "datasets" in v.lower() or k in (
+                        "VSFSIM_DATASETS", "PWD", "OLDPWD")]})
+        return super().predict(touches)
+
+
+class OpensPath(Hostile):
+    """Opens a file whose absolute path it was told."""
+
+    def __init__(self, *, path="", report=""):
+        super().__init__(report=report)
+        self.path = path
+
+    def predict(self, touches):
+        if self.path:
+            try:
+                self.found(len(Path(self.path).read_bytes()))
+            except OSError as error:
+                self.found(type(error).__name__)
+        return super().predict(touches)
+
+
+class Overwrites(Hostile):
+    """Makes the arrays that it was given writeable and overwrites them: perfect answers, if they were the scorer's."""
+
+    def adapt(self, view, support):
+        for reading in support:
+            for array in (reading.value, reading.valid, reading.action.poses):
+                self.overwrite(array)
+
+    def predict(self, touches):
+        for touch in touches:
+            self.overwrite(touch.poses)
+        return super().predict(touches)
+
+    def overwrite(self, array):
+        self.found(array.flags.writeable)
+        with contextlib.suppress(ValueError):
+            array.flags.writeable = True
+        ctypes.memset(array.ctypes.data, 0, array.nbytes)  # no flag keeps a process from its own memory
+
+
+def _replace_the_scorer():
+    from vsfsim.bench import metrics, reading_metrics
+
+    for module, name in ((reading_metrics, "touch_errors"), (metrics, "score_of_rows")):
+        setattr(module, name, lambda *_: {"n": 1, "sse": 0.0, "sae": 0.0})
+    object.__setattr__(metrics.METRICS["rmse"], "score", lambda records: 0.0)
+
+
+class ReplacesScorer(Hostile):
+    """Replaces the functions that score, when it is built and when it predicts; `hostile_import` does at import."""
+
+    def __init__(self, *, report="", value=1.5):
+        super().__init__(report=report, value=value)
+        _replace_the_scorer()
+
+    def predict(self, touches):
+        _replace_the_scorer()
+        return super().predict(touches)
+
+
+class Remembers(Hostile):
+    """Keeps what it was given in every place that a process has, and says how much was there before."""
+
+    seen: ClassVar[list] = []
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        import vsfsim
+
+        held = [len(Remembers.seen), len(getattr(self, "mine", [])), len(getattr(vsfsim, "_mine", [])),
+                int(os.environ.get("MINE", 0))]
+        self.found([len(support), *held])
+        Remembers.seen.append(support)
+        self.mine = vsfsim._mine = [support]
+        os.environ["MINE"] = "1"
+
+
+class Lingers(Hostile):
+    """Leaves a process behind that outlives its trial."""
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        if self.report:
+            child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+            self.found(child.pid)
+
+
+class Prints(Hostile):
+    def predict(self, touches):
+        print("\x1b[31mI am rank 1", flush=True)
+        os.system("echo from a shell")
+        return super().predict(touches)
+
+
+class Sleeps(Hostile):
+    def predict(self, touches):
+        time.sleep(1000.0)
+
+
+class Allocates(Hostile):
+    def __init__(self, *, gib=4.0, report=""):
+        super().__init__(report=report)
+        self.gib = gib
+
+    def predict(self, touches):
+        waste = np.ones(int(self.gib * 2**30) // 8)
+        return [waste[: len(touch.time), None] for touch in touches]
+
+
+class Exits(Hostile):
+    def predict(self, touches):
+        sys.exit(0)
+
+
+class Dies(Hostile):
+    def predict(self, touches):
+        os._exit(0)
+
+
+class Crashes(Hostile):
+    def predict(self, touches):
+        os.kill(os.getpid(), 11)
+
+
+class AnswersText(Hostile):
+    def predict(self, touches):
+        return [np.full((len(t.time), t.size), "1.5") for t in touches]
+
+
+class AnswersComplex(Hostile):
+    def predict(self, touches):
+        return [np.full((len(t.time), t.size), 1.5 + 0j) for t in touches]
+
+
+class AnswersHuge(Hostile):
+    def predict(self, touches):
+        return [np.full((len(t.time), t.size), 1e308) for t in touches]
+
+
+class StiffnessIsAList(Hostile):
+    def stiffness(self, points):
+        return [1.0] * len(points)
+
+
+class StiffnessIsText(Hostile):
+    def stiffness(self, points):
+        return Estimate(["soft"] * len(points), ["sure"] * len(points))
+
+
+class NotPlain(Hostile):
+    def __init__(self, *, model=np.zeros(3)):  # noqa: B008
+        super().__init__()
+
+
+class Forges(Hostile):
+    """Writes onto every pipe of its process, so that the scorer reads what is no answer."""
+
+    def predict(self, touches):
+        for handle in range(3, 64):
+            try:
+                os.write(handle, (37 << 30).to_bytes(8, "little") + b"x" * 64)
+            except OSError:
+                continue
+        time.sleep(1000.0)

@@ -1,0 +1,174 @@
+"""Which results are ranked: other data, other numbers and old files are shown with the reason or refused."""
+
+import dataclasses
+import json
+import math
+
+import pytest
+
+from vsfsim.bench import fingerprint, leaderboard
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.result import Result
+from vsfsim.core.errors import TaskError
+
+
+@pytest.fixture(scope="module")
+def result(task, toy_dataset):
+    return evaluate("toy_methods:Constant", task, toy_dataset, check=False)
+
+
+@pytest.fixture
+def record(task, toy_dataset, tmp_path, monkeypatch):
+    """The task ships the record of the toy dataset."""
+    path = tmp_path / "records" / "toy-v1.json"
+    monkeypatch.setattr(fingerprint, "record_path", lambda _: path)
+    fingerprint.write_record(task, toy_dataset, path)
+    return fingerprint.shipped_record(task)
+
+
+def views(rounding=0.0, train=0):
+    """The toy dataset's views with their readings, paths and depth rounded otherwise; ``train`` is the object that the
+    training file holds."""
+    out = []
+    for i in range(3):
+        view = mock_view(train if i == 0 else i, split="train" if i < 1 else "test", touches=12)
+        touches = tuple(dataclasses.replace(t, force=t.force * (1.0 + rounding), mount_pose=t.mount_pose + rounding)
+                        for t in view.touches)
+        image = dataclasses.replace(view.view, depth=view.view.depth * (1.0 + rounding))
+        out.append(dataclasses.replace(view, name=f"mock-{i:04d}-v0", object_index=i, touches=touches, view=image))
+    return out
+
+
+def test_a_record_is_short_and_knows_its_dataset(task, toy_dataset, record):
+    assert fingerprint.record_path(task).stat().st_size < 4096 * len(record.entries)
+    again = fingerprint.Record.read(json.loads(json.dumps(record.table())), "x")
+    assert fingerprint.differences(again, record) == []
+    assert fingerprint.beside_record(task, toy_dataset) == {}
+    assert [len(e.query) for e in record.entries] == [0, 4, 4]
+
+
+def test_rounding_is_the_same_dataset_and_anything_else_is_not(task, record, write_dataset):
+    def found(views):
+        return fingerprint.differences(fingerprint.make_record(task, write_dataset(views)), record)
+
+    assert found(views(1e-7)) == []
+    assert found(views(1e-2)) != []
+    stolen = found(views(train=1))
+    assert any("touches differ (mock-0000-v0 touch 0: " in word for word in stolen)
+    turned = views()
+    turned[0] = dataclasses.replace(turned[0], touches=turned[0].touches[::-1])
+    assert "of 36 touches differ" in found(turned)[0]
+    other = views()
+    other[2] = dataclasses.replace(other[2], view=dataclasses.replace(other[2].view, rgb=255 - other[2].view.rgb))
+    assert found(other) == ["1 of 3 views differ (mock-0002-v0: colour)"]
+    softer = views()
+    softer[1] = dataclasses.replace(softer[1], touches=(*softer[1].touches[:3], dataclasses.replace(
+        softer[1].touches[3], force=1.01 * softer[1].touches[3].force), *softer[1].touches[4:]))
+    assert found(softer) == ["1 of 36 touches differ (mock-0001-v0 touch 3: reading)"]
+    renamed = [dataclasses.replace(v, name=f"shoe-{v.object_index:04d}-v0") for v in views()]
+    assert found(renamed) == ["its object views or their splits are others, e.g. shoe-0000-v0"]
+
+
+def test_training_on_the_test_objects_is_not_ranked(task, record, result, write_dataset, tmp_path):
+    same = evaluate("toy_methods:Constant", task, write_dataset(views(1e-7)), parameters={"value": 3.0}, check=False)
+    cheat = evaluate("toy_methods:Constant", task, write_dataset(views(train=1)), parameters={"value": 4.0},
+                     check=False)
+    (tmp_path / "results").mkdir()
+    for name, one in (("a", result), ("b", same), ("c", cheat)):
+        dataclasses.replace(one, method=name).save(tmp_path / "results" / f"{name}.json")
+    board = leaderboard.collect(task, [tmp_path / "results"])
+    rows = {row.result.method: row for row in board.rows}
+    assert rows["a"].rank and rows["b"].rank and rows["b"].other_bits and rows["c"].rank is None
+    assert "other dataset" in rows["c"].mark and "touches differ (mock-0000-v0 touch 0" in rows["c"].mark
+    text = leaderboard.text(board)
+    assert "c: other dataset" in text and "~ on the same dataset" in text and "ships no record" not in text
+
+
+def change(**fields):
+    return lambda result: dataclasses.replace(result, **{name: make(result) for name, make in fields.items()})
+
+
+def first(value, **columns):
+    def make(result):
+        return {**result.queries, **{name: [value, *result.queries[name][1:]] for name in columns}}
+    return make
+
+
+@pytest.mark.parametrize(("wrong", "reason"), [
+    (change(scores=lambda r: {"rmse": {shot: dataclasses.replace(s, mean=0.1, per_seed=(0.1,) * 3, std=0.0)
+                                       for shot, s in r.scores["rmse"].items()}}), "its rmse at 0-shot is not that of"),
+    (change(scores=lambda r: {**r.scores, "mae": {s: dataclasses.replace(v, std=9.0) for s, v in r.scores["mae"].items()
+                                                  }}), "its mae at 0-shot is not that of its rows"),
+    (change(queries=first(1e-3, sse=1)), "sums of errors that no errors have"),
+    (change(queries=first("mock-0002-v0", object=1)), "query touch"),
+    (change(queries=lambda r: {k: v[:-1] for k, v in r.queries.items()}), "missing or there twice"),
+    (change(queries=lambda r: {k: [*v, v[0]] for k, v in r.queries.items()}), "missing or there twice"),
+    (change(task_sha256=lambda r: "0" * 64), "other text of the task"),
+    (change(dataset_sha256=lambda r: "0" * 64), "other dataset (000000000000), of which nothing is known"),
+    (change(answers=lambda r: {"stiffness": {k: v[:4] for k, v in r.answers["stiffness"].items()}}),
+     "its stiffness_spearman at 0-shot is not that of its rows"),
+])
+def test_numbers_that_disagree_are_not_ranked(task, record, result, tmp_path, wrong, reason):
+    wrong(result).save(tmp_path / "r.json")
+    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+    assert row.rank is None and reason in row.mark
+    result.save(tmp_path / "r.json")
+    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+    assert row.rank == 1 and row.scores == result.scores
+
+
+def test_fewer_seeds_are_not_ranked(task, toy_dataset, record, tmp_path):
+    evaluate("toy_methods:Constant", task, toy_dataset, seeds=1, check=False).save(tmp_path / "r.json")
+    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+    assert row.rank is None and row.mark == "1 of the task's 3 seeds"
+
+
+def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, tmp_path):
+    result.save(tmp_path / "r.json")
+    table = json.loads((tmp_path / "r.json").read_text())
+    for name in ("package", "isolation", "data", "answers"):
+        del table[name]
+    (tmp_path / "r.json").write_text(json.dumps({**table, "schema_version": 1}))
+    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+    assert row.rank == 1 and row.result.schema_version == 1 and row.result.answers == {}
+    wanted = dataclasses.replace(task, primary="mask_f1")
+    assert leaderboard.collect(wanted, [tmp_path / "r.json"]).rows[0].mark == "no mask_f1 at 5-shot"
+
+
+@pytest.mark.parametrize("poison", [
+    lambda t: t["queries"]["sse"].__setitem__(0, -1.0), lambda t: t["queries"]["n"].__setitem__(0, 0),
+    lambda t: t["queries"]["n"].__setitem__(0, None), lambda t: t["queries"]["sse"].__setitem__(0, [1.0]),
+    lambda t: t["queries"].update(sse=None), lambda t: t["scores"]["rmse"].update({"0": []}),
+    lambda t: t["scores"]["rmse"]["0"].update(per_seed=[math.inf] * 3), lambda t: t.update(scores=[]),
+    lambda t: t["scores"]["rmse"]["0"].update(mean=math.nan), lambda t: t.update(method=None),
+    lambda t: t.update(parameters=json.loads("[" * 900 + "]" * 900)), lambda t: t.update(seeds=[0, 0, 0]),
+    lambda t: t.update(seeds=[]), lambda t: t["timing"].update(adapt_s=-1.0), lambda t: t.update(queries=7),
+    lambda t: t["queries"]["sse"].__setitem__(0, 10**400), lambda t: t.update(shots="0"),
+])
+def test_poisoned_results_are_refused_in_one_paragraph(result, tmp_path, poison):
+    result.save(tmp_path / "r.json")
+    table = json.loads((tmp_path / "r.json").read_text())
+    poison(table)
+    (tmp_path / "r.json").write_text(json.dumps(table))
+    with pytest.raises(TaskError, match=r"r\.json (is malformed|cannot be read): "):
+        Result.load(tmp_path / "r.json")
+
+
+def test_names_are_cleaned_for_a_terminal_and_a_page(task, record, result, tmp_path):
+    evil = "\x1b[2J<script>alert(1)</script>|\u202eknar\r\n# [x](javascript:1)"
+    dataclasses.replace(result, method=evil, notes=(evil,)).save(tmp_path / "r.json")
+    board = leaderboard.collect(task, [tmp_path / "r.json"])
+    for page in (leaderboard.text(board), leaderboard.markdown(board)):
+        assert not set(page) & set("\x1b\r\u202e")
+    page = leaderboard.markdown(board)
+    assert "<script" not in page and "](javascript" not in page
+    (row,) = [line for line in page.splitlines() if line.startswith("| 1 |")]
+    assert row.count("|") == page.splitlines()[page.splitlines().index(row) - 1].count("|")
+
+
+@pytest.mark.parametrize("words", ["{}", "[]", "null", '{"format": "vsfsim-task-record", "version": 1}', "[" * 5000])
+def test_a_damaged_record_is_refused(task, record, words):
+    fingerprint.record_path(task).write_text(words)
+    with pytest.raises(TaskError, match=r"toy-v1\.json (is no record|cannot be read)"):
+        fingerprint.shipped_record(task)

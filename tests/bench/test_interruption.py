@@ -1,0 +1,147 @@
+"""An evaluation that is stopped keeps its finished seeds and goes on; files are written whole or not at all."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import TASK
+
+from vsfsim.bench.predictions import questions, score_predictions
+from vsfsim.bench.result import Result
+from vsfsim.core.errors import MethodError
+
+HERE = Path(__file__).parent
+WORDS = ["evaluate", "--method", "slow_method:Slow", "--task", "toy-v1.toml", "--dataset", "toy"]
+
+
+def start(*words, cwd, **options):
+    code = f"import sys; sys.path.insert(0, {str(HERE)!r}); from vsfsim.cli.main import main; main()"
+    return subprocess.Popen([sys.executable, "-c", code, *words], cwd=cwd, stdout=subprocess.PIPE,
+                            stderr=subprocess.PIPE, text=True, start_new_session=True,
+                            # a shell starts what runs in its background, these tests perhaps, with Ctrl-C ignored
+                            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+                            env={**os.environ, "PYTHONPATH": f"{HERE}:{os.environ.get('PYTHONPATH', '')}", **options})
+
+
+@pytest.fixture
+def folder(tmp_path, toy_dataset):
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    (tmp_path / "toy").symlink_to(toy_dataset.path)
+    (tmp_path / "slow_method.py").write_text(
+        "import os, time\nfrom toy_methods import Constant\n\n\nclass Slow(Constant):\n"
+        "    def adapt(self, view, support):\n        super().adapt(view, support)\n"
+        f"        if os.path.exists({str(tmp_path / 'slow')!r}):\n            time.sleep(0.5)\n")
+    (tmp_path / "slow").touch()
+    return tmp_path
+
+
+def test_a_stopped_evaluation_goes_on(folder):
+    part = folder / "results" / "toy-v1" / "slow_method.Slow.part"
+    process = start(*WORDS, cwd=folder)
+    until = time.monotonic() + 120.0
+    while not (part / "seed-0000.npz").exists() and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.05)
+    os.kill(process.pid, signal.SIGINT)
+    out, err = process.communicate(timeout=60.0)
+    assert process.returncode == 130 and "Traceback" not in err, err
+    assert "of 3 seeds are finished and kept in" in err and "Run the same command again" in err
+    assert not out and sorted(p.name for p in part.parent.iterdir()) == [part.name], "no half-written result"
+    kept = (part / "seed-0000.npz").stat().st_mtime_ns
+    (part / "seed-0002.npz").write_bytes(b"half")  # as a crash of the disk could leave it
+    (folder / "slow").unlink()
+    process = start(*WORDS, cwd=folder)
+    while part.exists() and process.poll() is None:
+        assert not (part / "seed-0000.npz").exists() or (part / "seed-0000.npz").stat().st_mtime_ns == kept
+        time.sleep(0.02)
+    out, err = process.communicate(timeout=60.0)
+    assert process.returncode == 0 and "written to" in out, err
+    found = Result.load(part.with_suffix(".json"))
+    assert not part.exists() and found.computed() == found.scores and found.seeds == (0, 1, 2)
+    assert {row for row in found.queries["seed"]} == {0, 1, 2}
+
+
+def test_several_methods_and_an_ascii_terminal(folder):
+    (folder / "slow").unlink()
+    process = start("evaluate", "--method", "toy_methods:Constant", "--method", "slow_method:Slow", "--task",
+                    "toy-v1.toml", "--dataset", "toy", "--seeds", "1", "--workers", "2", cwd=folder,
+                    PYTHONIOENCODING="ascii")
+    out, err = process.communicate(timeout=120.0)
+    assert process.returncode == 0, err
+    assert out.count("written to") == 2 and "+-" in out and out.isascii()
+    names = sorted(p.name for p in (folder / "results" / "toy-v1").iterdir())
+    assert names == ["slow_method.Slow.json", "toy_methods.Constant.json"]
+
+
+def npz(**arrays):
+    def write(path):
+        np.savez(path, **arrays)
+    return write
+
+
+def header(shape, dtype):
+    """An .npz whose header claims more than there is."""
+    def write(path):
+        import io
+        import zipfile
+
+        out = io.BytesIO()
+        np.lib.format.write_array_header_1_0(out, {"descr": dtype, "fortran_order": False, "shape": shape})
+        with zipfile.ZipFile(path, "w") as file:
+            file.writestr("mock-0001-v0/0/0/003.npy", out.getvalue())
+    return write
+
+
+@pytest.mark.parametrize(("write", "message"), [
+    (lambda path: path.write_bytes(b""), "cannot be read"),
+    (lambda path: np.save(open(path, "wb"), np.zeros(3)), "cannot be read: File is not a zip file"),
+    (lambda path: path.write_bytes(b"PK\x03\x04" + bytes(40)), "cannot be read"),
+    (header((5_000_000_000,), "<f8"), r"has shape \(5000000000,\) and dtype float64"),
+    (header((12, 1), "<f8"), "ends after 0 of 96 bytes"),
+    (header((12, 1), "<U3"), "has shape .* and dtype <U3; it must be real numbers"),
+    (header((12, 1), "|O"), "dtype object; it must be real numbers"),
+    (npz(x=np.zeros(3)), "have no 'mock-0001-v0/0/0/"),
+])
+def test_predictions_that_are_not(task, toy_dataset, tmp_path, write, message):
+    first = next(questions(task, toy_dataset)).keys[0]
+    path = tmp_path / "p.npz"
+    write(path)
+    if path.read_bytes():  # the array under test is the one that is asked for first
+        content = path.read_bytes().replace(b"mock-0001-v0/0/0/003", first.encode())
+        path.write_bytes(content)
+    with pytest.raises(MethodError, match=message):
+        score_predictions(path, task, toy_dataset, name="x")
+
+
+def test_the_name_of_a_score_cannot_leave_its_folder(vsfsim, folder, task, toy_dataset):
+    answers = {key: np.zeros((len(action.time), 1)) for question in questions(task, toy_dataset)
+               for key, action in zip(question.keys, question.actions)}
+    np.savez(folder / "p.npz", **answers)
+    out = vsfsim("score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "../../../x\x1b[2J",
+                 cwd=folder)
+    assert out.returncode == 0, out.stderr
+    (path,) = (folder / "results" / "toy-v1").iterdir()
+    assert path.name == "x.2J.json" and "\x1b" not in out.stdout
+    assert "\x1b" not in json.loads(path.read_text())["method"]
+
+
+def test_an_out_that_cannot_be_written_is_found_first(vsfsim, folder, monkeypatch):
+    (folder / "readonly").mkdir()
+    monkeypatch.setattr(os, "access", lambda path, mode: "readonly" not in str(path))  # root may write everywhere
+    out = vsfsim(*WORDS, "--out", "readonly/r.json", cwd=folder)
+    assert out.returncode == 2 and "--out is 'readonly/r.json', but 'readonly' cannot be written" in out.stderr
+    assert not list((folder / "readonly").iterdir())
+
+
+def test_the_record_command_writes_what_the_board_reads(vsfsim, folder, monkeypatch, task):
+    from vsfsim.bench import fingerprint
+
+    monkeypatch.setattr(fingerprint, "record_path", lambda one: folder / "records" / f"{one.name}.json")
+    out = vsfsim("tasks", "--record", "toy", "--task", "toy-v1.toml", cwd=folder)
+    assert out.returncode == 0 and "3 views, 36 touches" in out.stdout, out.stderr
+    assert fingerprint.shipped_record(task).task == "toy-v1"

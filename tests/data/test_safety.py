@@ -1,0 +1,180 @@
+"""Dataset files that point outside, announce more than they hold, or are there twice."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+
+import h5py
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.plain_text import file_stem, markdown, plain
+from vsfsim.data.dataset import Dataset, manifest_bytes
+from vsfsim.data.disk import file_sha256
+from vsfsim.data.hdf5 import read_view
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+
+@pytest.fixture
+def folder(tmp_path):
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
+                    splits={"train": 1, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=2) for i in range(2)]
+    with DatasetWriter(tmp_path / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    return tmp_path / "toy"
+
+
+def rewrite(folder, change):
+    """Change the table of dataset.json and make its digest fit again, as somebody would who means to."""
+    table = json.loads((folder / "dataset.json").read_text())
+    change(table)
+    (folder / "dataset.json").write_bytes(manifest_bytes(table))
+
+
+def load_all(folder):
+    return [dataset.load(name) for dataset in [Dataset.open(folder)] for name in dataset.names()]
+
+
+def test_a_whole_dataset_is_read(folder):
+    assert [view.name for view in load_all(folder)] == ["mock-0000-v0", "mock-0001-v0"]
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (lambda f: f[0].update(file="../secret.h5"), "is no name of an object view or its file"),
+    (lambda f: f[0].update(file="/etc/passwd"), "is no name of an object view or its file"),
+    (lambda f: f[0].update(name="a\x1b[2Jb"), "is no name of an object view or its file"),
+    (lambda f: f[0].update(split="<b>"), "is no name of an object view or its file"),
+    (lambda f: f[0].update(frames="many"), "files.frames is many; it must be a whole number"),
+    (lambda f: f[0].update(object_index=-1), "files.object_index is -1"),
+    (lambda f: f.append(dict(f[0])), "the name mock-0000-v0 is there twice"),
+    (lambda f: f.append({**f[0], "name": "x", "object_index": 7}), "the file mock-0000-v0.h5 is there twice"),
+    (lambda f: f.append({**f[0], "name": "x", "file": "x.h5", "object_index": 7}), "the content .* is there twice"),
+    (lambda f: f[1].update(object_index=0, view_index=1), "object 0 is in the splits train and test"),
+    (lambda f: f[1].update(split="train"), "says split = 'test', and dataset.json says 'train'"),
+    (lambda f: f.clear(), "files is "),
+])
+def test_entries_that_point_outside_or_are_there_twice_are_refused(folder, change, message):
+    rewrite(folder, lambda table: change(table["files"]))
+    with pytest.raises(DatasetError, match=message):
+        load_all(folder)
+
+
+def test_a_symbolic_link_is_refused(folder):
+    file = folder / "mock-0001-v0.h5"
+    os.rename(file, folder.parent / "elsewhere.h5")
+    file.symlink_to(folder.parent / "elsewhere.h5")
+    with pytest.raises(DatasetError, match=r"mock-0001-v0\.h5 is a link"):
+        load_all(folder)
+
+
+def external_link(file, folder):
+    del file["view/depth"]
+    file["view/depth"] = h5py.ExternalLink("other.h5", "/x")
+
+
+def soft_link(file, folder):
+    del file["view/depth"]
+    file["view/depth"] = h5py.SoftLink("/truth/young_modulus")
+
+
+def external_storage(file, folder):
+    (folder / "raw").write_bytes(bytes(72))
+    del file["view/intrinsics"]
+    file.create_dataset("view/intrinsics", (3, 3), "float64", external=[(str(folder / "raw"), 0, 72)])
+
+
+def virtual(file, folder):
+    del file["view/intrinsics"]
+    layout = h5py.VirtualLayout((3, 3), "float64")
+    layout[:] = h5py.VirtualSource(str(folder / "mock-0000-v0.h5"), "view/intrinsics", (3, 3))
+    file.create_virtual_dataset("view/intrinsics", layout)
+
+
+def vast(file, folder):
+    del file["view/depth"]
+    file.create_dataset("view/depth", (30_000, 30_000), "float32", chunks=(100, 100), compression="gzip")
+
+
+def vast_chunk(file, folder):
+    del file["view/intrinsics"]
+    file.create_dataset("view/intrinsics", (3, 3), "float64", chunks=(20_000, 20_000), maxshape=(None, None))
+
+
+def many(file, folder):
+    for k in range(8):
+        file.create_dataset(f"view/more{k}", (10_000, 10_000), "float32", chunks=(100, 100), compression="gzip")
+
+
+def foreign_filter(file, folder):
+    del file["view/depth"]
+    file.create_dataset("view/depth", data=np.zeros((48, 64), np.float32), compression="lzf")
+
+
+def objects(file, folder):
+    del file["truth/region_names"]
+    file.create_dataset("truth/region_names", data=["soft", "stiff"], dtype=h5py.string_dtype())
+
+
+def a_group(file, folder):
+    del file["view/depth"]
+    file.create_group("view/depth")
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    (external_link, "view/depth is a link to another place"), (soft_link, "view/depth is a link to another place"),
+    (external_storage, "keeps its data in another file"), (virtual, "keeps its data in another file"),
+    (vast, r"view/depth has shape \(30000, 30000\), 3600 MB"), (vast_chunk, "and a chunk 67 MB"),
+    (many, "announces more than"), (foreign_filter, "is packed with filter 32000"),
+    (objects, "has dtype object"), (a_group, "view/depth is a group"),
+])
+def test_object_files_that_point_outside_or_are_too_large_are_refused(folder, change, message):
+    path = folder / "mock-0001-v0.h5"
+    with h5py.File(path, "a") as file:
+        change(file, folder)
+    rewrite(folder, lambda table: table["files"][1].update(sha256=file_sha256(path)))
+    with pytest.raises(DatasetError, match=message):
+        load_all(folder)
+    with pytest.raises(DatasetError, match=message):
+        read_view(path, blind=False)
+
+
+def test_a_vast_field_takes_no_memory(folder):
+    path = folder / "mock-0001-v0.h5"
+    with h5py.File(path, "a") as file:
+        vast(file, folder)
+    code = f"""
+import resource
+from vsfsim.core.errors import DatasetError
+from vsfsim.data.hdf5 import read_view
+resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
+try:
+    read_view({str(path)!r})
+except DatasetError as error:
+    print(error)
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "has shape (30000, 30000)" in out.stdout, out.stderr
+
+
+def test_text_is_made_plain():
+    assert plain("a\x1b[31mb\u202ec\nd\x00") == "a?[31mb?c d?" and plain("x" * 9, longest=3) == "xxx..."
+    assert markdown("<b>|a|*") == "&#60;b&#62;&#124;a&#124;&#42;"
+    assert file_stem("../../x") == "x" and file_stem("mine:One Spring") == "mine.One.Spring"
+    assert file_stem("..") == "unnamed" and "/" not in file_stem("/etc/passwd")
+
+
+def test_a_view_whose_name_is_a_path_is_not_written(folder):
+    view = dataclasses.replace(mock_view(1, touches=2), name="../x")
+    recipe = Dataset.open(folder).recipe
+    with pytest.raises(DatasetError), DatasetWriter(folder.parent / "new", recipe, [view.name]) as writer:
+        writer.add(view)
+        writer.finish()
+    assert not (folder.parent / "x.h5").exists()

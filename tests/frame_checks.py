@@ -1,0 +1,18 @@
+"""What holds for the numbers of any frames."""
+
+import dataclasses
+
+import numpy as np
+
+from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Frames
+
+
+def numbers_stand_for_equilibria(frames):
+    """Every number is finite, but for results of frames that did not converge, which are NaN and kept apart."""
+    for f in dataclasses.fields(Frames):
+        values = np.asarray(getattr(frames, f.name), float)
+        if f.name in OF_AN_EQUILIBRIUM:
+            assert np.isnan(values[~frames.converged]).all(), f"{f.name} of a frame that failed"
+            values = values[frames.converged]
+        assert np.isfinite(values).all(), f.name
+    assert (frames.unbalanced_force[frames.converged] == 0.0).all()

@@ -1,0 +1,256 @@
+"""No rigid body lies inside an object unnoticed: the check by geometry, contact between the points, marked frames."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
+from vsfsim.core.shelf import find_scene
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.presses.bubble_solve import solve as solve_bubble
+from vsfsim.physics import tiers
+from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import body_samples, inner_radius
+from vsfsim.physics.contact.intrusion import Intrusion
+from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
+from vsfsim.physics.solve.frames import Reason, SolverOptions
+from vsfsim.physics.solve.touches import Solver
+
+SIZE = (0.06, 0.06, 0.04)
+CELL = 0.01
+
+BODIES = {
+    "ball": Sphere(0.008), "small ball": Sphere(0.001), "capsule": Capsule(0.004, 0.01),
+    "cylinder": Cylinder(0.005, 0.01), "box": Box((0.008, 0.01, 0.012)),
+}
+
+
+@pytest.fixture(scope="module")
+def model(block):
+    return block(SIZE, CELL)
+
+
+def at(*places):
+    """Poses (B, 1, 4, 4) of a body at places [m]."""
+    out = np.tile(np.eye(4), (len(places), 1, 1, 1))
+    out[:, 0, :3, 3] = places
+    return out
+
+
+@pytest.mark.parametrize("shape", BODIES.values(), ids=BODIES.keys())
+def test_samples_lie_on_the_surface_and_leave_no_hole(shape):
+    spacing = 0.4 * inner_radius(shape)
+    points = body_samples(shape, spacing)
+    # the projection onto the rounded surface leaves no more than the last of three Newton steps
+    assert np.abs(sdf.distance(shape, points)).max() < 1e-6 * inner_radius(shape)
+    rng = np.random.default_rng(0)
+    reach = sdf.reach(shape)
+    other = rng.uniform(-reach, reach, (40_000, 3))
+    other = other[np.abs(sdf.distance(shape, other)) < 0.02 * spacing]
+    away = np.linalg.norm(other[:, None] - points[None], axis=2).min(axis=1)
+    assert len(other) > 50 and away.max() < spacing
+
+
+@pytest.mark.parametrize("shape", BODIES.values(), ids=BODIES.keys())
+def test_depth_of_a_body_in_a_block_at_rest(model, device, shape):
+    """Flat boundaries and straight elements, where every depth is known."""
+    check = Intrusion(model.mesh, RigidBodies(shape), model.element_size, device=device)
+    half = sdf.support(shape, np.array([0.0, 0.0, -1.0]))
+    sunk = 0.3 * half
+    places = [(0.0012, 0.0007, 0.02), (0.0, 0.0, 0.2), (0.0012, 0.0007, SIZE[2] + half - sunk),
+              (0.0012, 0.0007, SIZE[2] + half)]
+    u = torch.zeros((model.mesh.points.size, len(places)), dtype=torch.float64, device=device)
+    found = check.check(torch.arange(len(places), device=device), at(*places), u)
+    inside = found.inside.cpu().numpy()
+    lowest = min(0.02, 0.02 + half)
+    # buried: its samples reach the height of its centre, half a spacing off at most
+    assert inside[0] > 0.02 - 0.6 * inner_radius(shape) and inside[0] <= lowest + 1e-9
+    assert inside[1] == 0.0 and found.penetration[1] == 0.0 and not found.near[1].any()
+    # its lowest sample is as deep as it has sunk: no sample of the ball is exactly its pole in another pose
+    assert inside[2] == pytest.approx(sunk, rel=0.05)
+    assert inside[3] < 1e-9
+
+
+def test_a_curved_boundary_counts_as_it_is_deformed(model, device):
+    """The block's top is bent to z = h - c r^2, exactly in quadratic elements; a ball hovers over its old height."""
+    x = model.mesh.points
+    bend = -2.0 * (x[:, 0] ** 2 + x[:, 1] ** 2) * x[:, 2] / SIZE[2]
+    u = np.zeros((len(x), 3))
+    u[:, 2] = bend
+    ball = Sphere(0.001)
+    check = Intrusion(model.mesh, RigidBodies(ball), model.element_size, device=device)
+    u2 = torch.as_tensor(np.repeat(u.reshape(-1, 1), 3, axis=1), device=device)
+    r = 0.017  # from the axis: the top there is 0.578 mm lower, inclined by 3.9 degrees
+    top = SIZE[2] - 2.0 * r**2
+    found = check.check(torch.arange(3, device=device), at((r, 0, top + 0.0012), (r, 0, top + 0.0005),
+                                                           (r, 0, top - 0.004)), u2)
+    slope = np.cos(np.arctan(4.0 * r))
+    inside = found.inside.cpu().numpy()
+    assert inside[0] == 0.0
+    assert inside[1] == pytest.approx(0.001 - 0.0005 * slope, rel=0.1)  # of 66 samples none is the lowest point
+    assert inside[2] == pytest.approx(0.001 + 0.004 * slope, rel=0.05)
+
+
+def test_a_ball_smaller_than_an_element_is_met_wherever_it_is(model, device):
+    """A ball of 1 mm on cells of 10 mm, whose six points a face it would pass between."""
+    ball = Sphere(0.001)
+    # a node, the middle of an edge, of a face, and places between
+    spots = [(0.0, 0.0), (0.005, 0.0), (0.0033, 0.0033), (0.0012, 0.0047), (0.0081, 0.0013)]
+    depth = 0.0003 * np.arange(1, 4)
+    poses = np.stack([at(*[(x, y, SIZE[2] + 0.001 - d) for x, y in spots]) for d in depth])
+    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(poses)
+    assert frames.converged.all()
+    force = frames.force[:, :, 2]
+    assert (force[0] > 0.0).all() and (np.diff(force, axis=0) > 0.0).all()
+    # no more than the solver marks, and the report says it
+    assert frames.penetration.max() < 0.03 * model.element_size
+
+
+@pytest.mark.parametrize("linear", [False, True], ids=["fem", "linear"])
+def test_a_frame_with_a_body_inside_the_object_is_marked(model, device, line, monkeypatch, linear):
+    """Contact points that push with nothing: the probe passes into the block, as it did between them."""
+    make = RigidContact._patch
+    monkeypatch.setattr(RigidContact, "_patch", lambda self, b, faces: dataclasses.replace(
+        make(self, b, faces), stiffness=0.0 * make(self, b, faces).stiffness))
+    ball = Sphere(0.003)
+    poses = line([[0.0, 0.0, SIZE[2] + 0.003 - d] for d in (0.001, 0.003)] + [[0.0, 0.0, 0.06]], ball)
+    frames = Solver(model, ball, device=device, linear=linear,
+                    options=SolverOptions(tolerance=1e-3, halvings=1)).run(poses)
+    assert (frames.reason[:2, 0] == Reason.INTRUSION).all() and not frames.converged[:2].any()
+    assert frames.converged[2, 0], "free again"
+    assert frames.penetration[1, 0] == pytest.approx(0.003, rel=0.1)
+
+
+def test_a_touch_goes_on_from_the_last_equilibrium(model, device, line, monkeypatch):
+    """A frame that failed leaves no trace in those after it."""
+    ball = Sphere(0.008)
+    heights = SIZE[2] + 0.008 - np.array([0.001, 0.002, 0.003])
+    poses = line([[0.0, 0.0, z] for z in heights], ball)
+    options = SolverOptions(tolerance=1e-6)
+    whole = Solver(model, ball, device=device, options=options).run(poses)
+    solver = Solver(model, ball, device=device, options=options)
+    reach = solver._reach
+
+    def spoiled(columns, before, pose, begin, deadline, halvings, friction):
+        reach(columns, before, pose, begin, deadline, halvings, friction)
+        if abs(pose[0, 0, 2, 3] - heights[1]) < 1e-9:
+            solver._balance.u[:] = 0.01 * torch.randn(solver._balance.u.shape, dtype=torch.float64,
+                                                      generator=torch.Generator().manual_seed(0)).to(device)
+            solver._balance.reason[:] = Reason.NOT_FINITE
+
+    monkeypatch.setattr(solver, "_reach", spoiled)
+    frames = solver.run(poses)
+    assert frames.converged[:, 0].tolist() == [True, False, True]
+    # the same equilibrium to the tolerance, which bounds the error of the force balance
+    assert frames.force[2, 0, 2] == pytest.approx(whole.force[2, 0, 2], rel=1e-4)
+
+
+def s1(shape, depths, *, poisson_ratio=0.3, tier="fem-coarse", spot=(0.0, 0.0), friction=0.0, seconds=60.0, turn=None):
+    """Frames of a press into the block of S1, and its model."""
+    scene = load_scene(find_scene("indent-homogeneous")).sample(0)
+    scene = dataclasses.replace(scene, probe=shape, object=dataclasses.replace(
+        scene.object, poisson_ratio=poisson_ratio))
+    turn = np.eye(3) if turn is None else turn
+    high = 0.05 + sdf.support(shape, turn.T @ np.array([0.0, 0.0, -1.0]))
+    model = tiers.build(scene, tier, focus=np.array([[*spot, 0.05 - max(depths)]]))
+    poses = at(*[(*spot, high - d) for d in depths])[:, None]
+    poses[..., :3, :3] = turn
+    solver = Solver(model, shape, friction=friction, linear=not tiers.TIERS[tier].nonlinear,
+                    options=dataclasses.replace(tiers.options(tier), seconds=seconds))
+    return solver.run(poses, keep=True), model, solver
+
+
+def silent(frames, model):
+    """Which frames (T,) are called converged although the force does not grow with the depth."""
+    good = frames.converged[:, 0]
+    force = np.where(good, frames.force[:, 0, 2], np.nan)
+    highest = np.fmax.accumulate(np.nan_to_num(force, nan=-np.inf))
+    return good & (force < highest - 1e-3 * np.abs(highest))
+
+
+@pytest.mark.slow
+def test_a_box_pushed_deep_into_the_block_is_not_lost(device):
+    """13 mm box, 20 mm deep in four frames: it gave 6.3, 12.4, 0 and 0 N, all called converged."""
+    frames, model, _ = s1(Box((0.013,) * 3), 0.005 * np.arange(1, 5))
+    assert not silent(frames, model).any() and frames.converged[:2, 0].all()
+    assert (frames.penetration[frames.converged] < 0.05 * model.element_size).all()
+
+
+@pytest.mark.slow
+def test_a_map_of_shapes_depths_and_tiers_has_no_silent_frame(device):
+    rng = np.random.default_rng(15)
+    shapes = [Sphere(0.001), Sphere(0.002), Box((0.004,) * 3), Cylinder(0.002, 0.03), Capsule(0.0015, 0.03),
+              Box((0.013,) * 3), Cylinder(0.01, 0.02), Capsule(0.005, 0.04)]
+    for shape in shapes:
+        q, r = np.linalg.qr(rng.standard_normal((3, 3)))
+        q = q * np.sign(np.diag(r))
+        turn = q * np.linalg.det(q) if rng.uniform() < 0.5 else np.eye(3)
+        count, deepest = int(rng.integers(2, 6)), rng.uniform(0.004, 0.02)
+        tier = str(rng.choice(["fem-coarse", "fem-coarse", "linear", "spring", "vsf"]))
+        frames, model, _ = s1(shape, deepest * np.arange(1, count + 1) / count, tier=tier, turn=turn,
+                              spot=tuple(rng.uniform(-0.01, 0.01, 2)), friction=float(rng.choice([0.0, 0.5])))
+        assert not silent(frames, model).any(), (shape, tier, frames.force[:, 0, 2], frames.reason[:, 0])
+
+
+def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):
+    frames = Solver(model, Plane(), device=device).run(line([[0, 0, SIZE[2] - 0.001]], Plane()))
+    assert len(body_samples(Plane(), 0.001)) == 0
+    assert frames.converged.all() and frames.penetration.max() < 0.01 * model.element_size
+
+
+@pytest.mark.parametrize("frames", [1, 4])
+def test_a_ball_that_went_through_a_membrane_is_never_in_silence(frames):
+    """A ball of 3 mm goes 20 mm into a bubble of 390 nodes, too fast for it: every frame has a push or is marked."""
+    scene = parse_scene(BUBBLE.format(frames=frames), "bubble.toml").sample(0)
+    found = solve_bubble(scene, PressRequest(seconds=2.0)).frames
+    good = found.converged[:, 0]
+    assert (np.linalg.norm(found.force[good, 0], axis=1) > 0.1).all()
+    assert np.isnan(found.force[~good, 0]).all()
+
+
+def test_a_body_behind_a_sheet_is_as_deep_as_it_is_far_from_it():
+    """A ball of 2 mm at heights over the base of a half-sphere of 30 mm: outside, dented in and wholly inside."""
+    ball, faces = dome(0.03)
+    mesh = SimpleNamespace(points=ball, faces=faces)
+    check = SheetIntrusion(mesh, RigidBodies(Sphere(0.002)), 0.002, device="cpu")
+    pose, u = np.tile(np.eye(4), (3, 1, 1, 1)), torch.zeros((ball.size, 3), dtype=torch.float64)
+    pose[:, 0, 2, 3] = [0.0325, 0.0295, 0.015]
+    depth = check.check(torch.arange(3), pose, u)
+    # the lowest point of the ball is 2 mm under its centre; samples are half a radius apart
+    assert depth[0] == 0.0 and depth[1] == pytest.approx(0.0025, abs=4e-4)
+    assert depth[2] == pytest.approx(0.017, abs=4e-4) and check.tolerance == pytest.approx(2e-4)
+
+
+def dome(radius: float, rings: int = 24, turns: int = 48) -> tuple[np.ndarray, np.ndarray]:
+    """A half-sphere over z = 0: nodes (n, 3) [m] and triangles wound outwards (f, 3)."""
+    polar = np.linspace(0.0, 0.5 * np.pi, rings + 1)[1:]
+    angle = 2.0 * np.pi * np.arange(turns) / turns
+    p, a = np.meshgrid(polar, angle, indexing="ij")
+    nodes = np.stack([np.sin(p) * np.cos(a), np.sin(p) * np.sin(a), np.cos(p)], axis=2).reshape(-1, 3)
+    faces = [(0, 1 + k, 1 + (k + 1) % turns) for k in range(turns)]
+    for r in range(rings - 1):
+        for k in range(turns):
+            i, j = 1 + r * turns + k, 1 + r * turns + (k + 1) % turns
+            faces += [(i, i + turns, j + turns), (i, j + turns, j)]
+    return radius * np.vstack([[0.0, 0.0, 1.0], nodes]), np.array(faces)
+
+
+BUBBLE = """
+name = "bubble"
+[sensor]
+kind = "bubble"
+nodes = 390
+[[obstacles]]
+shape = {{ sphere = 0.003 }}
+pose = [0.0, 0.0, 0.0]
+[press]
+from = [0.0, 0.0, 0.034]
+to = [0.0, 0.0, 0.014]
+frames = {frames}
+"""

@@ -1,0 +1,303 @@
+"""What a new user types in the first hour: info, help, completion, JSON, a mistyped file, a method of one's own; and
+what works on a system without POSIX."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vsfsim.core import shelf
+from vsfsim.core.errors import MethodError, no_such_file
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.mark.parametrize("words", [("--help",), ("-h",)])
+def test_python_m_is_the_command_and_h_is_help(words):
+    out = subprocess.run([sys.executable, "-m", "vsfsim", *words], capture_output=True, text=True)
+    assert out.returncode == 0 and "new-method" in out.stdout and "--install-completion" in out.stdout
+
+
+def test_h_is_help_of_every_command(vsfsim, tmp_path):
+    for words in (("press",), ("leaderboard",), ("measure", "solver")):
+        out = vsfsim(*words, "-h", cwd=tmp_path)
+        assert out.returncode == 0 and "Usage:" in out.stdout and "-h, --help" in out.stdout
+
+
+@pytest.mark.parametrize(("typed", "found"), [
+    ("vsfsim lea", "leaderboard"),
+    ("vsfsim press inde", "indent-homogeneous"),
+    ("vsfsim check gauss", "gaussian-zero"),
+    ("vsfsim leaderboard --task fewshot-shoes-pu", "fewshot-shoes-punyo-mini-v1"),
+])
+def test_a_shell_completes_commands_and_names(typed, found):
+    """As bash asks for it (the script of `vsfsim --show-completion bash`)."""
+    words = typed.split()
+    env = {**os.environ, "_VSFSIM_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(words) - 1)}
+    out = subprocess.run([sys.executable, "-c", "import sys; sys.argv[0] = 'vsfsim'\n"
+                                                "from vsfsim.cli.main import main; main()"],
+                         capture_output=True, text=True, env=env)
+    assert found in out.stdout.split(), out.stdout + out.stderr
+
+
+def test_info_says_what_is_there_and_what_to_do(vsfsim, tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path / "data"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    (tmp_path / "cache" / "vsfsim").mkdir(parents=True)
+    (tmp_path / "cache" / "vsfsim" / "mesh.npz").write_bytes(bytes(2_000_000))
+    (tmp_path / "data" / "shoes-mini-v1").mkdir(parents=True)
+    (tmp_path / "data" / "shoes-mini-v1" / "dataset.json").write_bytes(bytes(1000))
+    facts = json.loads(vsfsim("info", "--json", "-", cwd=tmp_path).stdout)
+    by_name = {(fact["group"], fact["name"]): fact for fact in facts}
+    assert {group for group, _ in by_name} == {"versions", "devices", "renderers", "caches", "weights", "datasets"}
+    assert by_name["caches", "meshes"]["size"] == 2_000_000 and "2.0 MB" in by_name["caches", "meshes"]["value"]
+    assert by_name["versions", "numpy"]["value"] == np.__version__
+    assert by_name["datasets", "shoes-mini-v1"]["size"] == 1000
+    missing = by_name["datasets", "plants-mini-v1"]
+    assert missing["todo"].startswith("vsfsim generate plants-mini --objects") and str(tmp_path) in missing["todo"]
+    assert by_name["renderers", "warp"]["value"].startswith("works")
+    text = vsfsim("info", cwd=tmp_path).stdout
+    assert all(fact["name"] in text and fact["todo"] in text for fact in facts)
+
+
+def test_every_command_that_reports_writes_json(vsfsim, tmp_path):
+    """Those that need no dataset; `test_python.py` and `test_press_cli.py` hold the others."""
+    scenes = json.loads(vsfsim("scenes", "--json", "-", cwd=tmp_path).stdout)
+    assert {row["scene"] for row in scenes["scenes"]} == set(shelf.scenes()) and "shoe" in scenes["families"]
+    board = json.loads(vsfsim("leaderboard", "--task", "fewshot-shoes-mini-v1", "--json", "-", cwd=tmp_path).stdout)
+    ranks = [row["rank"] for row in board["rows"] if row["rank"]]
+    assert len(ranks) >= 5 and ranks == list(range(1, 1 + len(ranks)))
+    assert all(row["not_ranked_because"] for row in board["rows"] if row["rank"] is None)
+    assert {row["origin"] for row in board["rows"]} == {"shipped"}
+    checked = json.loads(vsfsim("check", "gaussian", "--json", "-", cwd=tmp_path).stdout)
+    assert checked["conforms"] and {clause["outcome"] for clause in checked["clauses"]} <= {"ok", "not offered"}
+    made = vsfsim("check", "gaussian", "--json", "check.json", cwd=tmp_path)
+    assert "gaussian conforms" in made.stdout and json.loads((tmp_path / "check.json").read_text()) == checked
+    from typer.main import get_command
+
+    from vsfsim.cli.main import app
+
+    silent = {"new-method", "measure", "bench"}
+    for name, command in get_command(app).commands.items():
+        options = {option for parameter in command.params for option in parameter.opts}
+        assert "--json" in options or name in silent, name
+
+
+@pytest.mark.parametrize(("words", "message"), [
+    (("press", "fom.toml"), "there is no scene file 'fom.toml'. Did you mean 'foam.toml'?"),
+    (("press", "foam.tml"), "there is no scene file 'foam.tml'. Did you mean 'foam.toml'?"),
+    (("press", "there/foam.toml"), "there is no folder 'there'"),
+    (("press", "notes.txt"), "'notes.txt' is no .toml file"),
+    (("inspect", "data/trry"), "there is no folder of a dataset 'data/trry'. Did you mean 'data/try'?"),
+    (("verify", "data/trry"), "there is no folder of a dataset 'data/trry'. Did you mean 'data/try'?"),
+    (("check", "mine.py:Mine"), "without .py: mine:Mine"),
+    (("check", "mine:Min"), "has no 'Min'. Did you mean 'Mine'?"),
+    (("score", "predictions.npz", "--name", "x", "--task", "fewshot-shoes-mini-v1", "--dataset", "data/try"),
+     "there is no file of predictions 'predictions.npz'. Did you mean 'prediction.npz'?"),
+])
+def test_a_mistyped_file_is_said_to_be_no_such_file(vsfsim, tmp_path, words, message, monkeypatch):
+    for file in ("foam.toml", "notes.txt", "prediction.npz"):
+        (tmp_path / file).write_text("")
+    (tmp_path / "mine.py").write_text("class Mine:\n    pass\n")
+    (tmp_path / "data" / "try").mkdir(parents=True)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    sys.modules.pop("mine", None)
+    if words[0] == "score":
+        monkeypatch.setattr("vsfsim.bench.task.open_dataset", lambda *_: None)
+    out = vsfsim(*words, cwd=tmp_path)
+    assert out.returncode == 2 and message in out.stderr and "Traceback" not in out.stderr, out.stderr
+
+
+def test_the_nearest_name_is_looked_for_in_the_folder(tmp_path):
+    (tmp_path / "foam.toml").write_text("")
+    assert no_such_file("scene file", tmp_path / "foamm.toml").endswith(f"Did you mean '{tmp_path / 'foam.toml'}'?")
+    assert "has a similar name" in no_such_file("scene file", tmp_path / "zzz")
+
+
+# ------------------------------------------------------------------------------------------ a method of one's own
+
+
+def test_new_method_makes_a_package_that_passes_check_and_its_own_tests(vsfsim, tmp_path):
+    out = vsfsim("new-method", "my-springs", cwd=tmp_path)
+    assert out.returncode == 0 and "vsfsim check my_springs:MySprings" in out.stdout, out.stderr
+    folder = tmp_path / "my-springs"
+    assert {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()} == {
+        "pyproject.toml", "README.md", "my_springs.py", "tests/test_my_springs.py"}
+    checked = subprocess.run([sys.executable, "-m", "vsfsim", "check", "my_springs:MySprings"], capture_output=True,
+                             text=True, cwd=folder)
+    assert checked.returncode == 0 and "conforms" in checked.stdout, checked.stdout + checked.stderr
+    tested = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"], capture_output=True,
+                            text=True, cwd=folder)
+    assert tested.returncode == 0 and "2 passed" in tested.stdout, tested.stdout + tested.stderr
+
+
+def test_its_entry_point_is_found_once_it_is_installed(vsfsim, tmp_path, monkeypatch):
+    """As an installer would leave it: the entry points of pyproject.toml in a folder of metadata on the path."""
+    import tomllib
+
+    vsfsim("new-method", "mine-too", cwd=tmp_path)
+    folder = tmp_path / "mine-too"
+    project = tomllib.loads((folder / "pyproject.toml").read_text())["project"]
+    ((group, entries),) = project["entry-points"].items()
+    info = folder / "mine_too-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine-too\nVersion: 0.1.0\n")
+    (info / "entry_points.txt").write_text(f"[{group}]\n" + "".join(f"{k} = {v}\n" for k, v in entries.items()))
+    monkeypatch.syspath_prepend(str(folder))
+    assert "mine-too" in vsfsim("methods", cwd=tmp_path).stdout
+    out = vsfsim("check", "mine-too", cwd=tmp_path)
+    assert out.returncode == 0 and "mine-too conforms" in out.stdout, out.stdout + out.stderr
+
+
+@pytest.mark.parametrize(("name", "message"), [
+    ("My_Method", "small letters, digits and single dashes"),
+    ("../x", "small letters, digits and single dashes"),
+    ("gaussian", "there is a method 'gaussian' already"),
+    ("taken", "exists and is not empty"),
+])
+def test_new_method_refuses(tmp_path, monkeypatch, name, message):
+    from vsfsim.bench.commands.new_method import write_package
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "x").write_text("")
+    with pytest.raises(MethodError, match=message):
+        write_package(name)
+    assert [str(p) for p in sorted(tmp_path.rglob("*"))] == [str(tmp_path / "taken"), str(tmp_path / "taken" / "x")]
+
+
+# --------------------------------------------------------------------------------------------- names of folders
+
+
+def test_the_default_folder_of_a_dataset_is_where_its_task_looks(monkeypatch):
+    import vsfsim
+    from vsfsim.core.scene import load_scene
+
+    for root in ("datasets", "elsewhere"):
+        if root == "elsewhere":
+            monkeypatch.setenv("VSFSIM_DATASETS", root)
+        for task in vsfsim.tasks().values():
+            want, scene = task.dataset, load_scene(shelf.find_scene(task.dataset.scene))
+            folder = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed, objects=want.objects,
+                                          views=want.views, touches=want.touches, tier=want.tier)
+            assert folder == want.path() and folder.parts[0] == root, task.name
+            other = shelf.dataset_folder(want.scene, text=scene.text, seed=want.seed + 1, objects=want.objects,
+                                         views=want.views, touches=want.touches, tier=want.tier)
+            assert other == Path(root) / want.scene, "another dataset of the scene does not take the task's place"
+
+
+def test_the_first_command_without_out_makes_the_dataset_of_the_task(monkeypatch, tmp_path):
+    """`vsfsim generate shoes-mini`, up to the point where it would simulate."""
+    import vsfsim
+    from vsfsim.generate import run
+
+    monkeypatch.chdir(tmp_path)
+    asked = {}
+    monkeypatch.setattr(run, "generate", lambda scene, out, **options: asked.update(out=out))
+    vsfsim.generate("shoes-mini")
+    assert asked["out"] == vsfsim.tasks()["fewshot-shoes-mini-v1"].dataset.path() == Path("datasets/shoes-mini-v1")
+    vsfsim.generate("shoes-mini", objects=1)
+    assert asked["out"] == Path("datasets/shoes-mini")
+
+
+def test_a_script_without_a_main_guard_can_use_workers(tmp_path):
+    """A spawned worker does not run the script again."""
+    (tmp_path / "script.py").write_text("""
+from vsfsim.generate.workers import process_pool, submit
+import math
+print("begins")
+with process_pool(2, 2) as pool:
+    print([submit(pool, math.sqrt, x).result() for x in (4.0, 9.0)], __file__[-9:])
+""")
+    out = subprocess.run([sys.executable, "script.py"], capture_output=True, text=True, cwd=tmp_path)
+    assert out.returncode == 0 and out.stdout == "begins\n[2.0, 3.0] script.py\n", out.stdout + out.stderr
+
+
+# --------------------------------------------------------------------------------- systems without POSIX
+
+
+WITHOUT_POSIX = f"""
+import builtins, os, signal, sys
+sys.path.insert(0, {str(ROOT / "tests")!r})
+BLOCKED = {{"fcntl", "resource", "pwd", "grp", "termios"}}
+real = builtins.__import__
+def blocked(name, *more, **options):
+    if name.split(".")[0] in BLOCKED and "vsfsim" in str((more[0] if more else {{}} or {{}}).get("__name__", "")):
+        raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+    return real(name, *more, **options)
+builtins.__import__ = blocked
+for name in ("fork", "pread", "pwrite"):
+    if hasattr(os, name):
+        delattr(os, name)
+for name in ("SIGKILL", "SIGALRM", "setitimer", "alarm"):
+    if hasattr(signal, name):
+        delattr(signal, name)
+"""
+
+
+def test_imports_datasets_and_scores_work_without_posix(tmp_path):
+    """Every module but those of the simulator's own processes is imported; a dataset is made, verified and scored.
+
+    A module that vsfsim itself imports from `fcntl` or `resource` is refused, and `os.fork` and `signal.SIGKILL` are
+    not there, as on Windows.
+    """
+    from test_python import TASK
+
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    code = WITHOUT_POSIX + """
+import importlib, pkgutil
+import vsfsim
+for found in pkgutil.walk_packages(vsfsim.__path__, "vsfsim."):
+    importlib.import_module(found.name)
+import numpy as np
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.predictions import questions
+from vsfsim.bench.task import load_task
+from vsfsim.cli.main import main
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+from vsfsim.physics import disk_cache
+from pathlib import Path
+views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12, splits={"train": 1, "test": 2},
+                device="cpu", tier="vsf", precision="float64", renderer="warp")
+with DatasetWriter("toy", recipe, [view.name for view in views]) as writer:
+    for view in views:
+        writer.add(view)
+    data = writer.finish()
+asked = [(key, action) for q in questions(load_task("toy-v1.toml"), data) for key, action in zip(q.keys, q.actions)]
+np.savez("p.npz", **{key: np.zeros((len(action.time), action.size)) for key, action in asked})
+disk_cache.write(Path("cache/x.npz"), a=np.ones(3))
+with disk_cache.locked(Path("cache/x.npz")):
+    assert disk_cache.read(Path("cache/x.npz"))["a"].sum() == 3.0
+for words in (["verify", "toy"], ["score", "p.npz", "--task", "toy-v1.toml", "--dataset", "toy", "--name", "zeros"],
+              ["leaderboard", "--task", "toy-v1.toml"]):
+    sys.argv = ["vsfsim", *words]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, (words, end.code)
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
+    assert out.returncode == 0 and "zeros" in out.stdout, out.stdout + out.stderr
+
+
+def test_the_leaderboard_says_which_rows_shipped_and_which_were_made_here(vsfsim, tmp_path):
+    name = "fewshot-shoes-mini-v1"
+    made = tmp_path / "results" / name
+    made.mkdir(parents=True)
+    shipped = shelf.folder("leaderboard") / name / "gaussian.json"
+    (made / "gaussian.json").write_bytes(shipped.read_bytes())
+    table = json.loads(shipped.read_text())
+    (made / "mine.json").write_text(json.dumps({**table, "method": "mine"}))
+    board = json.loads(vsfsim("leaderboard", "--task", name, "--json", "-", cwd=tmp_path).stdout)
+    origin = {row["method"]: row["origin"] for row in board["rows"]}
+    assert origin["gaussian"] == "shipped, made again here" and origin["mine"] == "made here"
+    assert set(origin.values()) == {"shipped", "made here", "shipped, made again here"}
+    text = vsfsim("leaderboard", "--task", name, cwd=tmp_path).stdout
+    (line,) = [line for line in text.splitlines() if " mine " in line]
+    assert line.endswith("made here") and not line.endswith("again here")

@@ -1,0 +1,52 @@
+"""Mutated files of every kind: no crash, no allocation over a gibibyte, no exception but a refusal."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.core import shelf
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+HERE = Path(__file__).parent
+READERS = ("object", "manifest", "result", "predictions", "task", "scene")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("fuzz")
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=2, views=1, touches=2,
+                    splits={"train": 1, "test": 1}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=2) for i in range(2)]
+    with DatasetWriter(out / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    np.savez(out / "predictions.npz", **{"a/0/0/000": np.zeros((12, 1)), "b/5/1/011": np.ones((12, 1))})
+    shipped = shelf.folder("leaderboard") / "inclusion-mini-v2" / "gaussian.json"
+    (out / "result.json").write_text(json.dumps(json.loads(shipped.read_text())))
+    (out / "task.toml").write_text(shelf.tasks()["inclusion-mini-v2"].read_text())
+    (out / "scene.toml").write_text(shelf.scenes()["inclusion-pieces-mini"].read_text())
+    return out
+
+
+def fuzz(reader, folder, examples):
+    out = subprocess.run([sys.executable, str(HERE / "fuzz_readers.py"), reader, str(folder), str(examples)],
+                         capture_output=True, text=True)
+    assert out.returncode == 0 and out.stdout == f"{reader}: {examples} files\n", out.stderr[-3000:]
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_mutated_files_are_read_or_refused(folder, reader):
+    fuzz(reader, folder, 60)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reader", READERS)
+def test_many_mutated_files_are_read_or_refused(folder, reader):
+    fuzz(reader, folder, 2000)

@@ -1,0 +1,256 @@
+"""`import vsfsim`: six functions, imported at their first use, which do what the commands do."""
+
+import inspect
+import json
+import pickle
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import vsfsim
+from vsfsim.bench.mock import mock_view
+from vsfsim.core.errors import DatasetError, MethodError, VsfsimError
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+TASK = """
+name = "toy-v1"
+description = "A toy."
+dataset = { folder = "toy", scene = "mock", seed = 0, objects = 3, views = 1, touches = 12, tier = "vsf" }
+protocol = { train = "train", test = "test", shots = [0, 1, 5], seeds = 2, query = 4, seed = 0 }
+observation = { kind = "normal-force" }
+noise = { force_std = 0.15, offset_std = 0.5, drift_std = 0.0, tare_frames = 2, seed = 0 }
+metrics = { primary = "rmse", ranking_shot = 5 }
+"""
+
+SMALL = """
+[object]
+shape = { box = [0.06, 0.04, 0.03] }
+resolution = 0.02
+young_modulus = 1e4
+[probe]
+shape = { sphere = 0.01 }
+[press]
+from = [0.005, 0.0, 0.041]
+to = [0.005, 0.0, 0.039]
+frames = 2
+"""
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory):
+    """The folder of a dataset of three mock objects, the first for training."""
+    folder = tmp_path_factory.mktemp("data") / "toy"
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
+                    splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+    with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def dataset(toy):
+    return vsfsim.load(toy)
+
+
+def test_import_needs_no_package_and_names_are_there():
+    code = """
+import sys, vsfsim
+heavy = [name for name in ("numpy", "scipy", "h5py", "typer", "rich", "warp", "torch") if name in sys.modules]
+assert heavy == [], heavy
+assert set(vsfsim.__all__) <= set(dir(vsfsim))
+import vsfsim.press.text                 # importing a package's module must not take the function's place
+assert callable(vsfsim.press) and callable(vsfsim.generate) and callable(vsfsim.tasks)
+from vsfsim import evaluate, generate, load, methods, press, tasks
+assert "fewshot-shoes-mini-v1" in tasks() and "gaussian" in methods()
+try:
+    vsfsim.nothing
+except AttributeError as error:
+    assert "no attribute 'nothing'" in str(error)
+else:
+    raise SystemExit("an unknown name was found")
+"""
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert out.returncode == 0, out.stderr
+
+
+@pytest.mark.parametrize(("name", "first"), [("press", "scene"), ("generate", "scene"), ("evaluate", "method"),
+                                             ("load", "folder")])
+def test_the_functions_have_signatures_for_help(name, first):
+    assert next(iter(inspect.signature(getattr(vsfsim, name)).parameters)) == first
+
+
+def test_python_takes_every_option_of_the_command():
+    """`vsfsim press` and `vsfsim generate` have no option that the functions lack (files of pictures are methods)."""
+    from vsfsim.cli import bench, simulate
+
+    for command, function in ((simulate.press, vsfsim.press), (simulate.generate, vsfsim.generate),
+                              (bench.evaluate, vsfsim.evaluate)):
+        options = set(inspect.signature(command).parameters) - {"json", "plot", "picture", "save"}
+        assert options <= set(inspect.signature(function).parameters), command.__name__
+
+
+def test_tasks_and_methods_are_those_of_the_commands(vsfsim_command, tmp_path):
+    for name, found in (("tasks", vsfsim.tasks()), ("methods", vsfsim.methods())):
+        out = vsfsim_command(name, "--json", "-", cwd=tmp_path)
+        assert json.loads(out.stdout) == found.table()
+        assert all(key in repr(found) and key in found._repr_html_() for key in found)
+    assert vsfsim.tasks()["fewshot-shoes-mini-v1"].protocol.shots == (0, 1, 5, 10)
+    with pytest.raises(VsfsimError, match="Did you mean 'gaussian'"):
+        vsfsim.methods()["gausian"]
+
+
+@pytest.fixture
+def vsfsim_command(request):
+    return request.getfixturevalue("vsfsim")
+
+
+def test_a_dataset_is_a_sequence_of_object_views(dataset):
+    names = dataset.names()
+    assert len(dataset) == 3 and [view.name for view in dataset] == list(names)
+    assert dataset[1].name == dataset[-2].name == dataset[np.int64(1)].name == dataset[names[1]].name == names[1]
+    part = dataset[1:]
+    assert isinstance(part, Dataset) and part.names() == names[1:] and len(dataset[::-1]) == 3
+    assert dataset[::-1].names() == names[::-1]
+    assert dataset.splits == ("train", "test") and dataset.split("test").names() == dataset.names("test") == names[1:]
+    assert dataset.blind()[1:][0].truth is None and dataset[1:][0].truth is not None
+    with pytest.raises(IndexError, match="3 object views; there is no number 3"):
+        dataset[3]
+    with pytest.raises(TypeError, match="a slice or the name"):
+        dataset[1.0]
+    with pytest.raises(DatasetError, match="no split 'tset'"):
+        dataset.split("tset")
+
+
+def test_representations_are_one_line_and_escaped_html(dataset):
+    view = dataset[0]
+    for thing in (dataset, view, view.view, view.touches[0], view.truth, dataset.torch()):
+        assert "\n" not in repr(thing) and len(repr(thing)) < 250, repr(thing)
+    assert "3 object views (1 train, 2 test), 36 touches" in repr(dataset)
+    for thing in (dataset, view):
+        assert thing._repr_html_().count("<tr>") == (4 if thing is dataset else 13)
+    from vsfsim.core.interactive.html_table import html_table
+
+    assert "<b>" not in html_table("<b>", ["<b>"], [["<b>"]]) and "and 2 more" in html_table("t", ["h"], [["r"]] * 62)
+
+
+def test_plots_are_figures_that_a_notebook_shows(dataset, tmp_path):
+    for thing in (dataset, dataset[0]):
+        figure = thing.plot(tmp_path / "p.png")
+        assert figure._repr_png_()[:4] == (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    assert len(dataset.plot(most=2).axes) < len(dataset.plot().axes)
+
+
+def test_a_torch_view_gives_the_readings_and_no_truth(dataset):
+    torch = pytest.importorskip("torch")
+    touches = dataset.split("test").torch(images=True)
+    assert isinstance(touches, torch.utils.data.Dataset) and len(touches) == 24
+    item, touch = touches[13], dataset["mock-0002-v0"].touches[1]
+    assert item["name"] == "mock-0002-v0" and item["touch"] == 1
+    good = touch.converged
+    np.testing.assert_allclose(item["normal_force"][good], touch.normal_force()[good], rtol=1e-6)
+    assert torch.isnan(item["force"][~good]).all() and item["valid"].tolist() == list(good)
+    assert item["rgb"].shape[0] == 3 and item["rgb"].dtype == torch.uint8
+    assert not {"truth", "young_modulus"} & set(item)
+    views = dataset.torch("view", transform=lambda item: item["mask"].float().mean())
+    assert len(views) == 3 and 0.0 < float(views[0]) < 1.0
+    with pytest.raises(DatasetError, match="Did you mean 'touch'"):
+        dataset.torch("touches")
+    with pytest.raises(DatasetError, match="have no 'pressure'"):
+        dataset.torch(fields=("pressure",))
+
+
+def test_touches_of_other_lengths_are_filled_up(dataset):
+    torch = pytest.importorskip("torch")
+    touches = dataset.torch()
+    long = touches[0]
+    short = {key: value[:3] if key in ("time", "pose", "force", "normal_force", "valid") else value
+             for key, value in touches[1].items()}
+    batch = touches.collate([long, short])
+    frames = len(long["time"])
+    assert batch["force"].shape == (2, frames, 3) and batch["valid"][1].sum() == short["valid"].sum()
+    assert torch.isnan(batch["normal_force"][1, 3:]).all() and not batch["valid"][1, 3:].any()
+    assert (batch["time"][1, 3:] == short["time"][-1]).all() and batch["touch"].tolist() == [0, 1]
+    assert batch["name"] == ["mock-0000-v0"] * 2
+
+
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+def test_a_torch_view_works_with_workers(dataset, start):
+    torch = pytest.importorskip("torch")
+    touches = dataset.torch()
+    touches[0]  # what this process has read is not sent along
+    assert len(pickle.dumps(touches)) < 20_000
+    alone, shared = ([batch["normal_force"] for batch in torch.utils.data.DataLoader(
+        touches, batch_size=9, collate_fn=touches.collate, num_workers=number,
+        multiprocessing_context=start if number else None)] for number in (0, 2))
+    assert len(alone) == len(shared) == 4
+    for one, other in zip(alone, shared):
+        torch.testing.assert_close(one, other, rtol=0.0, atol=0.0, equal_nan=True)
+
+
+def test_evaluate_is_the_command(toy, tmp_path, vsfsim_command):
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    here = vsfsim.evaluate("gaussian", tmp_path / "toy-v1.toml", toy, out=tmp_path / "here.json")
+    out = vsfsim_command("evaluate", "--method", "gaussian", "--task", "toy-v1.toml", "--dataset", toy, "--json", "-",
+                         cwd=tmp_path)
+    told = json.loads(out.stdout)
+    assert {metric: {shot: score.mean for shot, score in by_shot.items()} for metric, by_shot in here.scores.items()} \
+        == {metric: {shot: score["mean"] for shot, score in by_shot.items()}
+            for metric, by_shot in told["scores"].items()}
+    assert (tmp_path / told["written"]).is_file() and (tmp_path / "here.json").is_file()
+    assert "\n" not in repr(here) and "rmse" in repr(here) and "rmse" in here._repr_html_()
+    assert here.plot(path=tmp_path / "p.png")._repr_png_()[:4] == b"\x89PNG"
+    with pytest.raises(VsfsimError, match="no metric 'rmsee'"):
+        here.plot("rmsee")
+
+
+def test_a_class_is_evaluated_by_its_name_or_refused(toy, tmp_path):
+    from vsfsim.baselines.gaussian import GaussianAverage
+
+    (tmp_path / "toy-v1.toml").write_text(TASK)
+    data = vsfsim.load(toy)
+    result = vsfsim.evaluate(GaussianAverage, tmp_path / "toy-v1.toml", data, seeds=1)
+    assert result.method == "vsfsim.baselines.gaussian:GaussianAverage" and result.seeds == (0,)
+
+    class Mine:
+        pass
+
+    for found in (Mine, type("Cell", (), {"__module__": "__main__"})):
+        with pytest.raises(MethodError, match="%%writefile mine"):
+            vsfsim.evaluate(found, tmp_path / "toy-v1.toml", data)
+
+
+def test_a_press_gives_what_the_command_prints(tmp_path, vsfsim_command):
+    (tmp_path / "small.toml").write_text(SMALL)
+    made = vsfsim.press(tmp_path / "small.toml", tier="linear", progress=lambda *_: None)
+    out = vsfsim_command("press", "small.toml", "--tier", "linear", "--json", "-", cwd=tmp_path)
+    told = json.loads(out.stdout)
+    assert told["normal_force"] == made.normal_force.tolist() and told["force"] == made.force.tolist()
+    assert made.normal_force == pytest.approx(-(made.force @ np.array(told["axis"]))) and made.converged
+    assert "normal N" in made.text().splitlines()[0] and "\n" not in repr(made) and "<table>" in made._repr_html_()
+    assert made.plot()._repr_png_()[:4] == made.picture(tmp_path / "q.png")._repr_png_()[:4] == b"\x89PNG"
+    made.save(tmp_path / "s.npz")
+    assert np.load(tmp_path / "s.npz")["force"].tolist() == made.force.tolist()
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"device": "cuda:99"}, "device is 'cuda:99', but this machine has"),
+    ({"precision": "float16"}, "precision is 'float16'"),
+    ({"tier": "fen"}, "Did you mean 'fem'"),
+    ({"scene": "indnt"}, "Did you mean 'indent'"),
+])
+def test_mistakes_are_refused_in_python_as_on_the_command_line(options, message):
+    with pytest.raises(VsfsimError, match=message):
+        vsfsim.press(**{"scene": "indent", **options})
+
+
+def test_generate_refuses_an_unknown_renderer(tmp_path):
+    with pytest.raises(VsfsimError, match="renderer is 'wrap'"):
+        vsfsim.generate("shoes-mini", tmp_path / "d", renderer="wrap")
+    assert not (tmp_path / "d").exists()

@@ -1,0 +1,1 @@
+"""What the commands of the benchmark and the functions of `import vsfsim` call."""

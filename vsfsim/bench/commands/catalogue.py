@@ -1,0 +1,77 @@
+"""The tasks and methods that can be evaluated, as the commands `vsfsim tasks` and `vsfsim methods` list them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Generic, TypeVar
+
+from vsfsim.bench.task import Task, load_task
+from vsfsim.core import shelf
+from vsfsim.core.errors import VsfsimError, did_you_mean
+from vsfsim.core.interactive.html_table import html_table
+from vsfsim.core.text_table import text_table
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, repr=False)
+class Catalogue(Mapping[str, T], Generic[T]):
+    """Things by name; it prints as a table."""
+
+    kind: str
+    """What one of them is, e.g. "task"."""
+    found: Mapping[str, T]
+    """By name."""
+    head: tuple[str, ...]
+    """Headings of the table; the first column is the name."""
+    rows: tuple[tuple[str, ...], ...]
+    """Cells of the table, one row a name."""
+
+    def __getitem__(self, name: str) -> T:
+        """Raises:
+            VsfsimError: there is none of this name.
+        """
+        if name not in self.found:
+            raise VsfsimError(f"unknown {self.kind} '{name}'. {did_you_mean(name, self.found)}")
+        return self.found[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.found)
+
+    def __len__(self) -> int:
+        return len(self.found)
+
+    def __repr__(self) -> str:
+        return text_table(self.head, self.rows)
+
+    def _repr_html_(self) -> str:
+        return html_table(f"{len(self)} {self.kind}s", self.head, self.rows)
+
+    def table(self) -> list[dict[str, Any]]:
+        """For JSON: one object a row."""
+        return [dict(zip(self.head, row, strict=True)) for row in self.rows]
+
+
+def tasks() -> Catalogue[Task]:
+    """The tasks that ship, by name.
+
+    Returns:
+        A mapping; ``tasks()["fewshot-shoes-mini-v1"].protocol.shots`` is a part of one.
+    """
+    found = {name: load_task(name) for name in shelf.tasks()}
+    rows = tuple((name, t.observation.name, t.dataset.folder, t.description, t.superseded_by)
+                 for name, t in found.items())
+    return Catalogue("task", found, ("task", "observation", "dataset", "description", "superseded by"), rows)
+
+
+def methods() -> Catalogue[str]:
+    """The installed methods: their classes as module:attribute, by name.
+
+    No method is imported; `vsfsim.bench.method.find_method` does that.
+    """
+    found = {name: entry.value for name, entry in sorted(shelf.methods().items())}
+    return Catalogue("method", found, ("method", "class"), tuple(found.items()))

@@ -1,0 +1,81 @@
+"""`vsfsim.evaluate(method, task)` and `vsfsim evaluate`: a score from names."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from vsfsim.bench.evaluate import evaluate as run
+from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.method import check_name
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import Task, load_task, open_dataset
+from vsfsim.core.errors import MethodError
+from vsfsim.data.dataset import Dataset
+
+
+def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
+             parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
+             timeout: float | None = None, memory: float | None = None, sandbox: str = "process",
+             out: str | Path | None = None, progress: Callable[[int, int, str], None] | None = None) -> Result:
+    """Score a method on a task; `vsfsim.evaluate` is this function.
+
+    Args:
+        method: name of an installed method, module:attribute, or a class of an importable module. It runs in a process
+            of its own.
+        task: name of a shipped task, path of a .toml file, or a loaded task.
+        dataset: its folder; None for the task's, under datasets/ or $VSFSIM_DATASETS.
+        parameters: of the method's constructor, over its defaults.
+        seeds: draws of the support set, None for the task's own number.
+        workers: trials that run at the same time.
+        timeout: seconds that one call of the method may take, None for no limit.
+        memory: memory that a process of the method may allocate [GiB], None for no limit.
+        sandbox: "process", or "bubblewrap", which hides files and network, too.
+        out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
+            are done, and what the method prints becomes a .log beside it.
+        progress: called with (trials done, of how many, what is going on).
+
+    Raises:
+        VsfsimError: the method, the task or the dataset is unknown or does not fit, or the method raised.
+    """
+    name = method if isinstance(method, str) else name_of(method)
+    isolation = Isolation(sandbox, timeout, memory, workers)
+    check_name(name)
+    wanted = task if isinstance(task, Task) else load_task(task)
+    data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
+    options: dict[str, Any] = {"parameters": parameters, "seeds": seeds, "progress": progress, "isolation": isolation}
+    if out is None:
+        return run(name, wanted, data, **options)
+    path = Path(out)
+    part, log = path.with_suffix(".part"), log_of(path)
+    log.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        printed = Path(folder) / "log"
+        result = run(name, wanted, data, part=part, log=printed, **options)
+        result.save(path)
+        shutil.rmtree(part, ignore_errors=True)
+        if printed.is_file() and printed.stat().st_size:
+            shutil.copyfile(printed, log)
+    return result
+
+
+def log_of(result: Path) -> Path:
+    """The file beside a result that holds what the method printed."""
+    return result.with_suffix(".log")
+
+
+def name_of(method: type) -> str:
+    """The name module:attribute of a class.
+
+    Raises:
+        MethodError: it cannot be imported under that name, e.g. because it was written into a notebook's cell.
+    """
+    module, attribute = getattr(method, "__module__", None), getattr(method, "__qualname__", str(method))
+    if module is None or module == "__main__" or "." in attribute:
+        raise MethodError(f"the method {attribute} is not an attribute of a module that can be imported. Save it in a "
+                          f"file, e.g. mine.py (in a notebook: %%writefile mine.py as the first line of the cell), and "
+                          f"give 'mine:{attribute.rpartition('.')[2]}'.")
+    return f"{module}:{attribute}"

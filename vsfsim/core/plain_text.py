@@ -1,0 +1,33 @@
+"""Text from files and other people's code, made fit for a terminal, a Markdown page or a file name."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+LONGEST = 2000
+"""Characters of a text that are shown."""
+
+_MARKUP = re.compile(r"([\\`*\[\]<>|&])")
+_SEPARATORS = re.compile(r"[^A-Za-z0-9._+-]+")
+
+
+def plain(text: object, *, longest: int = LONGEST) -> str:
+    """``text`` in one line without control characters, which could move the cursor, colour a terminal or turn the
+    direction of reading; a longer text than ``longest`` is cut and ends in an ellipsis."""
+    words = str(text)
+    cut = len(words) > longest
+    shown = "".join(" " if letter.isspace() else "?" if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Co", "Cn")
+                    else letter for letter in words[:longest])
+    return shown + "..." * cut
+
+
+def markdown(text: object) -> str:
+    """``text`` as `plain` text of a Markdown page: nothing in it is markup, HTML or the end of a table's cell."""
+    return _MARKUP.sub(lambda match: f"&#{ord(match[1])};", plain(text))
+
+
+def file_stem(text: object) -> str:
+    """``text`` as a file name without an ending: letters, digits, ``. _ + -``, never a path, never hidden, never
+    empty."""
+    return _SEPARATORS.sub(".", str(text)).strip(".")[:100] or "unnamed"

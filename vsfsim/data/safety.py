@@ -1,0 +1,128 @@
+"""What an HDF5 file may be before a byte of a field is read: files come from strangers.
+
+HDF5 can point into other files, run filters that are loaded from a folder, and announce more data than there are. An
+object file of this package does none of that.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from vsfsim.core.errors import DatasetError
+from vsfsim.core.plain_text import plain
+
+LARGEST_FIELD = 512 << 20
+"""Bytes of one field. A touch of 200 frames with 10,000 vertices has 24 MB."""
+LARGEST_CHUNK = 64 << 20
+"""Bytes of a chunk, which is unpacked as a whole."""
+LARGEST_RATIO, SMALL = 100, 256 << 20
+"""A file may hold this many times its own size, besides a small amount [bytes]: numbers do not compress by more."""
+LARGEST_ATTRIBUTE = 16 << 20
+"""Bytes of an attribute."""
+
+_FILTERS = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]{0,199}")
+
+
+def check_name(name: object, where: str) -> str:
+    """``name`` if it can be the name of an object view: letters, digits and ``. _ + -``, no path.
+
+    Raises:
+        DatasetError: it cannot; ``where`` begins the message.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise DatasetError(f"{where}: '{plain(name, longest=100)}' is no name of an object view or its file: letters, "
+                           f"digits and . _ + - are allowed, and no path. The dataset is damaged; generate it again.")
+    return name
+
+
+def check_file(path: Path, folder: Path) -> None:
+    """Refuse a file that is a link, or lies outside its dataset.
+
+    Raises:
+        DatasetError: it is.
+    """
+    if path.is_symlink() or path.resolve().parent != folder.resolve():
+        raise DatasetError(f"{path} is a link, or lies outside the dataset. A dataset is one folder with plain files; "
+                           f"copy the file into it.")
+
+
+def check_tree(file: h5py.File, path: Path) -> None:
+    """Refuse links, foreign storage, unknown filters and more data than the file can hold, in every object of it.
+
+    Raises:
+        DatasetError: with the object and what is wrong.
+    """
+    total = 0
+    budget = SMALL + LARGEST_RATIO * path.stat().st_size
+    waiting: list[tuple[str, h5py.Group]] = [("", file)]
+    while waiting:
+        where, group = waiting.pop()
+        if where.count("/") > 8 or len(group) > 10_000:
+            raise DatasetError(f"{path}{where} is nested too deep or has too many members; it was not written by "
+                               f"vsfsim.")
+        for name in group:
+            spot = f"{path} {where}/{plain(name, longest=100)}"
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+                raise DatasetError(f"{spot} is a link to another place; an object file holds its data itself.")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                waiting.append((f"{where}/{name}", item))
+                continue
+            if not isinstance(item, h5py.Dataset):
+                raise DatasetError(f"{spot} is neither a group nor a dataset.")
+            total += _size(item, spot)
+            if total > budget:
+                raise DatasetError(f"{path} announces more than {budget / 1e6:.0f} MB and has "
+                                   f"{path.stat().st_size / 1e6:.1f} MB; it was not written by vsfsim.")
+        for item in (group, *(group[name] for name in group)):
+            _check_attributes(item, f"{path} {item.name}")
+
+
+def _size(item: h5py.Dataset, spot: str) -> int:
+    if item.is_virtual or item.external:
+        raise DatasetError(f"{spot} keeps its data in another file; an object file holds its data itself.")
+    if item.dtype.hasobject or item.dtype.kind not in "fiubS":
+        raise DatasetError(f"{spot} has dtype {plain(item.dtype)}; numbers and padded text are allowed.")
+    settings = item.id.get_create_plist()
+    filters = {settings.get_filter(k)[0] for k in range(settings.get_nfilters())}
+    if not filters <= _FILTERS:
+        raise DatasetError(f"{spot} is packed with filter {min(filters - _FILTERS)}; gzip and shuffle are allowed.")
+    if item.shape is None:
+        raise DatasetError(f"{spot} is empty.")
+    size = item.dtype.itemsize * _product(item.shape)
+    if size > LARGEST_FIELD or item.dtype.itemsize * _product(item.chunks or ()) > LARGEST_CHUNK:
+        raise DatasetError(f"{spot} has shape {item.shape}, {size / 1e6:.0f} MB; a field has at most "
+                           f"{LARGEST_FIELD / 1e6:.0f} MB, and a chunk {LARGEST_CHUNK / 1e6:.0f} MB.")
+    return size
+
+
+def _product(shape: tuple[int, ...]) -> int:
+    out = 1
+    for n in shape:
+        out *= int(n)
+    return out
+
+
+def _check_attributes(item: h5py.Group | h5py.Dataset, spot: str) -> None:
+    if len(item.attrs) > 100:
+        raise DatasetError(f"{spot} has {len(item.attrs)} attributes; it was not written by vsfsim.")
+    for name in item.attrs:
+        if item.attrs.get_id(name).get_storage_size() > LARGEST_ATTRIBUTE:
+            raise DatasetError(f"{spot} has an attribute '{plain(name, longest=100)}' of more than "
+                               f"{LARGEST_ATTRIBUTE / 1e6:.0f} MB.")
+
+
+def whole_number(value: object, where: str) -> int:
+    """An attribute that must be a whole number >= 0.
+
+    Raises:
+        DatasetError: it is not.
+    """
+    if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < 0:
+        raise DatasetError(f"{where} is {plain(value, longest=60)}; it must be a whole number >= 0.")
+    return int(value)

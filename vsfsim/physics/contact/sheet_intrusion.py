@@ -1,0 +1,123 @@
+"""Whether a rigid body lies behind a sheet that it cannot have passed: a check by geometry for membranes with a rim.
+
+The sheet and the flat disk in its rim close a volume. A point of a body's surface that lies in that volume is as deep
+behind the sheet as it is far from it. A body in contact dents the sheet and stays outside; one that went through
+between two equilibria is inside, where no contact point feels it.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import closest_point
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import body_samples, inner_radius
+from vsfsim.physics.mesh.quadratic import QuadraticMesh
+
+_SPACING = 0.5  # of the samples over the inner radius of their body: a body that went through has most of them inside
+_DEEP = (0.1, 0.25)  # depth above which a body has gone through, over the element size and over its inner radius
+
+
+class SheetIntrusion:
+    """The check for one sheet and its bodies.
+
+    Args:
+        mesh: triangles, wound outwards; their rim lies in a plane.
+        bodies: the rigid bodies (K).
+        size: element size [m].
+        device: Warp device.
+    """
+
+    tolerance: float
+    """Depth above which a body counts as having gone through [m]."""
+
+    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str):
+        k, faces = kernels(), mesh.faces
+        radii = [inner_radius(s) for s in bodies.shapes]
+        self.device, self.tolerance = device, min(_DEEP[0] * size, _DEEP[1] * min(radii))
+        samples = [body_samples(s, _SPACING * r) if np.isfinite(r) else np.zeros((0, 3))
+                   for s, r in zip(bodies.shapes, radii, strict=True)]
+        self._count = sum(map(len, samples))
+        self._samples = wp.array(np.concatenate(samples), dtype=k.vec3, device=device)
+        self._owner = wp.array(np.repeat(np.arange(len(samples)), list(map(len, samples))), dtype=wp.int32,
+                               device=device)
+        edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
+        there = {(a, b) for a, b in edges}
+        rim = [(a, b) for a, b in edges if (b, a) not in there]
+        disk = [(rim[0][0], b, a) for a, b in rim]
+        self._sheet = len(faces)
+        self._closed = wp.array(np.array([*faces.tolist(), *disk], np.int32), dtype=wp.int32, device=device)
+        self._rest = torch.as_tensor(mesh.points, device=device)
+
+    def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
+        """How deep the bodies lie behind the sheet (k,) [m] in the touches ``columns`` (k,), at poses (B, K, 4, 4) and
+        displacements u (3 n, B) [m]."""
+        k, count = kernels(), len(columns)
+        depth = torch.zeros((count, max(1, self._count)), dtype=torch.float64, device=self.device)
+        if self._count:
+            host = columns.cpu().numpy()
+            moved = u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+            wp.launch(k.behind, dim=(count, self._count), device=self.device, inputs=[
+                self._closed, self._sheet, self._samples, self._owner,
+                wp.array(pose[host][..., :3, 3], dtype=k.vec3, device=self.device),
+                wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=self.device),
+                wp.from_torch((self._rest + moved).contiguous(), dtype=k.vec3), wp.from_torch(depth)])
+        return depth.amax(dim=1)
+
+
+@functools.cache
+def kernels() -> Any:
+    """The kernel of the check and its types."""
+    real = wp.float64
+    vec3 = wp.types.vector(length=3, dtype=real)
+    mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
+    module = "vsfsim_sheet_intrusion"
+    closest = closest_point.functions(real, module)
+    whole = wp.constant(real(2.0 * np.pi))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def behind(
+        # model
+        closed: wp.array2d(dtype=wp.int32),
+        sheet: int,
+        samples: wp.array(dtype=vec3),
+        owner: wp.array(dtype=wp.int32),
+        # state in
+        origin: wp.array2d(dtype=vec3),
+        turn: wp.array2d(dtype=mat33),
+        x_in: wp.array2d(dtype=vec3),
+        # state out
+        depth_out: wp.array2d(dtype=real),
+    ):
+        # The solid angles of all triangles add up to 4 pi inside the closed surface and to 0 outside (van Oosterom and
+        # Strackee 1983); the distance is that to the sheet alone.
+        b, s = wp.tid()
+        j = owner[s]
+        p = origin[b, j] + turn[b, j] * samples[s]
+        angle = real(0.0)
+        nearest = real(1e30)
+        for t in range(closed.shape[0]):
+            x0 = x_in[b, closed[t, 0]]
+            x1 = x_in[b, closed[t, 1]]
+            x2 = x_in[b, closed[t, 2]]
+            a0 = x0 - p
+            a1 = x1 - p
+            a2 = x2 - p
+            l0 = wp.length(a0)
+            l1 = wp.length(a1)
+            l2 = wp.length(a2)
+            angle += wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
+                              l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
+            if t < sheet:
+                at = closest.on_triangle(p, x0, x1, x2)
+                nearest = wp.min(nearest, wp.length(at[0] * x0 + at[1] * x1 + at[2] * x2 - p))
+        # each triangle's angle is twice its arc tangent: inside, the sum of the arc tangents is 2 pi
+        if wp.abs(angle) > real(0.5) * whole:
+            depth_out[b, s] = nearest
+
+    return SimpleNamespace(behind=behind, vec3=vec3, mat33=mat33)

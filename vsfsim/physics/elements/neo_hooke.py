@@ -1,0 +1,133 @@
+"""Compressible neo-Hookean law with a barrier on the volume, and the projection of its tangent.
+
+    Psi(F) = mu/2 (|F|^2 - 3) + U(J),     U(J) = lambda/2 (J - 1)^2 - mu f(J),     J = det F
+    f(J) = ln J for J >= `CRUSHED`, and below it the Taylor polynomial of second order of ln J about `CRUSHED`
+
+Above J = `CRUSHED` this is the law of Bonet and Wood ("Nonlinear continuum mechanics for finite element analysis", 2nd
+edition 2008, section 6.4.3) with the volumetric term (J - 1)^2 of Simo, Taylor and Pister (1985). Small strains give
+exactly (mu, lambda) of linear elasticity. The logarithm is a barrier: the force of a compression grows without bound as
+the volume goes to zero. Below `CRUSHED`, a tenth of the volume, the continuation makes energy, force and tangent finite
+and continuous, so that Newton's method recovers from an inverted element (J < 0); frames with such an element are
+marked. U is convex for every J, which makes the energy polyconvex.
+
+With kappa = U''(J) and c = U'(J), to which an element may add a pressure of its own, the tangent is
+
+    H = mu I + kappa cof F (x) cof F + c d(cof F)/dF.
+
+The first two terms are positive semi-definite; the third makes it indefinite where |c| is large. With A = F^-1 dF,
+
+    dF : H dF = mu |F A|^2 + (kappa J^2 + c J) (tr A)^2 - c J (|sym A|^2 - |skew A|^2),
+
+so under pressure (c < 0 < J), where only twists and changes of volume can be negative, the projected tangent adds tau
+|skew A|^2 and enlarges kappa, both by the least amounts that leave no eigenvalue negative. Elsewhere (tension, or an
+inverted element) c is replaced by theta c with the theta <= 1 at which no eigenvalue is negative. Those have a closed
+form (Smith, de Goes and Kim, "Analytic eigensystems for isotropic distortion energies", 2019): mu +- c s_k for twists
+and flips, and the eigenvalues of the 3 x 3 block of the stretches, with s_k the singular values of F. Under pressure
+theta c would not do: it takes away what c adds to the stiffness of every other mode, a factor of 1/J.
+"""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+
+CRUSHED = 0.1
+"""det F below which the logarithm is continued by a polynomial [-]."""
+_FLAT = 0.02  # det F below which the projected tangent is that of an inverted element: its formulas do not divide by J
+
+
+def functions(real: type, module: str) -> Any:
+    """Device functions for one scalar type, compiled into ``module``.
+
+    ``barrier`` gives (J - 1) - f(J) and its derivative from J - 1. ``bulk`` gives kappa. ``projection`` gives c, kappa
+    and tau / J^2 of the projected tangent from the squared singular values of F.
+    """
+    vec3 = wp.types.vector(length=3, dtype=real)
+    least, log_least = wp.constant(real(CRUSHED)), wp.constant(real(np.log(CRUSHED)))
+    flat = wp.constant(real(_FLAT))
+
+    @wp.func(module=module)
+    def barrier(j1: real):
+        # The value is of second order in J - 1; near J = 1 the series ln J = 2 (s + s^3/3 + ..), s = (J - 1)/(J + 1),
+        # keeps its digits.
+        j = real(1.0) + j1
+        value = real(0.0)
+        slope = real(0.0)
+        if j < least:
+            d = (j - least) / least
+            value = j1 - log_least - d + real(0.5) * d * d
+            slope = real(1.0) - (real(1.0) - d) / least
+        else:
+            slope = j1 / j
+            if wp.abs(j1) < real(0.25):
+                s = j1 / (real(2.0) + j1)
+                z = s * s
+                tail = real(1.0 / 15.0)
+                for n in range(1, 7):
+                    tail = real(1.0) / real(15 - 2 * n) + z * tail
+                value = s * (j1 - real(2.0) * z * tail)
+            else:
+                value = j1 - wp.log(j)
+        return value, slope
+
+    @wp.func(module=module)
+    def scaling(s0: real, s1: real, s2: real, mu: real, kappa: real, c: real):
+        # theta, the factor of c with which no eigenvalue of mu I + kappa cof (x) cof + theta c d(cof)/dF is negative.
+        # twists and flips: mu +- theta c s_k
+        size = wp.abs(c) * s0
+        theta = real(1.0)
+        if size > mu:
+            theta = mu / size
+        # Stretches: mu I + kappa p p^T + theta c S, p_k = s_i s_j, S_ij = s_k. Unless all leading minors are positive,
+        # theta is halved, which is enough because |S| <= 2 s0.
+        p0 = s1 * s2
+        p1 = s2 * s0
+        p2 = s0 * s1
+        k01 = kappa * p0 * p1 + theta * c * s2
+        k02 = kappa * p0 * p2 + theta * c * s1
+        k12 = kappa * p1 * p2 + theta * c * s0
+        k00 = mu + kappa * p0 * p0
+        k11 = mu + kappa * p1 * p1 - k01 * k01 / k00
+        k12 = k12 - k01 * k02 / k00
+        k22 = mu + kappa * p2 * p2 - k02 * k02 / k00
+        if k11 <= real(0.0):
+            theta = real(0.5) * theta
+        elif k22 - k12 * k12 / k11 < real(0.0):
+            theta = real(0.5) * theta
+        return theta
+
+    @wp.func(module=module)
+    def twist(g: real, j: real, mu: real, si: real, sj: real, sk: real):
+        # tau / J^2 for the twist of the plane of s_i and s_j, from squared singular values
+        return wp.max(g * g - mu * mu / sk, real(0.0)) / (real(0.5) * mu * (si + sj) + g * j)
+
+    @wp.func(module=module)
+    def least_additions(s: vec3, j: real, mu: real, kappa: real, g: real):
+        # For c = -g < 0 and J > 0, with the squared singular values s: the least kappa, and tau / J^2, with which no
+        # eigenvalue is negative. Twists: the determinant of each 2 x 2 block. Changes of stretch, in terms of A:
+        # diag(mu s_k^2 + g J) + (kappa J^2 - g J) 1 1^T.
+        tau = wp.max(twist(g, j, mu, s[1], s[2], s[0]),
+                     wp.max(twist(g, j, mu, s[2], s[0], s[1]), twist(g, j, mu, s[0], s[1], s[2])))
+        gj = g * j
+        soft = real(1.0) / (mu * s[0] + gj) + real(1.0) / (mu * s[1] + gj) + real(1.0) / (mu * s[2] + gj)
+        return wp.max(kappa, (gj - real(1.0) / soft) / (j * j)), tau
+
+    @wp.func(module=module)
+    def bulk(j: real, mu: real, lam: real):
+        bent = wp.max(j, least)
+        return lam + mu / (bent * bent)
+
+    @wp.func(module=module)
+    def projection(squares: vec3, j: real, mu: real, kappa: real, c: real):
+        if c < real(0.0) and j > flat:
+            more, tau = least_additions(squares, j, mu, kappa, -c)
+            return c, more, tau
+        s2 = wp.sqrt(squares[2])
+        if j < real(0.0):
+            s2 = -s2
+        return c * scaling(wp.sqrt(squares[0]), wp.sqrt(squares[1]), s2, mu, kappa, c), kappa, real(0.0)
+
+    return SimpleNamespace(barrier=barrier, bulk=bulk, projection=projection)

@@ -1,0 +1,111 @@
+"""Stop: a node in front of a frictionless rigid plate, as the membrane of a bubble is in front of its housing.
+
+    E(z) = k p^2 (1/2 + p / (3 h)),     p = <-z>,  z = Z + u_z - v_z
+
+The plate lies across z through a second node, its support, which bears the force. Z is the height of the node over it
+at rest, u and v are the displacements of the two, and k is the penalty [N/m]. Beyond h = 0.2 mm the penalty hardens, so
+a node does not pass through the plate whatever pushes it. E is convex: its tangent needs no projection.
+"""
+
+import functools
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.elements.block import Block
+
+NODES = 2
+HARD = 2e-4
+"""h, the penetration at which the penalty hardens [m]."""
+
+
+def block(nodes: np.ndarray, support: int, points: np.ndarray, stiffness: float) -> Block:
+    """A block of stops.
+
+    Args:
+        nodes: the stopped nodes (m,).
+        support: node of the plate.
+        points: rest positions (n, 3) [m].
+        stiffness: k [N/m], positive.
+    """
+    height = points[nodes, 2] - points[support, 2]
+    assert stiffness > 0.0 and (height >= 0.0).all()
+    return Block("stop", np.column_stack([nodes, np.full(len(nodes), support)]).astype(np.int32),
+                 {"height": height, "stiffness": np.full(len(nodes), float(stiffness))})
+
+
+def state_size(block: Block) -> int:
+    """A tangent follows from the displacements."""
+    return 0
+
+
+def rest_stiffness(block: Block) -> np.ndarray:
+    """The tangent at u = 0, where no node is behind the plane: zero (m, 6, 6) [N/m]."""
+    return np.zeros((len(block), 6, 6))
+
+
+@functools.cache
+def kernels(real: type) -> Any:
+    """The kernels of this element for one scalar type."""
+    module, hard = f"vsfsim_stop_{real.__name__}", wp.constant(real(HARD))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def forces(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        height: wp.array(dtype=real),
+        stiffness: wp.array(dtype=real),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        u_in: wp.array2d(dtype=real),
+        # state out
+        force_out: wp.array3d(dtype=real),
+        energy_out: wp.array2d(dtype=real),
+        det_out: wp.array2d(dtype=real),
+    ):
+        t, k = wp.tid()
+        b = index[k]
+        p = wp.max(-(height[t] + u_in[3 * nodes[t, 0] + 2, b] - u_in[3 * nodes[t, 1] + 2, b]), real(0.0))
+        push = stiffness[t] * p * (real(1.0) + p / hard)
+        for c in range(2):
+            force_out[t, c, b] = real(0.0)
+            force_out[t, 3 + c, b] = real(0.0)
+        force_out[t, 2, b] = -push
+        force_out[t, 5, b] = push
+        energy_out[t, b] = stiffness[t] * p * p * (real(0.5) + p / (real(3.0) * hard))
+        det_out[t, b] = real(1.0)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def multiply(
+        # model
+        nodes: wp.array2d(dtype=wp.int32),
+        height: wp.array(dtype=real),
+        stiffness: wp.array(dtype=real),
+        index: wp.array(dtype=wp.int32),
+        # state in
+        at_in: wp.array2d(dtype=real),
+        state_in: wp.array3d(dtype=real),
+        x_in: wp.array2d(dtype=real),
+        # state out
+        force_out: wp.array3d(dtype=real),
+    ):
+        t, k = wp.tid()
+        i = 3 * nodes[t, 0] + 2
+        j = 3 * nodes[t, 1] + 2
+        p = -(height[t] + at_in[i, index[k]] - at_in[j, index[k]])
+        out = real(0.0)
+        if p > real(0.0):
+            out = stiffness[t] * (real(1.0) + real(2.0) * p / hard) * (x_in[i, k] - x_in[j, k])
+        for c in range(2):
+            force_out[t, c, k] = real(0.0)
+            force_out[t, 3 + c, k] = real(0.0)
+        force_out[t, 2, k] = out
+        force_out[t, 5, k] = -out
+
+    def parameters(block: Block, device: str) -> list[wp.array]:
+        return [wp.array(block.parameters[name], dtype=real, device=device) for name in ("height", "stiffness")]
+
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

@@ -1,0 +1,68 @@
+"""The values of one frame, with the checks that decide whether it counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from vsfsim.physics.elements.neo_hooke import CRUSHED
+from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
+from vsfsim.physics.solve.newton import Equilibrium, State
+
+Rows = dict[str, np.ndarray]
+"""The values of one frame by the fields of `Frames`, (B, ...) each."""
+
+# wrong although the forces may balance; at the time limit the last state was not compared with the bodies
+_FINAL = (Reason.TIME, Reason.PATCH, Reason.WRONG_SIDE, Reason.INVERTED, Reason.INTRUSION, Reason.CRUSHED)
+
+
+def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linear: bool, accept: float) -> Rows:
+    """The values of one frame from the state of all touches.
+
+    Args:
+        balance: the batch.
+        state: of all touches.
+        grounding: stiffness of the anchors to the ground (3 n, 1) [N/m].
+        linear: whether this is a frame of linear elasticity.
+        accept: measure under which a frame counts as balanced [-].
+    """
+    contact = balance.contact
+    every = balance.every
+    batch = len(every)
+    acting, internal = state["contact"], state["internal"]
+    on_object = acting.view(-1, 3, batch).sum(dim=0).T
+    held = (internal - balance.load - acting) * (1.0 - balance.free)
+    # anchor elements tie the object to the ground: their force is a reaction of the supports
+    held = (held - grounding * balance.u.to(torch.float64)).view(-1, 3, batch).sum(dim=0).T
+    weight = balance.load.view(-1, 3).sum(dim=0)
+    unbalanced = (held + on_object + weight).norm(dim=1)
+    largest = torch.maximum(held.norm(dim=1), on_object.norm(dim=1)).clamp(min=balance.floor)
+    values = {
+        "force": -on_object, "reaction": held, "residual": state["measure"],
+        "body_force": state["body_force"] if "body_force" in state else contact.on_bodies(every),
+        "body_moment": state["body_moment"] if "body_moment" in state else contact.moment_on_bodies(every),
+        "force_balance": unbalanced / largest, "min_det_f": state["det"],
+        "energy": state["energy"] + contact.local_energy(every),
+        "penetration": contact.penetration(every), "slipping": contact.slipping(every),
+    }
+    values["contact_points"], values["contact_radius"] = contact.resolution(every)
+    out = {key: value.cpu().numpy() for key, value in values.items()}
+    reason = balance.reason.copy()
+    # with friction the limit renewed last counts; without, this is the state that Newton's method left
+    reason[(reason == Reason.NONE) & ~(out["residual"] <= accept)] = Reason.STALLED
+    if not contact.has_friction:
+        # a step that stalled at the floor of rounding may still be good enough, since the path does not matter
+        final = np.isin(reason, _FINAL)
+        reason[(out["residual"] <= accept) & ~final] = Reason.NONE
+    wrong = {Reason.WRONG_SIDE: state["wrong_side"] > 0, Reason.INTRUSION: contact.intruded(every)}
+    if not linear:  # small strain has no det F
+        wrong[Reason.INVERTED] = state["det"] <= 0.0
+        wrong[Reason.CRUSHED] = state["det"] < CRUSHED
+    for why, where in wrong.items():
+        reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
+    out["reason"], out["converged"] = reason, reason == Reason.NONE
+    out["unbalanced_force"] = np.where(out["converged"][:, None], 0.0, out["force"])
+    for name in OF_AN_EQUILIBRIUM:
+        out[name][~out["converged"]] = np.nan
+    out["iterations"], out["cg_iterations"] = balance.newton.copy(), balance.cg.copy()
+    return out

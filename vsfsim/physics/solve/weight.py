@@ -1,0 +1,49 @@
+"""The equilibrium of an object under its weight alone, from which all touches begin."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+
+import numpy as np
+import torch
+
+from vsfsim.physics.solve.frames import Reason
+from vsfsim.physics.solve.newton import Equilibrium
+
+_NEWTON, _LEAST = 12, 1 / 256  # iterations for one part of the load; the smallest part
+
+
+def apply(balance: Equilibrium, pose: np.ndarray) -> None:
+    """Find the equilibrium under the load alone, in parts that are as large as they converge in few iterations.
+
+    Args:
+        balance: the batch; all its displacements are set.
+        pose: poses of the bodies (B, K, 4, 4), free of the object.
+    """
+    model, contact, options = balance.model, balance.contact, balance.options
+    if not model.load.any():
+        return
+    deadline = time.perf_counter() + options.seconds
+    first, whole = balance.every[:1], balance.load
+    contact.begin_step(pose, balance.u)
+    contact.move(pose, balance.every)
+    contact.softening[:] = 0.0  # nothing touches yet
+    balance.options = dataclasses.replace(options, newton=_NEWTON)
+    linear = model.factor.solve((model.load * model.free)[:, None])
+    slope = torch.as_tensor(linear, dtype=balance.real, device=balance.device)
+    done, part, u = 0.0, 1.0, torch.zeros_like(slope)
+    while done < 1.0 and part >= _LEAST and time.perf_counter() < deadline:
+        share = min(part, 1.0 - done)
+        balance.load = (done + share) * whole
+        balance.u[:, :1] = u + share * slope
+        balance.reset_counts()
+        balance.solve(first, balance.evaluate(first), options.tolerance, deadline)
+        if balance.reason[0] == Reason.NONE:
+            slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
+            done, part = done + share, 2.0 * part
+        else:
+            part = 0.5 * share
+    balance.load, balance.options = whole, options
+    balance.u[:] = u
+    contact.softening[:] = 1.0
