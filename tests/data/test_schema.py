@@ -48,8 +48,9 @@ def test_file_carries_units_and_dims_on_every_dataset(tmp_path):
     with h5py.File(path, "r") as file:
         file.visititems(look)
         assert list(file) == ["view", "touches", "truth"], "truth must be the last group"
-    # of a solid; a plant has none
-    assert seen == {f.path for f in FIELDS if f.required} | {"touches/*/audit/min_det_f"}
+    # a solid has the smallest det F, a rigid probe the resolution of its contact; plants and bubbles have neither
+    assert seen == {f.path for f in FIELDS if f.required} | {
+        f"touches/*/audit/{name}" for name in ("min_det_f", "contact_points", "contact_radius")}
 
 
 @pytest.mark.parametrize(("record", "group"), [(records.View, "view"), (records.Touch, "touches/*"),
