@@ -184,6 +184,7 @@ def test_kinect_noise_is_seeded_grows_with_distance_and_loses_edges(made):
     assert lost.sum() == pytest.approx(0.35 * 196, rel=0.35) and not lost[11:-11, 11:-11].any()
 
 
+@pytest.mark.slow
 def test_the_measurement_of_plants_counts_readings_and_stages(scene_file, tmp_path):
     path = tmp_path / "small.toml"
     path.write_text(scene_file.text.replace('name = "plants-mini"', 'name = "small"'))

@@ -92,6 +92,7 @@ def test_without_friction_the_drag_is_small_and_the_way_back_is_the_way_there(mo
     assert (frames.slipping == 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_ball_that_ploughs_on_arrives_in_few_iterations(block, line, device):
     """In every frame points come into touch where the body bulges up before the ball; anchors that went along with them
     crept on, hundreds of iterations a frame, and frames were lost."""

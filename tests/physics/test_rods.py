@@ -48,7 +48,7 @@ def test_an_incompressible_stem_twists_with_a_third_of_youngs_modulus():
 def test_energy_is_the_work_that_the_arm_does(device):
     """Frictionless: the integral of force over the capsule's way is the elastic energy, which ties forces to the
     potential; and the way back gives the same forces."""
-    travel = np.concatenate([np.linspace(0.0, 0.08, 81), np.linspace(0.08, 0.0, 81)[1:]])
+    travel = np.concatenate([np.linspace(0.0, 0.08, 81), np.linspace(0.08, 0.0, 9)[1:]])
     frames = touch(stem(15, length=0.3), crossing(travel, height=0.25, start=-0.035), radius=0.03, device=device,
                    tolerance=1e-7)
     assert frames.converged.all()
@@ -56,7 +56,7 @@ def test_energy_is_the_work_that_the_arm_does(device):
     work = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]) * np.diff(travel[:81]))])
     # the trapezium's error at the kink of first contact is half a step's force; the penalty keeps a thousandth
     assert frames.energy[80, 0] == pytest.approx(work[80], rel=5e-3)
-    assert frames.force[81:, 0] == pytest.approx(frames.force[79::-1, 0], abs=1e-5 * force.max())
+    assert frames.force[81:, 0] == pytest.approx(frames.force[70::-10, 0], abs=1e-5 * force.max())
     # released, it is where it was but for rounding
     assert frames.energy[-1, 0] < 1e-20 and np.abs(frames.nodes[-1, 0] - frames.nodes[0, 0]).max() < 1e-14
     assert np.nanmax(frames.penetration) < 0.005 * 0.08

@@ -70,7 +70,7 @@ def released(request, tmp_path_factory):
         return task, shipped, writer.finish()
 
 
-@pytest.mark.parametrize("name", ["fewshot-shoes-mini-v1", "inclusion-mini-v2"])
+@pytest.mark.parametrize("name", ["fewshot-shoes-mini-v1", pytest.param("inclusion-mini-v2", marks=pytest.mark.slow)])
 def test_the_earliest_query_touch_is_made_again(name):
     """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and
     2e-13 on the linear slabs."""

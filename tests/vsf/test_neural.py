@@ -83,7 +83,7 @@ def probe(field):
 
 @pytest.mark.parametrize("kind, settings, least", [
     ("grid", Fitting(iterations=150, batch=600, samples=25, rate=3e-2), 0.85),
-    ("nerf", Fitting(iterations=300, batch=300, samples=20, rate=3e-3), 0.7)])
+    pytest.param("nerf", Fitting(iterations=300, batch=300, samples=20, rate=3e-3), 0.7, marks=pytest.mark.slow)])
 def test_a_field_finds_the_rope(kind, settings, least):
     # Fewer steps than the papers', at a higher rate. F1 of the grid is 0.901 on an Intel Xeon, with and without
     # ATEN_CPU_CAPABILITY=default; that of the papers' network is 0.845 and 0.888: its steps amplify rounding. Where the
