@@ -22,7 +22,8 @@ PLACES = np.array([(0.0, 0.0), (0.5, 0.0), (0.25, 0.25), (0.5, 0.5), (0.2, 0.4),
 """Places of the ball's axis from a corner of an element (6, 2), over the element's edge [-]."""
 DEPTHS = (0.0005, 0.001, 0.0025, 0.005)
 """Depths of the ball [m]."""
-MESHES: tuple[tuple[str, float | None], ...] = (("fem", None), ("fem", 0.0), ("fem", 0.010), ("fem", 0.0145))
+MESHES: tuple[tuple[str, float | None], ...] = (("fem", None), ("fem", 0.0), ("fem", 0.010), ("fem", 0.0145),
+                                              ("fem-coarse", None))
 """Tier and element size [m]: None is the mesh of a press, finer under the ball; 0 is the tier's own, everywhere."""
 
 

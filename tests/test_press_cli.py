@@ -63,10 +63,10 @@ def pressed(out):
 @pytest.mark.parametrize(("probe", "half", "low", "fine", "error"), [
     # low: a rigid punch on a half-space, E* = 5e4 / (1 - 0.45^2) = 6.3e4 Pa, at 3 mm (Johnson 1985, ch. 3 and 4):
     # Hertz for the sphere, 2 a E* d for the cylinder and the box; the block is only 30 mm thick, so it is stiffer.
-    # fine: force with resolution = 0.006; error: of the mesh of 12 mm against it. Faces under small bodies are cut for
-    # contact, and a coarse mesh that cannot give way between its points is stiffer: measured +21, +29, +2 and +12 %.
-    ("sphere = 0.01", 0.01, 1.37, 1.571, 0.25), ("capsule = [0.008, 0.01]", 0.013, 1.22, 1.378, 0.33),
-    ("cylinder = [0.012, 0.02]", 0.01, 4.5, 6.505, 0.05), ("box = [0.02, 0.024, 0.02]", 0.01, 4.6, 6.593, 0.15),
+    # fine: force with resolution = 0.006, which for the sphere and the capsule is within 1 % of that with 0.003; error:
+    # of the mesh of 12 mm against it, measured +11.4, +20.5, +4.4 and +1.6 %: the contact radius is half an element
+    ("sphere = 0.01", 0.01, 1.37, 1.550, 0.14), ("capsule = [0.008, 0.01]", 0.013, 1.22, 1.334, 0.23),
+    ("cylinder = [0.012, 0.02]", 0.01, 4.5, 6.470, 0.05), ("box = [0.02, 0.024, 0.02]", 0.01, 4.6, 7.265, 0.03),
     # a plate on the whole block: not less than with free sides, E A e
     ("plane = true", 0.0, 18.0, 23.56, 0.02),
 ])
@@ -148,10 +148,9 @@ def test_a_mesh_of_a_ball_presses_as_the_ball_does(press, tmp_path):
     trimesh.creation.icosphere(subdivisions=4, radius=0.01).export(tmp_path / "ball.ply")
     ball = pressed(press("--json", "-", tier="linear"))
     mesh = pressed(press("--json", "-", tier="linear", probe='mesh = "ball.ply"'))
-    # facets lie up to 1.3e-3 of the radius inside the ball: 13 um of 3 mm, and force grows as depth^1.5, so 0.7 %. But
-    # faces are cut under a ball before anything touches, and under a mesh where it is found between the points: on
-    # elements of 12 mm the ball is 11 % stiffer
-    assert mesh["force"][-1][2] == pytest.approx(ball["force"][-1][2], rel=0.15)
+    # facets lie up to 1.3e-3 of the radius inside the ball: 13 um of 3 mm, and force grows as depth^1.5, so 0.7 %. The
+    # rest is that only the ball has the local compliance of a coarse mesh: 1.7 % in all on elements of 12 mm
+    assert mesh["force"][-1][2] == pytest.approx(ball["force"][-1][2], rel=0.025)
 
 
 def small_turn(turn):

@@ -129,12 +129,12 @@ def test_force_limit_cuts_the_depth(model):
     assert all(a.depth == SCENE.touches.depth for a in whole)
     assert all(b.depth <= a.depth for a, b in zip(whole, cut)) and any(b.depth < a.depth for a, b in zip(whole, cut))
     poses = np.stack([probe_pose(SCENE.probe, a.contact + a.depth * a.axis, a.axis) for a in cut])[None]
-    force = np.linalg.norm(Solver(model, SCENE.probe, options=SolverOptions(tolerance=1e-6),
-                                  linear=True).run(poses).force[0], axis=1)
-    # between the eighths of the depth at which it was measured the curve is taken as straight. It is convex as a whole
-    # (d^1.5), so that the true force lies under the chord by up to a tenth; but on elements of 20 mm under a ball of 10
-    # mm contact points come in one by one, and between them it is lumpy: 8.6 % over the limit was measured
-    assert (force <= limit * 1.12).all()
+    options = SolverOptions(tolerance=1e-6, local_indentation=True)
+    force = np.linalg.norm(Solver(model, SCENE.probe, options=options, linear=True).run(poses).force[0], axis=1)
+    # between the eighths of the depth at which it was measured the curve is taken as straight; it is convex as a whole
+    # (d^1.5), so that the true force lies under the chord by up to a tenth. Contact points come in one by one, and the
+    # curve is lumpy between them: 0.2 % over the limit was measured
+    assert (force <= limit * 1.05).all()
     shortened = np.array([b.depth < SCENE.touches.depth for b in cut])
     assert (force[shortened] > 0.8 * limit).all()
 

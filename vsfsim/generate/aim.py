@@ -149,7 +149,7 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     depth = spec.depth * np.arange(1, steps + 1) / steps
     poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
     frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
-                    options=SolverOptions(tolerance=1e-3), linear=True).run(poses)
+                    options=SolverOptions(tolerance=1e-3, local_indentation=True), linear=True).run(poses)
     force = np.linalg.norm(np.where(frames.converged[..., None], frames.force, frames.unbalanced_force), axis=-1)
     out = []
     for k, a in enumerate(aims):

@@ -49,8 +49,8 @@ class Tier:
 TIERS: dict[str, Tier] = {
     "vsf": Tier(foundation, False, 1 / 8, 1 / 2, 0.017, 1e-6),
     "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
-    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4),
-    "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3),
+    "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
+    "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
     "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True),
     "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True,
                      local_indentation=True),
