@@ -103,14 +103,22 @@ def test_the_paper_s_network(tmp_path):
 
 def test_it_learns_and_adapts():
     task = parse_task(MOCK_TASK, "mock")
-    train = [specimen(mock_view(i, split="train", touches=10), task) for i in range(4)]
-    view = mock_view(5, touches=20)
-    recording = record(view, task)
+    train = [specimen(mock_view(i, split="train", touches=10), task) for i in range(8)]
+    views = [mock_view(i, touches=20) for i in range(10, 16)]
 
-    def error(method, support):
-        method.adapt(view.view, [recording.readings[i] for i in support])
-        answer = method.predict([recording.readings[i].action for i in range(14, 20)])
-        return float(np.sqrt(np.mean([np.mean((a - recording.clean[i]) ** 2) for a, i in zip(answer, range(14, 20))])))
+    def log_errors(method, support):
+        found = []
+        for view in views:
+            recording = record(view, task)
+            method.adapt(view.view, [recording.readings[i] for i in support])
+            answer = method.predict([recording.readings[i].action for i in range(14, 20)])
+            found.append(0.5 * np.log(np.mean([np.mean((a - recording.clean[i]) ** 2)
+                                               for a, i in zip(answer, range(14, 20))])))
+        return np.array(found)
+
+    def ratio(first, second):
+        """Geometric mean over the six objects of the ratio of two errors."""
+        return float(np.exp(np.mean(first - second)))
 
     # A larger outer rate than the paper's, and fewer inner steps, to see in 60 steps what takes it 400. What it answers
     # before the first touch still swings from step to step; what it makes of touches does not.
@@ -118,10 +126,10 @@ def test_it_learns_and_adapts():
     raw, trained = Imaml(epochs=0, **quick), Imaml(epochs=60, **quick)
     for method in (raw, trained):
         method.meta_fit(train)
-    # 0.26 and 0.22 here. Over six seeds of the mock objects the ratios are 0.24 to 0.51 and 0.22 to 1.20, so
-    # that the bounds hold for these objects only.
-    assert error(trained, range(14)) < 0.5 * error(raw, range(14))
-    assert error(trained, range(14)) < 0.97 * error(trained, []), "touches move the answer"
+    # Over twelve seeds of the mock objects the ratios are 0.22 to 0.80 (median 0.29) and 0.32 to 0.69.
+    touched = log_errors(trained, range(14))
+    assert ratio(touched, log_errors(raw, range(14))) < 0.9
+    assert ratio(touched, log_errors(trained, [])) < 0.85, "touches move the answer"
 
 
 def test_training_that_diverges_is_refused():

@@ -14,7 +14,11 @@ from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
 from vsfsim.core.errors import VsfsimError
 
-FAST = {"rate": 3e-3, "epochs": 60, "patience": 20, "noise_std": 0.15}
+FAST = {"rate": 3e-3, "epochs": 200, "patience": 60, "noise_std": 0.15, "noise_share": 0.1}
+"""Particles on another grid than the mock object's err by a share of the force. With ``noise_share`` 0 touches are
+trusted beyond that, and 13 of them raise the error up to 1.6 times."""
+TEST = range(10, 16)
+"""Objects that no prior was trained on."""
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +28,7 @@ def task():
 
 @pytest.fixture(scope="module")
 def train(task):
-    return [specimen(mock_view(i, split="train", touches=10), task) for i in range(5)]
+    return [specimen(mock_view(i, split="train", touches=14), task) for i in range(10)]
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +38,7 @@ def fitted(train):
     return method
 
 
-def error(method, task, support, index=5):
+def error(method, task, support, index=10):
     view = mock_view(index, touches=20)
     recording = record(view, task)
     method.adapt(view.view, [recording.readings[i] for i in support])
@@ -48,14 +52,15 @@ def test_it_conforms(structure):
     assert not [f for f in findings if f.outcome == "failed"], report("sbml", findings)
 
 
-def test_features_predict_the_stiff_half_before_any_touch(fitted, train, task):
-    view = mock_view(5)
-    fitted.adapt(view.view, [])
-    points = view.truth.probe_points
-    inner = np.abs(points[:, :2]).max(axis=1) < 0.02
-    estimate = fitted.stiffness(points[inner])
-    left, right = (estimate.mean[points[inner][:, 0] * side > 0].mean() for side in (-1, 1))
-    assert right > 2.0 * left, "the darker half is five times as stiff on every training object"
+def test_features_predict_the_stiff_half_before_any_touch(fitted):
+    for index in TEST:
+        view = mock_view(index)
+        fitted.adapt(view.view, [])
+        points = view.truth.probe_points
+        inner = points[np.abs(points[:, :2]).max(axis=1) < 0.02]
+        mean = fitted.stiffness(inner).mean
+        # the darker half is five times as stiff on every training object; over twelve seeds the least is 3.08
+        assert mean[inner[:, 0] > 0].mean() > 2.0 * mean[inner[:, 0] < 0].mean()
 
 
 def test_vision_helps_the_shape_of_the_answer(fitted, train, task):
@@ -64,7 +69,7 @@ def test_vision_helps_the_shape_of_the_answer(fitted, train, task):
     naive = GaussianAverage(noise_std=0.15)
     naive.meta_fit(train)
     ratio = []
-    for index in range(5, 11):
+    for index in TEST:
         view = mock_view(index, touches=20)
         recording = record(view, task)
         clean = np.concatenate(recording.clean)[:, 0]
@@ -74,17 +79,22 @@ def test_vision_helps_the_shape_of_the_answer(fitted, train, task):
             answer = np.concatenate(method.predict([r.action for r in recording.readings]))[:, 0]
             left.append(np.linalg.norm(clean - answer * (answer @ clean) / (answer @ answer)))
         ratio.append(left[0] / left[1])
-    assert np.mean(ratio) < 0.7, ratio
+    assert np.mean(ratio) < 0.5, ratio  # 0.21 to 0.35 over twelve seeds
 
 
 def test_touches_reduce_the_error_and_the_std(fitted, task):
-    errors = [error(fitted, task, range(k)) for k in (0, 13)]
-    assert errors[1] < 0.4 * errors[0], errors
+    before, after = (np.array([error(fitted, task, range(k), index) for index in TEST]) for k in (0, 13))
+    # the geometric mean over objects is 0.43 to 0.68 over twelve seeds
+    assert np.exp(np.mean(np.log(after / before))) < 0.8
     point = np.array([[0.0, 0.0, 0.028]])
-    after = fitted.stiffness(point).std
-    view = mock_view(5)
-    fitted.adapt(view.view, [])
-    assert after < 0.95 * fitted.stiffness(point).std
+    for index in TEST:
+        view = mock_view(index, touches=20)
+        recording = record(view, task)
+        std = []
+        for k in (0, 13):
+            fitted.adapt(view.view, recording.readings[:k])
+            std.append(fitted.stiffness(point).std[0])
+        assert std[1] < std[0]
 
 
 def test_one_prior_over_two_families(train, task):
@@ -96,8 +106,8 @@ def test_one_prior_over_two_families(train, task):
         return dataclasses.replace(view, view=dataclasses.replace(view.view, rgb=rgb))
 
     family = [specimen(bright(mock_view(20 + i, split="train", touches=10, stiffness=10.0)), other) for i in range(5)]
-    unified = Sbml(**{**FAST, "epochs": 150})
-    unified.meta_fit([*train, *family])
+    unified = Sbml(**{**FAST, "epochs": 150, "patience": 20, "noise_share": 0.0})
+    unified.meta_fit([*train[:5], *family])
     first, second = mock_view(5), bright(mock_view(30, stiffness=10.0))
     means = []
     for view in (first, second):
@@ -129,7 +139,7 @@ def test_refusals(fitted, train, task):
     with pytest.raises(VsfsimError, match="meta_fit or load first"):
         Sbml().adapt(mock_view(0).view, [])
     missed = [dataclasses.replace(s, touches=(s.touches[-1],)) for s in train]  # the last touch of a mock misses it
-    with pytest.raises(VsfsimError, match="cannot learn a prior: 5 training objects with 0 touched"):
+    with pytest.raises(VsfsimError, match="cannot learn a prior: 10 training objects with 0 touched"):
         Sbml().meta_fit(missed)
     silent = [dataclasses.replace(s, touches=tuple(dataclasses.replace(t, value=0.0 * t.value) for t in s.touches))
               for s in train]
@@ -151,7 +161,7 @@ def test_noise_in_proportion_to_a_touch(task):
         np.testing.assert_allclose((own_rows * factor).toarray(), rows.toarray(), rtol=1e-12)
     stds = []
     for share in (0.0, 0.5):
-        method = Sbml(**{**FAST, "epochs": 1, "noise_std": 2.0}, noise_share=share)
+        method = Sbml(**{**FAST, "epochs": 1, "noise_std": 2.0, "noise_share": share})
         method.meta_fit([specimen(mock_view(i, split="train", touches=4), task) for i in range(2)])
         method.adapt(view.view, [])
         stds.append((method.predict([readings[0].action])[0].max(), method.predict_std([readings[0].action])[0].min()))
