@@ -1,7 +1,10 @@
+import json
+
 import pytest
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials.packed import unpack
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
@@ -54,3 +57,17 @@ def write_dataset(tmp_path_factory):
 @pytest.fixture(scope="session")
 def toy_dataset(write_dataset, toy_views):
     return write_dataset(toy_views)
+
+
+@pytest.fixture(scope="session")
+def plain_table():
+    """Reads the JSON of a result file, its rows as lists of numbers, as results of schema version 2 hold them."""
+    def read(path):
+        table = json.loads(path.read_text())
+        for key in ("queries", "readings"):
+            table[key] = unpack(table[key]) if table[key] else {}
+        table["answers"] = {name: unpack(columns) for name, columns in table["answers"].items()}
+        del table["objects"]
+        return {**table, "schema_version": 2}
+
+    return read

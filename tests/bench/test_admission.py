@@ -124,9 +124,9 @@ def test_fewer_seeds_are_not_ranked(task, toy_dataset, record, tmp_path):
     assert row.rank is None and row.mark == "1 of the task's 3 seeds"
 
 
-def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, tmp_path):
+def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, plain_table, tmp_path):
     result.save(tmp_path / "r.json")
-    table = json.loads((tmp_path / "r.json").read_text())
+    table = plain_table(tmp_path / "r.json")
     for name in ("package", "isolation", "data", "answers"):
         del table[name]
     (tmp_path / "r.json").write_text(json.dumps({**table, "schema_version": 1}))
@@ -146,9 +146,9 @@ def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, tmp
     lambda t: t.update(seeds=[]), lambda t: t["timing"].update(adapt_s=-1.0), lambda t: t.update(queries=7),
     lambda t: t["queries"]["sse"].__setitem__(0, 10**400), lambda t: t.update(shots="0"),
 ])
-def test_poisoned_results_are_refused_in_one_paragraph(result, tmp_path, poison):
+def test_poisoned_results_are_refused_in_one_paragraph(result, plain_table, tmp_path, poison):
     result.save(tmp_path / "r.json")
-    table = json.loads((tmp_path / "r.json").read_text())
+    table = plain_table(tmp_path / "r.json")
     poison(table)
     (tmp_path / "r.json").write_text(json.dumps(table))
     with pytest.raises(TaskError, match=r"r\.json (is malformed|cannot be read): "):

@@ -60,11 +60,11 @@ def _other_task(result: Result, task: Task) -> str:
         return "other text of the task"
     if (result.shots, result.observation) != (task.protocol.labels, task.observation.name):
         return "other shots or another observation than the task's"
-    missing = set(range(task.protocol.seeds)) - set(result.seeds)
-    if missing:
-        return f"{len(set(range(task.protocol.seeds)) & set(result.seeds))} of the task's {task.protocol.seeds} seeds"
-    if len(result.seeds) != task.protocol.seeds:
-        return f"{len(result.seeds)} seeds, more than the task's {task.protocol.seeds}"
+    wanted = set(task.protocol.runs(seeded="seed" in result.parameters))
+    if wanted - set(result.seeds):
+        return f"{len(wanted & set(result.seeds))} of the task's {len(wanted)} seeds"
+    if len(result.seeds) != len(wanted):
+        return f"{len(result.seeds)} seeds, more than the task's {len(wanted)}"
     return ""
 
 

@@ -20,7 +20,8 @@ from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
 from vsfsim.bench.trials.collect import Collector, Progress
-from vsfsim.bench.trials.rows import Rows, as_columns, scores_of
+from vsfsim.bench.trials.folds import test_names
+from vsfsim.bench.trials.rows import Rows, as_columns, beside_zero, scores_of, stored
 from vsfsim.bench.trials.score import rows_of
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
@@ -38,7 +39,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         task: the task.
         dataset: as `open_dataset` returns it.
         parameters: of the method's constructor, over its defaults.
-        seeds: draws of the support set, or None for the task's own number.
+        seeds: draws of the support set, or None for the task's own number; with cross-validation, of one training.
         progress: called with (trials done, of how many, what is going on).
         isolation: how the method is kept from what it may not see, and for how long it may run.
         part: folder in which finished seeds are kept. A second call with the same operands begins where the first one
@@ -56,7 +57,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
     data = fingerprint.beside_record(task, dataset)
     with tempfile.TemporaryDirectory() as folder:
         run = Collector(name, dict(parameters or {}), task, dataset,
-                        tuple(range(task.protocol.seeds if seeds is None else seeds)), isolation,
+                        seeds, isolation,
                         Path(folder) / "log" if log is None else Path(log).absolute(),
                         None if part is None else Path(part).absolute(), progress or (lambda *_: None), check)
         answers = run.run()
@@ -67,10 +68,12 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
               "predict_s": sum(a.predict_s for a in answers), "adapts": sum(a.adapt_s > 0.0 for a in answers),
               "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
     notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
-    if len(run.seeds) != task.protocol.seeds:
-        notes.append(f"{len(run.seeds)} seeds instead of the task's {task.protocol.seeds}")
+    wanted = len(task.protocol.runs(seeded=said.seeded))
+    if len(run.seeds) != wanted:
+        notes.append(f"{len(run.seeds)} seeds instead of the task's {wanted}")
+    asked = {**rows, Answer.READINGS: beside_zero(rows[Answer.READINGS], readings, task.observation.size)}
     scores = {metric: by_shot for answer in Answer
-              for metric, by_shot in scores_of(answer, rows[answer], task.protocol.labels, run.seeds).items()}
+              for metric, by_shot in scores_of(answer, asked[answer], task.protocol.labels, run.seeds).items()}
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
         method=name, entry=said.entry, parameters=dict(said.parameters), observation=task.observation.name,
@@ -87,7 +90,7 @@ def _rows(answers: list[Answers], task: Task, dataset: Dataset) -> tuple[Rows, d
     """The rows of all answers in their order, and `Result.readings`."""
     rows: Rows = {answer: [] for answer in Answer}
     readings: dict[str, list] = {}
-    for name in dataset.names(task.protocol.test):
+    for name in test_names(dataset, task.protocol):
         found, summary = rows_of(name, [a for a in answers if a.trial.subject == name], task, dataset)
         for answer in Answer:
             rows[answer] += found[answer]
@@ -96,4 +99,6 @@ def _rows(answers: list[Answers], task: Task, dataset: Dataset) -> tuple[Rows, d
     order = {(a.trial.subject, a.trial.shot, a.trial.seed): index for index, a in enumerate(answers)}
     for of_answer in rows.values():
         of_answer.sort(key=lambda row: order[row["object"], row["shot"], row["seed"]])
+    if task.protocol.folds:
+        stored([*rows[Answer.READINGS], *rows[Answer.READING_STD]])
     return rows, readings

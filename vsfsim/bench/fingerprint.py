@@ -24,6 +24,7 @@ import numpy as np
 
 from vsfsim.bench.protocol import divide, record
 from vsfsim.bench.task import Task
+from vsfsim.bench.trials.folds import shown_names, test_names
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 from vsfsim.core.shape import probe_table
@@ -123,9 +124,10 @@ def make_record(task: Task, dataset: Dataset) -> Record:
     Raises:
         TaskError: the dataset does not fit the task.
     """
-    names = [name for split in (task.protocol.train, task.protocol.test) for name in dataset.names(split)]
+    asked = frozenset(test_names(dataset, task.protocol))
     return Record(task.name, task.sha256, dataset.sha256, dict(dataset.made_by),
-                  tuple(_of_view(dataset.load(name), task) for name in dict.fromkeys(names)))
+                  tuple(_of_view(dataset.load(name), task, name in asked)
+                        for name in shown_names(dataset, task.protocol)))
 
 
 def record_path(task: Task) -> Path:
@@ -208,9 +210,9 @@ def differences(found: Record, known: Record) -> list[str]:
 # ---------------------------------------------------------------------- vectors
 
 
-def _of_view(view: ObjectView, task: Task) -> Entry:
+def _of_view(view: ObjectView, task: Task, asked: bool) -> Entry:
     recording = record(view, task)
-    query = divide(view, task.protocol).query if view.split == task.protocol.test else ()
+    query = divide(view, task.protocol).query if asked else ()
     shown = dict(_vectors_of_view(view))
     rows = [dict(_vectors_of_touch(touch, clean)) for touch, clean in zip(view.touches, recording.clean, strict=True)]
     kinds = tuple(rows[0]) if rows else ()
@@ -241,6 +243,9 @@ def _vectors_of_touch(touch: Touch, clean: np.ndarray) -> Iterator[tuple[str, np
     yield "converged frames", touch.converged
     yield "reading", np.nan_to_num(clean)
     yield "joint angles", np.zeros(0) if touch.q is None else touch.q
+    if touch.planned_pose is not None and touch.planned_frame is not None:
+        yield "plan", touch.planned_pose
+        yield "frames as planned", touch.planned_frame
     for name, values in (("skin", touch.node_position), ("skin's force", touch.node_force)):
         yield name, np.zeros(0) if values is None else np.nan_to_num(values)
 

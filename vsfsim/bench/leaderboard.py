@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.admission import admit
+from vsfsim.bench.board.compare import TOLD_APART, ByObject, interval, joined_ranks, ratios
 from vsfsim.bench.fingerprint import shipped_record
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
@@ -46,6 +47,8 @@ class Row:
     """Its file."""
     other_bits: bool
     """Its dataset is the board's, made on a machine that rounds otherwise."""
+    objects: Mapping[str, ByObject] = dataclasses.field(default_factory=dict)
+    """Of a task with cross-validation, the ratio to zero of each object, by shot (`vsfsim.bench.board.compare`)."""
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
 
@@ -101,13 +104,21 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         rows = odd if mark else good
         same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
         if same is None:
-            rows.append(Row(None, mark, result, admission.scores, path, other and not mark, origin[path]))
+            objects = {shot: ratios(result, shot) for shot in result.shots} if task.protocol.folds and not mark else {}
+            rows.append(Row(None, mark, result, admission.scores, path, other and not mark, objects, origin[path]))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
-    ranked = [dataclasses.replace(row, rank=rank) for rank, row in enumerate(good, start=1)]
+    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if _over_objects(task) else range(
+        1, len(good) + 1)
+    ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     return Board(task, reference, record is not None, (*ranked, *odd))
+
+
+def _over_objects(task: Task) -> bool:
+    """Whether methods are compared object by object."""
+    return bool(task.protocol.folds) and task.primary == "rmse_ratio"
 
 
 def _far_apart(result: Result, known: Mapping[str, list]) -> str:
@@ -149,6 +160,7 @@ def table(board: Board) -> dict[str, Any]:
     task = board.task
     rows = [{"rank": row.rank, "method": row.result.method, "parameters": dict(row.result.parameters),
              "origin": row.origin, "file": str(row.path), "not_ranked_because": row.mark,
+             "objects": {shot: dict(values) for shot, values in row.objects.items()},
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
              "timing": dict(row.result.timing), "made_by": dict(row.result.made_by)} for row in board.rows]
@@ -206,7 +218,8 @@ def _title(board: Board) -> str:
     unit = _unit(task.primary, task.observation.unit) or "-"
     what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
     better = "higher" if task.metric.higher_is_better else "lower"
-    return (f"{task.primary} {what} [{unit}], mean ± std over seeds, {better} is better; ranked at "
+    spread = "standard error over objects" if _over_objects(task) else "std over seeds"
+    return (f"{task.primary} {what} [{unit}], mean ± {spread}, {better} is better; ranked at "
             f"{task.ranking_shot}-shot")
 
 
@@ -222,7 +235,8 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         commit = str(row.result.made_by.get("commit") or "")[:7]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
         rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
-                     *(_number(by_shot.get(shot)) for shot in labels), _number(stiffness), f"{adapt:.2f} s",
+                     *(_over(row.objects[shot]) if row.objects and _over_objects(task) else _number(by_shot.get(shot))
+                       for shot in labels), _number(stiffness), f"{adapt:.2f} s",
                      shown(made_by)])
     return head, rows
 
@@ -240,6 +254,9 @@ def _labels(results: list[Result]) -> list[str]:
 
 def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     lines = [f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows if row.mark]
+    if _over_objects(board.task) and board.rows:
+        lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
+                     f"errors")
     if any(row.other_bits for row in board.rows):
         lines.append("~ on the same dataset, made on a machine that rounds otherwise")
     if board.rows and not board.has_record:
@@ -263,6 +280,11 @@ def _paper(board: Board) -> list[list[str]]:
 
 def _number(score: Score | None) -> str:
     return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
+
+
+def _over(values: ByObject) -> str:
+    mean, error = interval(values)
+    return f"{mean:.3f} ± {error:.3f}" if error == error else f"{mean:.3f}"
 
 
 def _pair(value: tuple[float, float | None] | None) -> str:

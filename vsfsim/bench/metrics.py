@@ -74,7 +74,7 @@ def _mean_uncertainty(score: Callable[[np.ndarray, np.ndarray], float]) -> Calla
     return mean
 
 
-def _reading(name: str, score: Callable[[Sequence[Record]], float], doc: str) -> Metric:
+def _reading(name: str, score: Callable[[Sequence[Record]], float | None], doc: str) -> Metric:
     return Metric(name, Answer.READINGS, score, doc, unit=None, ranks=True)
 
 
@@ -87,6 +87,12 @@ METRICS: dict[str, Metric] = {
     m.name: m for m in (
         _reading("rmse", readings.rmse, "Root mean square error of a touch's readings, averaged over touches."),
         _reading("rmse_pooled", readings.rmse_pooled, "Root mean square error over all readings."),
+        Metric("rmse_ratio", Answer.READINGS, readings.rmse_ratio,
+               "Error of an object, `rmse`, over that of predicting zero on the same touches, averaged over objects.",
+               ranks=True),
+        Metric("rmse_norm", Answer.READINGS, readings.rmse_norm,
+               "`rmse` of the norm of the error of a reading of several numbers; of torques, of the norm of all seven.",
+               unit=None, ranks=True),
         _reading("mae", readings.mae, "Mean absolute error of a touch's readings, averaged over touches."),
         _reading("mae_pooled", readings.mae_pooled, "Mean absolute error over all readings."),
         Metric("nll", Answer.READING_STD, readings.mean_of("nll"),

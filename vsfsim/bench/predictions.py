@@ -24,7 +24,8 @@ from vsfsim.bench.protocol import divide, record, support
 from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.rows import as_columns, scores_of
+from vsfsim.bench.trials.folds import folds_of
+from vsfsim.bench.trials.rows import as_columns, beside_zero, scores_of
 from vsfsim.bench.trials.score import rows_of
 from vsfsim.bench.trials.subject import Trial
 from vsfsim.core.errors import MethodError, no_such_file
@@ -54,18 +55,21 @@ class Question:
     """Of the query touches."""
     keys: tuple[str, ...]
     """Names of the answers in the file, one a query touch."""
+    train: tuple[str, ...]
+    """Names of the object views that the answers may be learned from; with cross-validation others in every fold."""
 
 
 def questions(task: Task, dataset: Dataset) -> Iterator[Question]:
     """All adaptations that the task asks for, in order, without a reading of a query touch."""
-    for view in map(dataset.blind().load, dataset.names(task.protocol.test)):
-        readings, draw, shown = record(view, task).readings, divide(view, task.protocol), frozen_view(view.view)
-        for seed in range(task.protocol.seeds):
-            for label in task.protocol.labels:
-                chosen = support(view, draw, label, seed, task.protocol)
-                yield Question(view.name, label, seed, shown, tuple(readings[i] for i in chosen), draw.query,
-                               tuple(readings[i].action for i in draw.query),
-                               tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query))
+    for fold in folds_of(dataset, task.protocol):
+        for view in map(dataset.blind().load, fold.test):
+            recording, draw, shown = record(view, task), divide(view, task.protocol), frozen_view(view.view)
+            for seed in task.protocol.runs(seeded=False):
+                for label in task.protocol.labels:
+                    chosen = support(view, draw, label, seed, task.protocol)
+                    yield Question(view.name, label, seed, shown, tuple(recording.readings[i] for i in chosen),
+                                   draw.query, tuple(recording.queries[i].action for i in draw.query),
+                                   tuple(f"{view.name}/{label}/{seed}/{i:03d}" for i in draw.query), fold.train)
 
 
 def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: str) -> Result:
@@ -101,12 +105,13 @@ def score_predictions(path: str | Path, task: Task, dataset: Dataset, *, name: s
         rows += found[Answer.READINGS]
         for column, values in summary.items():
             readings.setdefault(column, []).extend(values)
-    seeds = tuple(range(task.protocol.seeds))
+    seeds = task.protocol.runs(seeded=False)
     return Result(
         task=task.name, task_sha256=task.sha256, dataset_sha256=dataset.sha256, dataset_made_by=dict(dataset.made_by),
         method=plain(name), entry="predictions file", parameters={}, observation=task.observation.name,
         unit=task.observation.unit, shots=task.protocol.labels, seeds=seeds,
-        scores=scores_of(Answer.READINGS, rows, task.protocol.labels, seeds),
+        scores=scores_of(Answer.READINGS, beside_zero(rows, readings, task.observation.size), task.protocol.labels,
+                         seeds),
         queries=as_columns(Answer.READINGS, rows), timing={},
         peak_memory_mib=round(peak_memory_mib(), 1), machine=machine(), made_by=made_by(), versions=versions(),
         notes=("scored from a file of predictions",), readings=readings, data=data)

@@ -7,6 +7,7 @@ touches of a seed contain its 1 touch.
 
 from __future__ import annotations
 
+import dataclasses
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -17,8 +18,25 @@ from vsfsim.bench.method import Action, Reading, Specimen, Surface, frozen, froz
 from vsfsim.bench.noise import Noise
 from vsfsim.bench.noise_bubble import noisy_node_force, noisy_nodes
 from vsfsim.bench.task import ALL, Protocol, Task
+from vsfsim.core.chain import Chain
 from vsfsim.core.errors import TaskError
 from vsfsim.data.records import ObjectView, Touch
+
+
+@dataclass(frozen=True)
+class Query:
+    """A touch that a method predicts: its plan, and what was read in those frames of it that were made.
+
+    The path that was taken is not shown where a plan is kept: an arm leaves its plan where the force limit is met, so
+    that the end of the path tells the reading.
+    """
+
+    action: Action
+    """The plan of T frames; the path that was taken where the dataset keeps no plan."""
+    clean: np.ndarray
+    """Noise-free readings (T, d) in the task's unit; NaN in frames that were not made."""
+    scored: np.ndarray
+    """Whether a frame was made as planned and converged (T,) bool."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +49,8 @@ class Recording:
     """Noisy, one a touch."""
     clean: tuple[np.ndarray, ...]
     """Noise-free, (T, d) in the task's unit, one a touch."""
+    queries: tuple[Query, ...]
+    """The same touches as a method is asked about them."""
 
 
 def record(view: ObjectView, task: Task) -> Recording:
@@ -40,7 +60,8 @@ def record(view: ObjectView, task: Task) -> Recording:
         TaskError: the dataset does not hold what the task reads.
     """
     row = task.observation
-    readings, clean = [], []
+    readings, clean, queries = [], [], []
+    _check_plan(view, task)
     for index, touch in enumerate(view.touches):
         which = {"object_index": view.object_index, "view_index": view.view_index, "touch_index": index}
         values = row.channel.clean(touch)
@@ -54,7 +75,33 @@ def record(view: ObjectView, task: Task) -> Recording:
         readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),
                                 _surface(touch, task.noise, which)))
         clean.append(row.reading(values, touch.axis))
-    return Recording(view.name, tuple(readings), tuple(clean))
+        queries.append(_query(touch, action, clean[-1]))
+    return Recording(view.name, tuple(readings), tuple(clean), tuple(queries))
+
+
+def _query(touch: Touch, action: Action, clean: np.ndarray) -> Query:
+    if touch.planned_pose is None or touch.planned_time is None or touch.planned_frame is None:
+        return Query(action, clean, touch.converged)
+    plan = dataclasses.replace(action, time=frozen(touch.planned_time), poses=frozen(touch.planned_pose),
+                               q=None if touch.planned_q is None else frozen(touch.planned_q))
+    made = np.flatnonzero(as_planned(touch))
+    frame = touch.planned_frame[made]
+    values, scored = np.full((len(plan.time), clean.shape[1]), np.nan), np.zeros(len(plan.time), bool)
+    values[frame], scored[frame] = clean[made], True
+    return Query(plan, values, scored)
+
+
+def as_planned(touch: Touch) -> np.ndarray:
+    """Which frames of a touch converged, and were made as planned (T,) bool."""
+    return touch.converged if touch.planned_frame is None else touch.converged & (touch.planned_frame >= 0)
+
+
+def _check_plan(view: ObjectView, task: Task) -> None:
+    """Refuse an arm's touches without their plan where the task needs it."""
+    if task.protocol.folds and isinstance(view.probe, Chain) and any(t.planned_pose is None for t in view.touches):
+        raise TaskError(f"object view '{view.name}' does not keep the planned paths of its touches, and task "
+                        f"{task.name} asks for predictions of planned touches. Generate the dataset again from a scene "
+                        f"with plan = true in [touches].")
 
 
 def _where_converged(values: np.ndarray, touch: Touch) -> np.ndarray:
@@ -95,7 +142,7 @@ def divide(view: ObjectView, protocol: Protocol) -> Draw:
     Raises:
         TaskError: there are too few touches with a reading for the query set and the largest support set.
     """
-    usable = np.array([i for i, touch in enumerate(view.touches) if touch.converged.any()], dtype=int)
+    usable = np.array([i for i, touch in enumerate(view.touches) if as_planned(touch).any()], dtype=int)
     need = protocol.query + max(protocol.shots)
     if len(usable) < need:
         raise TaskError(f"object view '{view.name}' has {len(usable)} touches with a converged frame; {protocol.query} "
@@ -120,7 +167,8 @@ class Numbered(typing.Protocol):
 
 
 def support(view: Numbered, draw: Draw, label: str, seed: int, protocol: Protocol) -> tuple[int, ...]:
-    """Indices of the support touches for shot ``label`` ("0", "5", "all") and ``seed``, in the order they are given."""
+    """Indices of the support touches for shot ``label`` ("0", "5", "all") and draw ``seed``, in the order they are
+    given."""
     if label == ALL:
         return draw.pool
     stream = np.random.SeedSequence(protocol.seed, spawn_key=(1, view.object_index, view.view_index, seed))

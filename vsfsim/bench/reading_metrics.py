@@ -8,6 +8,8 @@ sums of `touch_errors`.
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -53,6 +55,45 @@ def rmse(touches: Sums) -> float:
 def rmse_pooled(touches: Sums) -> float:
     """sqrt(mean over all readings of all query touches of (p - y)^2)."""
     return float(np.sqrt(_column(touches, "sse").sum() / _column(touches, "n").sum()))
+
+
+def rmse_norm(touches: Sums) -> float | None:
+    """Mean over query touches of sqrt(mean_t |p - y|^2), |.| the norm of the d numbers of a reading; None for d = 1,
+    where it is `rmse`, and where d is not known."""
+    size = touches[0].get("size") or 1
+    return None if size == 1 else float(np.sqrt(size)) * rmse(touches)
+
+
+def rmse_ratio(touches: Sums) -> float | None:
+    """Mean over objects of `rmse` over that of predicting zero on the same touches; None where a true reading is not
+    known, or all those of an object are zero."""
+    ratios = object_ratios(touches)
+    return None if ratios is None else float(np.mean(list(ratios.values())))
+
+
+def object_ratios(touches: Sums) -> dict[str, float] | None:
+    """The ratio of each object, all its views together, by the object's name; None as of `rmse_ratio`.
+
+    Args:
+        touches: sums with the names of the object views, ``object``, and the sums of squares of the true readings,
+            ``ss`` [unit^2].
+    """
+    if any(touch.get("ss") is None or touch.get("object") is None for touch in touches):
+        return None
+    mine: dict[str, list[tuple[float, float]]] = {}
+    for touch in touches:
+        n = float(touch["n"])
+        mine.setdefault(object_of(touch["object"]), []).append((math.sqrt(touch["sse"] / n),
+                                                                math.sqrt(touch["ss"] / n)))
+    sums = {name: (math.fsum(e for e, _ in pairs), math.fsum(z for _, z in pairs)) for name, pairs in mine.items()}
+    if any(not zero > 0.0 for _, zero in sums.values()):
+        return None
+    return {name: error / zero for name, (error, zero) in sums.items()}
+
+
+def object_of(view: str) -> str:
+    """Name of the object of a view: "shoe-0004" of "shoe-0004-v1"."""
+    return re.sub(r"-v\d+$", "", view)
 
 
 def mae(touches: Sums) -> float:

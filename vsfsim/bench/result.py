@@ -13,9 +13,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.board import compare
 from vsfsim.bench.metrics import Answer
-from vsfsim.bench.trials.result_fields import OLD_VERSION, SCHEMA_VERSION, checked_fields, read_json
-from vsfsim.bench.trials.rows import Score, as_rows, scores_of
+from vsfsim.bench.observations import OBSERVATIONS
+from vsfsim.bench.trials.packed import pack
+from vsfsim.bench.trials.result_fields import OLD_VERSION, PLAIN_VERSION, SCHEMA_VERSION, checked_fields, read_json
+from vsfsim.bench.trials.rows import Score, as_rows, beside_zero, scores_of
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.interactive.figure import new_figure
 from vsfsim.core.interactive.html_table import html_table
@@ -138,12 +141,17 @@ class Result:
             TaskError: it cannot be written.
         """
         path = Path(path)
-        table = {"format": FORMAT, **dataclasses.asdict(self), "schema_version": SCHEMA_VERSION}
+        table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(), "objects": self._objects(),
+                 "queries": pack(self.queries), "readings": pack(self.readings) if self.readings else {},
+                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data}
+        table["schema_version"] = SCHEMA_VERSION
+        lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
+                 for key, value in table.items()]
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise TaskError(f"folder {path.parent} cannot be made: {error.strerror}. Choose another --out.") from error
-        write_atomic(path, (json.dumps(table, indent=1, default=str, allow_nan=False) + "\n").encode(), error=TaskError)
+        write_atomic(path, ("{\n" + ",\n".join(lines) + "\n}\n").encode(), error=TaskError)
 
     @classmethod
     def load(cls, path: str | Path) -> Result:
@@ -156,12 +164,12 @@ class Result:
         table = read_json(path)
         if not isinstance(table, dict) or table.get("format") != FORMAT:
             raise TaskError(f"{path} is not a result of `vsfsim evaluate`.")
-        if table.get("schema_version") not in (OLD_VERSION, SCHEMA_VERSION):
+        if table.get("schema_version") not in (OLD_VERSION, PLAIN_VERSION, SCHEMA_VERSION):
             raise TaskError(f"result {path} has schema version {plain(table.get('schema_version'), longest=40)}; this "
                             f"vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
         fields = {f.name: f for f in dataclasses.fields(cls)}
         optional = {name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING} | {"isolation"}
-        given = {key: value for key, value in table.items() if key != "format"}
+        given = {key: value for key, value in table.items() if key not in ("format", "objects")}
         odd = (set(given) ^ set(fields)) - (optional - set(given) if given["schema_version"] == OLD_VERSION
                                             else {"readings"} - set(given))
         if odd:
@@ -173,9 +181,27 @@ class Result:
             raise TaskError(f"result {path} is malformed: {plain(error, longest=300)}. Evaluate the method "
                             f"again.") from error
 
+    def _objects(self) -> dict[str, list]:
+        """For the reader of the file: the error of each object at each shot [unit], and over that of predicting zero,
+        both means over runs. `load` does not read it."""
+        out: dict[str, list] = {"object": [], "shot": [], "rmse": [], "rmse_ratio": []}
+        for shot in self.shots:
+            error, ratio = compare.absolute(self, shot), compare.ratios(self, shot)
+            for name, value in error.items():
+                out["object"].append(name)
+                out["shot"].append(shot)
+                out["rmse"].append(float(f"{value:.6g}"))
+                out["rmse_ratio"].append(float(f"{ratio[name]:.6g}") if name in ratio else None)
+        return out
+
+    def rows(self) -> list[dict[str, Any]]:
+        """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.trials.rows.beside_zero`)."""
+        row = OBSERVATIONS.get(self.observation)
+        return beside_zero(as_rows(self.queries), self.readings, 1 if row is None else row.size)
+
     def computed(self) -> dict[str, dict[str, Score]]:
         """The scores, computed again from `queries` and `answers`; what `scores` says is not looked at."""
-        out = scores_of(Answer.READINGS, as_rows(self.queries), self.shots, self.seeds)
+        out = scores_of(Answer.READINGS, self.rows(), self.shots, self.seeds)
         for answer in Answer:
             if answer.value in self.answers:
                 out |= scores_of(answer, as_rows(self.answers[answer.value]), self.shots, self.seeds)

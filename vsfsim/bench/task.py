@@ -58,20 +58,42 @@ class DatasetWanted:
 
 @dataclass(frozen=True)
 class Protocol:
-    """``[protocol]``: the few-shot protocol."""
+    """``[protocol]``: the few-shot protocol, with two fixed splits, or with cross-validation over objects (``folds``).
+
+    With cross-validation a run is one training and one draw of the support sets: run = training x draws + draw. A
+    method without a ``seed`` has one training.
+    """
 
     train: str
-    """Name of the split that methods learn from."""
+    """Name of the split that methods learn from; "" with cross-validation."""
     test: str
-    """Name of the split that is scored."""
+    """Name of the split that is scored; "" with cross-validation."""
     shots: tuple[int, ...]
     """Sizes of the support set, increasing."""
     seeds: int
-    """Number of draws of the support set."""
+    """Number of runs: of draws of the support set; with cross-validation, of trainings times draws."""
     query: int
     """Number of query touches of each test object, the same for every shot and seed."""
     seed: int
     """Root of all draws, >= 0."""
+    folds: int = 0
+    """Parts into which the objects are divided, each of them tested once; 0 for the two splits above."""
+    draws: int = 0
+    """With cross-validation, draws of the support set; else 0."""
+    trainings: int = 0
+    """With cross-validation, trainings of a method with a ``seed``, each with another seed; else 0."""
+
+    def runs(self, *, seeded: bool) -> tuple[int, ...]:
+        """Numbers of the runs of a method that takes a ``seed``, or does not."""
+        return tuple(range(self.draws if self.folds and not seeded else self.seeds))
+
+    def draw_of(self, run: int) -> int:
+        """Number of the support draw of a run."""
+        return run % self.draws if self.folds else run
+
+    def training_of(self, run: int) -> int:
+        """Number of the training of a run: the ``seed`` that the method is built with."""
+        return run // self.draws if self.folds else run
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -152,7 +174,8 @@ def parse_task(text: str, path: str | Path) -> Task:
     wanted = DatasetWanted(d.text("folder"), d.text("scene"), d.text("scene_sha256", ""),
                            d.count("seed", None, 0), d.count("objects", None, 1), d.count("views", None, 1),
                            d.count("touches", None, 1), d.text("tier", "auto"), d.text("sha256", ""))
-    protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed")))
+    protocol = _protocol(top.section("protocol", ("train", "test", "shots", "seeds", "query", "seed", "folds", "draws",
+                                                  "trainings")))
     o = top.section("observation", ("kind",))
     noise = _noise(top.section("noise", ("kind", *(f.name for f in fields(Noise)))))
     m = top.section("metrics", ("primary", "ranking_shot"))
@@ -201,7 +224,7 @@ def open_dataset(task: Task, path: str | Path | None = None) -> Dataset:
     if wrong:
         raise TaskError(f"the dataset in {folder} is not the one of task {task.name}: {'; '.join(wrong)}. This makes "
                         f"the right one:\n\n  {task.dataset.command()}\n")
-    for split in (task.protocol.train, task.protocol.test):
+    for split in (task.protocol.train, task.protocol.test) if not task.protocol.folds else ():
         dataset.names(split)
     return dataset
 
@@ -211,8 +234,20 @@ def _protocol(t: Table) -> Protocol:
     if (not isinstance(shots, list) or not shots or sorted(set(shots)) != shots
         or any(isinstance(k, bool) or not isinstance(k, int) or k < 0 for k in shots)):
         raise TaskError(f"{t.where}: shots is {shots!r}; give increasing whole numbers, e.g. [0, 1, 5, 10].")
-    return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
-                    t.count("query", None, 1), t.count("seed", None, 0))
+    query, seed = t.count("query", None, 1), t.count("seed", None, 0)
+    if "folds" not in t.table:
+        odd = [key for key in ("draws", "trainings") if key in t.table]
+        if odd:
+            raise TaskError(f"{t.where}: {odd[0]} belongs to cross-validation; give folds too, or give train, test and "
+                            f"seeds without it.")
+        return Protocol(t.text("train", "train"), t.text("test", "test"), tuple(shots), t.count("seeds", None, 1),
+                        query, seed)
+    odd = [key for key in ("train", "test", "seeds") if key in t.table]
+    if odd:
+        raise TaskError(f"{t.where}: {odd[0]} and folds exclude each other. With cross-validation every object is a "
+                        f"test object once; give folds, draws and trainings.")
+    draws, trainings = t.count("draws", None, 1), t.count("trainings", None, 1)
+    return Protocol("", "", tuple(shots), draws * trainings, query, seed, t.count("folds", None, 2), draws, trainings)
 
 
 def _noise(t: Table) -> Noise:

@@ -102,6 +102,16 @@ class Touch:
     ended: int | None = None
     """Why a guarded touch has fewer readings than planned [-]: 0 it has them all, 1 the arm's protective stop on its
     way back, 2 the solver's iterations were used up; None for other touches."""
+    planned_time: np.ndarray | None = None
+    """Of each of the G frames that were planned (G,) [s]; this and the next three are None where the plan is not
+    kept."""
+    planned_pose: np.ndarray | None = None
+    """Probe-to-world transforms of the plan (G, 4, 4) [m]."""
+    planned_q: np.ndarray | None = None
+    """Joint angles of the plan (G, 7) [rad]."""
+    planned_frame: np.ndarray | None = None
+    """The frame of the plan in which each frame was read (T,) int; -1 where the arm had left its plan, because the
+    force limit was met."""
     pressure: np.ndarray | None = None
     """Gauge pressure of the bubble (T,) [Pa]; None for a rigid probe."""
     rest_pressure: float | None = None

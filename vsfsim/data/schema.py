@@ -113,6 +113,13 @@ FIELDS: list[Field] = [
     _touch("ended", "int64", "", "1",
            "Why a guarded touch has fewer readings than planned: 0 it has them all, 1 the arm's protective stop on its "
            "way back, 2 the solver's iterations were used up.", required=False),
+    _touch("planned_time", "float64", "G", "s", "Time of each frame of the planned touch; kept if [touches] says plan "
+           "= true.", required=False),
+    _touch("planned_pose", "float64", "G 4 4", "m", "Probe-to-world transform of the plan.", required=False),
+    _touch("planned_q", "float64", "G 7", "rad", "Joint angles of the plan.", required=False),
+    _touch("planned_frame", "int64", "T", "1",
+           "The frame of the plan in which a frame was read; -1 where the arm had left its plan at the force limit.",
+           required=False),
     _touch("pressure", "float64", "T", "Pa", "Gauge pressure of the bubble.", required=False, masked=True),
     _touch("rest_pressure", "float64", "", "Pa", "Gauge pressure of the free dome.", required=False),
     _touch("moment", "float64", "T 3", "N m",

@@ -1,4 +1,4 @@
-"""All trials of a method on a task, several at once, seed by seed; finished seeds are kept and taken up again."""
+"""All trials of a method on a task, several at once, stage by stage; finished stages are kept and taken up again."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
 from vsfsim.bench.method import Specimen
 from vsfsim.bench.protocol import specimen, support
-from vsfsim.bench.task import ALL, Task
+from vsfsim.bench.task import Task
 from vsfsim.bench.trials import answers as kept
 from vsfsim.bench.trials.answers import Answers, run_trial
+from vsfsim.bench.trials.folds import folds_of
+from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial
-from vsfsim.core.errors import Interrupted, MethodError
+from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 
@@ -42,14 +44,14 @@ class Collector:
     """The task."""
     dataset: Dataset
     """Its dataset."""
-    seeds: tuple[int, ...]
-    """Draws of the support set."""
+    draws: int | None
+    """Draws of the support set, None for the task's own number; with cross-validation, of one training."""
     isolation: Isolation
     """How the method is run."""
     log: Path
     """What the method prints."""
     part: Path | None
-    """Folder in which finished seeds are kept, or None."""
+    """Folder in which finished stages are kept, or None."""
     progress: Progress
     """Called with (trials done, of how many, what is going on)."""
     conforms: bool = True
@@ -60,9 +62,16 @@ class Collector:
     """Largest resident size of the method's processes [MiB]."""
     description: Description | None = None
     """What the method said of itself."""
-    done: dict[int, list[Answers]] = field(default_factory=dict)
-    """By seed."""
-    _key: bytes = b""  # what the kept seeds are of
+    seeds: tuple[int, ...] = ()
+    """Numbers of the runs (`vsfsim.bench.task.Protocol`), once the method is known."""
+    done: dict[str, list[Answers]] = field(default_factory=dict)
+    """By stage."""
+    _key: bytes = b""  # what the kept stages are of
+    _stages: tuple[Stage, ...] = ()
+
+    @property
+    def _unit(self) -> str:
+        return "training" if self.task.protocol.folds else "seed"
 
     def run(self) -> list[Answers]:
         """The answers of all trials, in the task's order; those of shots that are the same for every seed are repeated.
@@ -72,12 +81,15 @@ class Collector:
             TaskError: the dataset has too few touches.
             Interrupted: the user has stopped it.
         """
-        subjects = [Subject.of(name, self.task, self.dataset) for name in self.dataset.names(self.task.protocol.test)]
+        folds = folds_of(self.dataset, self.task.protocol)
+        subjects = {name: Subject.of(name, self.task, self.dataset) for fold in folds for name in fold.test}
         hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve()]
         process: MethodProcess | None = None
         try:
             process = self._process(hidden)
             self.description = process.description
+            self.seeds = self._runs()
+            self._stages = stages(self.task.protocol, folds, self.seeds, seeded=self.description.seeded)
             self._take_up(process.description)
             if self.conforms and not self.done:
                 self.progress(0, 1, "contract")
@@ -87,27 +99,38 @@ class Collector:
                                       + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
                                       + f" `vsfsim check {self.name}` tests all of it.")
             blind = self.dataset.blind()
-            specimens = [specimen(blind.load(name), self.task) for name in self.dataset.names(self.task.protocol.train)]
-            fitted = False
-            for seed in self.seeds:
-                if seed in self.done:
+            needed = dict.fromkeys(name for stage in self._stages if stage.name not in self.done
+                                   for name in stage.train)
+            specimens = {name: specimen(blind.load(name), self.task) for name in needed}
+            fitted: tuple[int, int | None] | None = None
+            for stage in self._stages:
+                if stage.name in self.done:
                     continue
-                if self.description.seeded and fitted:
+                if fitted is not None and fitted != (stage.fold, stage.seed):
                     self._end(process)
-                    process, fitted = self._process(hidden), False
-                if not fitted:
-                    self._learn(process, specimens, seed if self.description.seeded else None)
-                    fitted = True
-                self._run_seed(process, subjects, seed)
+                    process, fitted = self._process(hidden), None
+                if fitted is None:
+                    self._learn(process, [specimens[name] for name in stage.train], stage.seed)
+                    fitted = stage.fold, stage.seed
+                self._run_stage(process, [subjects[name] for name in stage.test], stage)
         except KeyboardInterrupt as stop:
             raise Interrupted(self._how_to_go_on()) from stop
         finally:
             if process is not None:
                 self._end(process)
-        return self._in_order(subjects)
+        return self._in_order(list(subjects.values()))
 
+    # ------------------------------------------------------------------ one stage
 
-    # ------------------------------------------------------------------ one seed
+    def _runs(self) -> tuple[int, ...]:
+        assert self.description is not None
+        protocol = self.task.protocol
+        if self.draws is None:
+            return protocol.runs(seeded=self.description.seeded)
+        if protocol.folds and self.draws > protocol.draws:
+            raise TaskError(f"{self.draws} draws of the support set were asked for; task {self.task.name} has "
+                            f"{protocol.draws} of each training.")
+        return tuple(range(self.draws))
 
     def _process(self, hidden: Sequence[Path]) -> MethodProcess:
         return MethodProcess(self.name, self.parameters, self.isolation, self.log, hidden=hidden)
@@ -117,29 +140,21 @@ class Collector:
         self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
 
     def _learn(self, process: MethodProcess, specimens: list[Specimen], seed: int | None) -> None:
-        self.progress(self._count(self.done), self._count(self.seeds), "meta-fit")
+        self.progress(self._finished(), self._total(), "meta-fit")
         self.meta_fit_s += process.meta_fit(specimens, seed=seed)
 
-    def _shots(self, seed: int) -> tuple[str, ...]:
-        """The shots that are run at ``seed``.
+    def _finished(self) -> int:
+        return sum(stage.trials(self.task.protocol) for stage in self._stages if stage.name in self.done)
 
-        A method without a `seed` must be deterministic, so a support set that is the same for every seed needs only one
-        adaptation.
-        """
-        assert self.description is not None
-        labels = self.task.protocol.labels
-        if self.description.seeded or seed == self.seeds[0]:
-            return labels
-        return tuple(label for label in labels if label not in ("0", ALL))
+    def _total(self) -> int:
+        return sum(stage.trials(self.task.protocol) for stage in self._stages)
 
-    def _count(self, seeds: Any) -> int:
-        objects = len(self.dataset.names(self.task.protocol.test))
-        return objects * sum(len(self._shots(seed)) for seed in seeds)
-
-    def _run_seed(self, process: MethodProcess, subjects: Sequence[Subject], seed: int) -> None:
-        trials = [(subject, Trial(subject.name, label, seed, self._support(subject, label, seed)))
-                  for subject in subjects for label in self._shots(seed)]
-        before, total = self._count(self.done), self._count(self.seeds)
+    def _run_stage(self, process: MethodProcess, subjects: Sequence[Subject], stage: Stage) -> None:
+        protocol = self.task.protocol
+        trials = [(subject, Trial(subject.name, label, run, support(subject, subject.draw, label, protocol.draw_of(run),
+                                                                    protocol)))
+                  for run in stage.runs for subject in subjects for label in stage.shots(run, protocol)]
+        before, total = self._finished(), self._total()
         finished = 0
         with ThreadPoolExecutor(self.isolation.workers) as pool:
             try:
@@ -160,23 +175,22 @@ class Collector:
                 pool.shutdown(wait=False, cancel_futures=True)
                 process.close()  # ends what still runs, so that the threads end as well
                 raise
-        self.done[seed] = [future.result() for future in futures]
-        self._keep(seed)
-
-    def _support(self, subject: Subject, label: str, seed: int) -> tuple[int, ...]:
-        return support(subject, subject.draw, label, seed, self.task.protocol)
+        self.done[stage.name] = [future.result() for future in futures]
+        self._keep(stage.name)
 
     def _in_order(self, subjects: Sequence[Subject]) -> list[Answers]:
+        assert self.description is not None
         out = []
-        first = {(one.trial.subject, one.trial.shot): one for one in self.done[self.seeds[0]]}
-        for seed in self.seeds:
-            mine = {(one.trial.subject, one.trial.shot): one for one in self.done[seed]}
+        known = {(one.trial.subject, one.trial.shot, one.trial.seed): one for some in self.done.values()
+                 for one in some}
+        for run in self.seeds:
+            same_as = first_run(self.task.protocol, run, self.seeds, seeded=self.description.seeded)
             for subject in subjects:
                 for label in self.task.protocol.labels:
-                    one = mine.get((subject.name, label))
-                    if one is None:  # the same support set as at the first seed
-                        same = first[subject.name, label]
-                        trial = Trial(subject.name, label, seed, same.trial.support)
+                    one = known.get((subject.name, label, run))
+                    if one is None:  # the same support set, after the same training, as at the first of its runs
+                        same = known[subject.name, label, same_as]
+                        trial = Trial(subject.name, label, run, same.trial.support)
                         one = Answers(trial, same.readings, same.readings_std, same.mean, same.std, same.column_mean,
                                       same.pose, 0.0, 0.0)
                     out.append(one)
@@ -185,23 +199,24 @@ class Collector:
     # ------------------------------------------------------------------ interruption
 
     def _take_up(self, description: Description) -> None:
-        """Read the seeds that an earlier run of the same evaluation kept."""
+        """Read the stages that an earlier run of the same evaluation kept."""
         if self.part is None:
             return
         made = {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.name,
                 "entry": description.entry, "parameters": dict(description.parameters),
-                "package": [description.package, description.version], "sandbox": self.isolation.sandbox}
+                "package": [description.package, description.version], "sandbox": self.isolation.sandbox,
+                **({"runs": len(self.seeds)} if self.task.protocol.folds else {})}
         self._key = json.dumps(made, sort_keys=True).encode()
         if (self.part / _NOTE).is_file() and (self.part / _NOTE).read_bytes() == self._key:
-            for seed in self.seeds:
-                found = kept.load(self.part / f"seed-{seed:04d}.npz")
+            for stage in self._stages:
+                found = kept.load(self.part / f"{stage.name}.npz")
                 if found is not None:
-                    self.done[seed] = found
-            if self.done and self.seeds[0] not in self.done:
+                    self.done[stage.name] = found
+            if self.done and not self.task.protocol.folds and self._stages[0].name not in self.done:
                 self.done.clear()  # the shots that are the same for every seed are in the first
 
-    def _keep(self, seed: int) -> None:
-        """Put the answers of a finished seed on disk; the folder is made with the first of them."""
+    def _keep(self, stage: str) -> None:
+        """Put the answers of a finished stage on disk; the folder is made with the first of them."""
         if self.part is None:
             return
         try:
@@ -211,10 +226,10 @@ class Collector:
                 write_atomic(self.part / _NOTE, self._key, error=MethodError)
         except OSError as error:
             raise MethodError(f"folder {self.part} cannot be made: {error.strerror}. Choose another --out.") from error
-        kept.save(self.part / f"seed-{seed:04d}.npz", self.done[seed])
+        kept.save(self.part / f"{stage}.npz", self.done[stage])
 
     def _how_to_go_on(self) -> str:
         if self.part is None or not self.done:
-            return "interrupted; no seed was finished, so nothing is kept."
-        return (f"interrupted; {len(self.done)} of {len(self.seeds)} seeds are finished and kept in {self.part}. Run "
-                f"the same command again to go on, or delete that folder to start again.")
+            return f"interrupted; no {self._unit} was finished, so nothing is kept."
+        return (f"interrupted; {len(self.done)} of {len(self._stages)} {self._unit}s are finished and kept in "
+                f"{self.part}. Run the same command again to go on, or delete that folder to start again.")

@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.metrics import Answer, columns_of
+from vsfsim.bench.trials.packed import is_packed, unpack
 from vsfsim.bench.trials.rows import READING_COLUMNS, Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
+PLAIN_VERSION = 2
+"""Results of this version hold their rows as lists of numbers; they are read as those of today."""
 OLD_VERSION = 1
 """Results of this version hold nothing from which metrics other than those of the readings could be computed again."""
 
@@ -156,6 +159,11 @@ _COLUMNS: dict[str, Callable[[str, Any], Any]] = {
 
 def _columns(where: str, value: Any, names: tuple[str, ...]) -> dict[str, list]:
     table = _table(where, value)
+    if is_packed(table):
+        try:
+            table = unpack(table)
+        except (KeyError, TypeError, AttributeError) as error:
+            raise ValueError(f"{where} is no packed table: {plain(error, longest=60)}") from error
     if set(table) != set(names):
         odd = plain(", ".join(sorted(set(table) ^ set(names))))
         raise ValueError(f"{where}: missing or unknown column {odd}")
@@ -185,6 +193,8 @@ def _answers(where: str, value: Any) -> dict[str, dict[str, list]]:
         if name not in {answer.value for answer in Answer} - {Answer.READINGS.value}:
             raise ValueError(f"{where} has '{plain(name, longest=60)}', which no method is asked")
         # a result of a version that has other metrics keeps those that both have
+        if is_packed(columns):
+            columns = unpack(columns)
         known = [c for c in columns_of(Answer(name)) if c in _table(f"{where}.{name}", columns)]
         out[name] = _columns(f"{where}.{name}", {c: columns[c] for c in known}, tuple(known))
         if len({len(column) for column in out[name].values()}) != 1:

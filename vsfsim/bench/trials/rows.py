@@ -46,6 +46,25 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+def stored(rows: Sequence[dict[str, Any]]) -> None:
+    """Round the sums of errors to single precision (6e-8), as the results of tasks with cross-validation store them,
+    so that scores are those of the stored rows."""
+    for row in rows:
+        row.update({name: float(np.float32(row[name])) for name in ("sse", "sae", "nll") if name in row})
+
+
+def beside_zero(rows: Sequence[Record], readings: Mapping[str, Sequence], size: int) -> list[dict[str, Any]]:
+    """Rows of `Answer.READINGS` with the sum of squares of the true readings, ``ss``, and the ``size`` d of a reading.
+
+    Args:
+        rows: as a result keeps them. readings: `vsfsim.bench.result.Result.readings`, {} if they are not kept.
+        size: of a reading.
+    """
+    known = {(name, touch): ss for name, touch, ss in zip(readings["object"], readings["touch"], readings["ss"],
+                                                          strict=True)} if readings else {}
+    return [{**row, "ss": known.get((row["object"], row["touch"])), "size": size} for row in rows]
+
+
 def as_rows(columns: Mapping[str, Sequence]) -> list[dict[str, Any]]:
     """Columns of a result file as rows."""
     return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]

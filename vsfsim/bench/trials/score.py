@@ -41,7 +41,7 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
 
     for given in answers:
         for k, index in enumerate(draw.query):
-            clean, valid = recording.clean[index], recording.readings[index].valid
+            clean, valid = recording.queries[index].clean, recording.queries[index].scored
             keep(Answer.READINGS, given, {"touch": index, **touch_errors(given.readings[k], clean, valid)})
             if given.readings_std is not None:
                 keep(Answer.READING_STD, given, {
@@ -61,7 +61,7 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
 
 def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:
     """`Result.readings` of recordings and their query touches."""
-    rows = [(recording.name, index, recording.clean[index][recording.readings[index].valid])
+    rows = [(recording.name, index, recording.queries[index].clean[recording.queries[index].scored])
             for recording, query in asked for index in query]
     columns = ([name for name, _, _ in rows], [int(index) for _, index, _ in rows], [int(v.size) for _, _, v in rows],
                [float(np.sum(v**2)) for _, _, v in rows])

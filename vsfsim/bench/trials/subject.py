@@ -71,14 +71,15 @@ class Subject:
         """
         view = dataset.blind().load(name)
         places = dataset.probe_points(name)
-        draw, readings = divide(view, task.protocol), record(view, task).readings
+        draw, recording = divide(view, task.protocol), record(view, task)
         inclusions, ranked = None, task.metric.answer
         if ranked in (Answer.MASK, Answer.POSE):
             inclusions = Inclusions.of(dataset.recipe, view)
         columns = Columns.of(places, view).points if ranked is Answer.MASK else None
         hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
         return cls(name, view.object_index, view.view_index, frozen_view(view.view), draw,
-                   {i: readings[i] for i in draw.pool}, tuple(readings[i].action for i in draw.query),
+                   {i: recording.readings[i] for i in draw.pool},
+                   tuple(recording.queries[i].action for i in draw.query),
                    places[touched(places, view)], columns, hidden)
 
     @property

@@ -29,6 +29,9 @@ class TouchSpec:
     tilt: float = 0.0
     """Half angle of the cone about the visible normal from which the direction of a bubble is drawn, so that its flanks
     touch, too [rad]; 0 for the normal itself."""
+    plan: bool = False
+    """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
+    of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
 
 
 @dataclass(frozen=True)
@@ -49,14 +52,16 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
     Raises:
         SceneError: an unknown key, or a value that is not allowed.
     """
-    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt"))
+    t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt",
+                                           "plan"))
     where = f"{path} [touches] frames"
     f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
               f.count("out", 3, 0, 1000))
     return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
                      t.number("approach", 0.01, 1e-4, 0.5, "m"),
-                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"))
+                     t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"),
+                     t.flag("plan", False))
 
 
 def parse_dataset(node: Any, path: Path) -> DatasetSpec:

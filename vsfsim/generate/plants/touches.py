@@ -141,7 +141,19 @@ def _touch(scene: Scene, arm: Arm, a: ArmAim, frames: RodFrames, b: int) -> Touc
                  audit=audit(frames, b, frames_kept=n, columns=columns), q=q, torque=torque, link_force=link_force,
                  link_moment=link_moment, draws=a.draws,
                  ended=int(frames.ended[b]) if spec.at_limit == "return" else None,
+                 **(_plan(arm, a, frames.where[:n, b]) if scene.required_touches.plan else {}),
                  **verdict(found, frames.force_balance[:n, b], frames.reason[:n, b].astype(np.int64)))
+
+
+def _plan(arm: Arm, a: ArmAim, where: np.ndarray) -> dict[str, np.ndarray]:
+    """The planned path of a touch, and which of its frames the frames at rows ``where`` (T,) of the line are.
+
+    A frame is one of the plan if the arm stood where the plan has it at that time; a dynamic arm may still lag behind.
+    """
+    q, frame = a.angles(a.plan), np.arange(len(where))
+    kept = np.isclose(where, a.plan[:len(where)], rtol=0.0, atol=1e-9)  # rows of the line; also False where NaN
+    return {"planned_time": times(len(a.plan)), "planned_pose": arm.postures(q).tool, "planned_q": q,
+            "planned_frame": np.where(np.logical_and.accumulate(kept), frame, -1)}
 
 
 def _by_link(arm: Arm, at: Postures, force: np.ndarray, moment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

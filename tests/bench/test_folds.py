@@ -1,0 +1,159 @@
+"""Cross-validation over objects, from the folds to the board."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.board.compare import interval, joined_ranks, paired, ratios
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.predictions import questions
+from vsfsim.bench.protocol import record
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials.folds import folds_of
+from vsfsim.core.errors import TaskError
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+OBJECTS = 4
+
+
+@pytest.fixture(scope="module")
+def text(task_text):
+    changes = {'train = "train", test = "test", ': "folds = 2, draws = 2, trainings = 2, ", "seeds = 3, ": "",
+               "objects = 3": f"objects = {OBJECTS}", '"rmse"': '"rmse_ratio"'}
+    for old, new in changes.items():
+        task_text = task_text.replace(old, new)
+    return task_text
+
+
+@pytest.fixture(scope="module")
+def folded(text):
+    return parse_task(text, "toy-v1.toml")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    views = [mock_view(i, split="train" if i < 2 else "test", touches=12) for i in range(OBJECTS)]
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=OBJECTS, views=1, touches=12,
+                    splits={"train": 2, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
+
+
+@pytest.fixture(scope="module")
+def results(folded, dataset):
+    return {name: evaluate("toy_methods:" + name, folded, dataset, parameters=given, check=False)
+            for name, given in (("Constant", {"value": 0.0}), ("FoldMean", {}))}
+
+
+def test_every_object_is_tested_once_and_never_learned_from(folded, dataset):
+    folds = folds_of(dataset, folded.protocol)
+    assert sorted(n for f in folds for n in f.test) == sorted(e.name for e in dataset.entries)
+    for fold in folds:
+        assert not set(fold.train) & set(fold.test) and len(fold.train) + len(fold.test) == OBJECTS
+    assert folds == folds_of(dataset, folded.protocol)
+    assert folds != folds_of(dataset, dataclasses.replace(folded.protocol, seed=5))
+
+
+def test_all_views_of_an_object_are_in_one_fold(folded, dataset):
+    """Four views of two objects."""
+    twice = dataclasses.replace(dataset, entries=tuple(
+        dataclasses.replace(e, object_index=k // 2, view_index=k % 2) for k, e in enumerate(dataset.entries)))
+    for fold in folds_of(twice, folded.protocol):
+        assert {k // 2 for k, e in enumerate(twice.entries) if e.name in fold.test}.isdisjoint(
+            {k // 2 for k, e in enumerate(twice.entries) if e.name in fold.train})
+    with pytest.raises(TaskError, match="has 2 objects, and the task divides them into 5 folds"):
+        folds_of(twice, dataclasses.replace(folded.protocol, folds=5))
+
+
+def test_a_training_is_done_once_a_fold_and_seed(results):
+    assert results["Constant"].seeds == (0, 1) and results["FoldMean"].seeds == (0, 1, 2, 3)
+    # with 0 touches the answer is that of the training; it does not depend on the draw
+    assert results["FoldMean"].scores["mae"]["0"].per_seed[0] == results["FoldMean"].scores["mae"]["0"].per_seed[1]
+    assert results["FoldMean"].scores["mae"]["0"].per_seed[0] != results["FoldMean"].scores["mae"]["0"].per_seed[2]
+    # objects x (0 and all once a training, 1 and 5 in each draw)
+    assert results["FoldMean"].timing["adapts"] == OBJECTS * 2 * (2 + 2 * 2)
+    assert results["Constant"].timing["adapts"] == OBJECTS * (2 + 2 * 2)
+
+
+def test_each_object_is_predicted_from_the_others(folded, dataset, results):
+    """`FoldMean` with seed 0 answers with the mean reading of what it learned from, so its errors show what."""
+    views = {name: dataset.load(name) for name in dataset.names()}
+    for fold in folds_of(dataset, folded.protocol):
+        questioned = next(q for q in questions(folded, dataset) if q.name == fold.test[0])
+        assert questioned.train == fold.train
+    result = results["FoldMean"]
+    sse = {(o, t): s for o, t, shot, run, s in zip(*(result.queries[k] for k in ("object", "touch", "shot", "seed",
+                                                                                "sse"))) if (shot, run) == ("0", 0)}
+    for fold in folds_of(dataset, folded.protocol):
+        learned = [record(views[name], folded) for name in fold.train]
+        mean = np.mean(np.concatenate([r.value.ravel() for one in learned for r in one.readings]))
+        for name in fold.test:
+            clean = record(views[name], folded).clean
+            for (o, t), s in sse.items():
+                if o == name:
+                    assert s == pytest.approx(float(np.sum((clean[t] - mean) ** 2)), rel=1e-6)
+
+
+def test_zero_has_the_ratio_one_and_others_that_of_their_objects(results):
+    by_object = ratios(results["Constant"], "5")
+    assert len(by_object) == OBJECTS and list(by_object.values()) == pytest.approx([1.0] * OBJECTS, rel=1e-7)
+    mean = results["FoldMean"].scores["rmse_ratio"]["5"].mean
+    assert mean == pytest.approx(interval(ratios(results["FoldMean"], "5"))[0], rel=1e-12)
+
+
+def test_results_are_small_and_survive_the_file(results, tmp_path):
+    for name, result in results.items():
+        path = tmp_path / f"{name}.json"
+        result.save(path)
+        assert Result.load(path) == result and Result.load(path).computed() == result.scores
+    rows = len(results["FoldMean"].queries["n"])
+    assert rows == OBJECTS * 4 * 4 * 4  # query touches, shots, runs
+    path.write_text(path.read_text().replace('"packed": "lzma"', '"packed": "zip"', 1))
+    with pytest.raises(TaskError, match="unknown format"):
+        Result.load(path)
+
+
+def test_the_board_joins_what_cannot_be_told_apart(folded, results, tmp_path):
+    for name, result in results.items():
+        dataclasses.replace(result, method=name).save(tmp_path / f"{name}.json")
+    dataclasses.replace(results["Constant"], method="twin").save(tmp_path / "twin.json")
+    board = leaderboard.collect(folded, [tmp_path])
+    ranks = {row.result.method: row.rank for row in board.rows}
+    assert ranks["Constant"] == ranks["twin"]
+    page = leaderboard.text(board)
+    assert "share a rank" in page and "± standard error over objects" in page
+
+
+def test_ranks_are_joined_by_paired_differences():
+    rng = np.random.default_rng(0)
+    level = {f"o{k}": float(v) for k, v in enumerate(rng.uniform(0.3, 1.5, 20))}  # objects differ by far more
+    shift = {name: value + 0.05 + 0.01 * rng.standard_normal() for name, value in level.items()}
+    noisy = {name: value + 0.05 + 0.5 * rng.standard_normal() for name, value in level.items()}
+    assert paired(shift, level).told_apart and not paired(noisy, level).told_apart
+    assert paired(shift, level).mean == pytest.approx(0.05, abs=0.01)
+    assert joined_ranks([level, shift]) == [1, 2] and joined_ranks([level, noisy]) == [1, 1]
+    assert joined_ranks([level, level, shift]) == [1, 1, 3]
+    two = {k: level[k] for k in ("o0", "o1")}
+    assert not paired({k: v + 1.0 for k, v in two.items()}, two).told_apart, "two objects tell nothing"
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ("folds = 2, ", "", "draws belongs to cross-validation"),
+    ("folds = 2", 'folds = 2, train = "train"', "train and folds exclude each other"),
+    ("folds = 2", "folds = 1", "folds"), ("draws = 2, ", "", "draws"), ("trainings = 2, ", "", "trainings"),
+])
+def test_a_wrong_protocol_is_refused(text, old, new, message):
+    with pytest.raises(TaskError, match=message):
+        parse_task(text.replace(old, new), "toy-v1.toml")
+
+
+def test_more_draws_than_the_task_has_are_refused(folded, dataset):
+    with pytest.raises(TaskError, match="has 2 of each training"):
+        evaluate("toy_methods:Constant", folded, dataset, seeds=3, check=False)

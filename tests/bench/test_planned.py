@@ -1,0 +1,102 @@
+"""A query shows the planned touch: where the robot left its plan tells the reading, and must not be seen."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import as_planned, divide, record
+from vsfsim.core.chain import Chain
+from vsfsim.core.errors import TaskError
+from vsfsim.data.hdf5 import read_view, write_view
+
+LIMIT = 4.0  # N: about half of the mock's touches meet it
+
+
+def cut(touch):
+    """The touch of a robot that stops where the force passes the limit, beside its plan."""
+    over = np.flatnonzero(np.linalg.norm(touch.force, axis=1) > LIMIT)
+    n = int(over[0]) if len(over) else len(touch.time)
+    short = {f.name: getattr(touch, f.name)[:n] for f in dataclasses.fields(touch)
+             if isinstance(getattr(touch, f.name), np.ndarray) and len(getattr(touch, f.name)) == len(touch.time)}
+    return dataclasses.replace(touch, **short, audit={k: v[:n] for k, v in touch.audit.items()},
+                               planned_time=touch.time, planned_pose=touch.mount_pose, planned_frame=np.arange(n))
+
+
+@pytest.fixture(scope="module")
+def views():
+    made = [mock_view(i, touches=40) for i in range(8)]
+    return [dataclasses.replace(v, touches=tuple(cut(t) for t in v.touches)) for v in made]
+
+
+class ReadsTheLength:
+    """Predicts each frame of a touch by the mean reading in that frame of learned touches that ended at the same
+    frame."""
+
+    def __init__(self, recordings):
+        self.by_length = {}
+        for recording in recordings:
+            for reading, clean in zip(recording.readings, recording.clean, strict=True):
+                self.by_length.setdefault(len(reading.action.time), []).append(clean)
+
+    def __call__(self, action):
+        n = len(action.time)
+        alike = self.by_length.get(n) or [c for same in self.by_length.values() for c in same]
+        return np.mean([c for c in alike if len(c) == n] or [np.zeros((n, 1))], axis=0)
+
+
+def error(method, recordings, shown):
+    """RMS error over all frames that are scored, when ``shown(recording, index)`` is what the method sees."""
+    squares = []
+    for recording in recordings:
+        for index, query in enumerate(recording.queries):
+            answer = method(shown(recording, index))[:len(recording.clean[index])]
+            squares.append(((answer - recording.clean[index]) ** 2).ravel())
+            assert np.array_equal(recording.clean[index], query.clean[query.scored])
+    return float(np.sqrt(np.mean(np.concatenate(squares))))
+
+
+def test_the_length_of_the_path_tells_the_reading_and_that_of_the_plan_does_not(views, task):
+    recordings = [record(view, task) for view in views]
+    lengths = {len(r.action.time) for one in recordings for r in one.readings}
+    assert len(lengths) > 3, "the path that was taken ends where the limit was met"
+    assert {len(q.action.time) for one in recordings for q in one.queries} == {max(lengths)}
+    method, new = ReadsTheLength(recordings[:4]), recordings[4:]
+    leaking = error(method, new, lambda one, k: one.readings[k].action)
+    closed = error(method, new, lambda one, k: one.queries[k].action)
+    blind = error(lambda action: np.mean([c for some in method.by_length.values() for c in some
+                                          if len(c) == max(lengths)], axis=0), new, lambda one, k: None)
+    assert leaking < 0.8 * closed, "with the path that was taken, the method gains (measured: 0.64)"
+    assert closed == pytest.approx(blind, rel=1e-12), "with the plan, it knows what a constant knows"
+
+
+def test_only_frames_made_as_planned_are_scored(views, task):
+    touch = views[0].touches[int(np.argmin([len(t.time) for t in views[0].touches]))]
+    astray = dataclasses.replace(touch, planned_frame=np.where(np.arange(len(touch.time)) < 3, touch.planned_frame, -1))
+    view = dataclasses.replace(views[0], touches=(astray, *views[0].touches[1:]))
+    query = record(view, task).queries[0]
+    assert as_planned(astray).sum() == 3 and np.flatnonzero(query.scored).tolist() == [0, 1, 2]
+    assert np.isnan(query.clean[3:]).all() and len(query.action.time) == len(touch.planned_time)
+    never = dataclasses.replace(touch, planned_frame=np.full(len(touch.time), -1))
+    view = dataclasses.replace(view, touches=(never, *views[0].touches[1:]))
+    draw = divide(view, task.protocol)
+    assert 0 not in draw.query and 0 not in draw.pool, "a touch without such a frame cannot be a query"
+
+
+def test_the_plan_survives_the_file(views, tmp_path):
+    write_view(tmp_path / "v.h5", views[0])
+    back = read_view(tmp_path / "v.h5").touches[0]
+    for name in ("planned_time", "planned_pose", "planned_frame"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(views[0].touches[0], name))
+    assert back.planned_q is None
+
+
+def test_an_arm_without_its_plan_is_refused_where_objects_are_cross_validated(task):
+    upright = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
+    arm = Chain(upright, ((0.0, 0.0, 0.2),), ((1.0, 0.0, 0.0, 0.0),), (0,), ())
+    view = dataclasses.replace(mock_view(0), probe=arm)
+    folded = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, folds=2, draws=3, trainings=1))
+    with pytest.raises(TaskError, match=r"does not keep the planned paths .* plan = true in \[touches\]"):
+        record(view, folded)
+    assert record(view, task).queries, "older tasks go on"

@@ -1,0 +1,1 @@
+"""Comparisons of methods and the pages that show them."""
