@@ -222,6 +222,18 @@ def test_a_full_disk_under_a_result(toy):
     assert files == there_before
 
 
+def test_a_home_folder_that_cannot_be_written(tmp_path, monkeypatch):
+    """A file in place of the folder stops every user, root too."""
+    (tmp_path / "box.toml").write_text(BOX)
+    (tmp_path / "home").touch()
+    for name in ("XDG_CACHE_HOME", "WARP_CACHE_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert_refused(run(*PRESS, cwd=tmp_path), "export WARP_CACHE_PATH=")
+    info = run("info", cwd=tmp_path)
+    assert info.returncode == 0 and "export WARP_CACHE_PATH=" in " ".join(info.stdout.split())
+
+
 def test_a_full_disk_under_a_dataset_keeps_what_is_whole_and_resumes(vsfsim, tmp_path):
     unshare = shutil.which("unshare")
     mount = [unshare or "unshare", "-m" if os.geteuid() == 0 else "-rm", "sh", "-c"]

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from vsfsim.core.errors import SceneError
+from vsfsim.core.errors import DatasetError, SceneError
 from vsfsim.core.scene import load_scene
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.streams import Stream, stream
@@ -154,6 +154,19 @@ def killed(words, moment):
     return time.perf_counter() - began
 
 
+def leave(job, device):
+    """Stands in for the function that makes a view: the system kills the worker, as it does when memory runs out."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_worker_that_is_killed_is_said_to_be(scene, tmp_path, monkeypatch):
+    monkeypatch.setattr("vsfsim.generate.workers._make", leave)
+    with pytest.raises(DatasetError, match=r"a worker process ended before .* out of memory. Run the same"):
+        generate(scene, tmp_path / "d", workers=2)
+    assert not list((tmp_path / "d").glob("*.h5"))
+
+
+@pytest.mark.slow
 def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
     """Killed with its two workers when the first file is there; see `tests/data` for every moment of the writing."""
     out = tmp_path / "d"
@@ -162,6 +175,24 @@ def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
     generate(scene, out, workers=1)
     assert contents(out) == contents(made.path)
     assert verify(out).ok
+
+
+def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(made, scene, tmp_path):
+    """One worker writes the first of two views; then the interrupt comes, as a terminal sends it, to all processes."""
+    out = tmp_path / "d"
+    process = subprocess.Popen(command("generate", scene.path, "--out", out, "--workers", 1), text=True,
+                               stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+                               preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL))
+    while process.poll() is None and not list(out.glob("*.h5")):
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGINT)
+    said, error = process.communicate(timeout=60.0)
+    assert process.returncode == 130 and "Traceback" not in error, error
+    kept = sorted(path.name for path in out.glob("*.h5"))
+    assert f"interrupted; {len(kept)} finished object views are kept in {out}. Run the same command again" in error
+    assert kept and not said, "whole files, and no summary of a dataset that is not whole"
+    generate(scene, out, workers=1)
+    assert contents(out) == contents(made.path)
 
 
 @pytest.mark.slow

@@ -15,13 +15,27 @@ PRECISIONS = ("float32", "float64")
 """Of the solver."""
 
 
+def kernel_cache() -> Path:
+    """The folder in which Warp keeps compiled kernels."""
+    return Path(wp.config.kernel_cache_dir)
+
+
 def _start() -> None:
-    """No banner, and no warning that there is no GPU: the native library writes that one straight to stderr."""
+    """No banner, and no warning that there is no GPU: the native library writes that one straight to stderr.
+
+    Raises:
+        VsfsimError: the folder for compiled kernels cannot be written.
+    """
     kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(sink, 2)
         with wp.ScopedLogLevel(wp.LOG_ERROR):
             wp.init()
+        if not os.access(kernel_cache(), os.W_OK):
+            raise PermissionError(f"no right to write into '{kernel_cache()}'")
+    except OSError as error:
+        raise VsfsimError(f"compiled kernels cannot be kept: {error}. Give a folder that can be written: "
+                          f"export WARP_CACHE_PATH=/tmp/warp") from error
     finally:
         os.dup2(kept, 2)
         os.close(kept)
@@ -44,11 +58,6 @@ def torch_devices() -> list[str]:
     import torch
 
     return ["cpu", *(f"cuda:{k} ({torch.cuda.get_device_name(k)})" for k in range(torch.cuda.device_count()))]
-
-
-def kernel_cache() -> Path:
-    """The folder in which Warp keeps compiled kernels."""
-    return Path(wp.config.kernel_cache_dir)
 
 
 def check_device(device: str) -> None:
