@@ -31,7 +31,8 @@ DEFAULT = Isolation()
 
 def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
              seeds: int | None = None, progress: Progress | None = None, isolation: Isolation = DEFAULT,
-             part: str | Path | None = None, log: str | Path | None = None, check: bool = True) -> Result:
+             part: str | Path | None = None, log: str | Path | None = None, check: bool = True,
+             preset: str = "") -> Result:
     """Score a method.
 
     Args:
@@ -45,6 +46,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         part: folder in which finished seeds are kept. A second call with the same operands begins where the first one
             was stopped. It is removed when all is done; None keeps nothing.
         log: file to which everything goes that the method prints; None for a temporary one.
+        preset: name of the settings, for the leaderboard; they are in ``parameters`` already.
         check: test on mock objects first whether the method keeps its contract.
 
     Raises:
@@ -81,7 +83,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), timing=timing,
         peak_memory_mib=round(run.peak_memory_mib, 1), machine=machine(), made_by=made_by(), versions=versions(),
         notes=tuple(notes), readings=readings, package={"name": said.package, "version": said.version},
-        isolation=isolation.sandbox, data=data,
+        isolation=isolation.sandbox, data=data, preset=preset,
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]})
 

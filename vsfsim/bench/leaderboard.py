@@ -140,7 +140,7 @@ def _is_same(result: Result, before: Result) -> bool:
     """Whether two results are the same one. One of them may be older than a parameter, or from a machine with other
     rounding; the scores decide."""
     known = result.parameters.keys() & before.parameters.keys()
-    if (result.method, result.task_sha256) != (before.method, before.task_sha256):
+    if (result.method, result.preset, result.task_sha256) != (before.method, before.preset, before.task_sha256):
         return False
     if any(result.parameters[key] != before.parameters[key] for key in known):
         return False
@@ -242,13 +242,15 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
 
 
 def _labels(results: list[Result]) -> list[str]:
-    """The method's name; where it has several rows, with the parameters in which they differ."""
+    """The method's name and preset; where it has several rows, with the parameters in which they differ."""
     out = []
     for result in results:
-        twins = [other.parameters for other in results if other.method == result.method]
+        twins = [other.parameters for other in results
+                 if (other.method, other.preset) == (result.method, result.preset)]
         differ = [f"{key}={value}" for key, value in result.parameters.items()
                   if any(twin.get(key) != value for twin in twins)]
-        out.append(f"{result.method} ({', '.join(differ)})" if differ else result.method)
+        words = [*([result.preset] if result.preset else []), *differ]
+        out.append(f"{result.method} ({', '.join(words)})" if words else result.method)
     return out
 
 

@@ -87,6 +87,8 @@ class Result:
     answers: Mapping[str, Mapping[str, list]] = dataclasses.field(default_factory=dict)
     """As `queries`, by the name of what else was answered (`vsfsim.bench.metrics.Answer`): columns with one row a
     query touch, or one an object with its metrics."""
+    preset: str = ""
+    """Name of the settings that were asked for (`vsfsim.bench.commands.presets`), "" for none."""
     schema_version: int = SCHEMA_VERSION
     """Of the file that it was read from."""
 
@@ -168,10 +170,11 @@ class Result:
             raise TaskError(f"result {path} has schema version {plain(table.get('schema_version'), longest=40)}; this "
                             f"vsfsim reads {SCHEMA_VERSION}. Evaluate the method again.")
         fields = {f.name: f for f in dataclasses.fields(cls)}
-        optional = {name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING} | {"isolation"}
+        optional = {"isolation", "preset",
+                    *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        odd = (set(given) ^ set(fields)) - (optional - set(given) if given["schema_version"] == OLD_VERSION
-                                            else {"readings"} - set(given))
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset"}, SCHEMA_VERSION: {"readings"}}
+        odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "
                             f"the method again.")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -19,6 +19,9 @@ from vsfsim.cli.options import (
     parameters_of,
     result_path,
 )
+
+if TYPE_CHECKING:
+    from vsfsim.bench.task import Task
 
 app = typer.Typer()
 
@@ -72,13 +75,21 @@ def _record(dataset: Path, name: str | None) -> None:
 
 
 @app.command()
-def evaluate(method: Annotated[list[str], typer.Option(autocompletion=complete_method,
-                                                   help="Name of a method (`vsfsim methods`), or "
-                                                            "module:attribute. Give it again for more methods.")],
-             task: TaskName, dataset: DatasetFolder = None,
-             out: Annotated[Path | None, typer.Option(help="Result file; default: results/TASK/METHOD.json.")] = None,
+def evaluate(task: TaskName,
+             method: Annotated[list[str] | None, typer.Option(autocompletion=complete_method,
+                                                              help="Name of a method (`vsfsim methods`), or "
+                                                                   "module:attribute. Give it again for more methods.")
+                               ] = None,
+             every: Annotated[bool, typer.Option("--all", help="All methods that ship, with all their presets; results "
+                                                               "that are there already are kept.")] = False,
+             preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper or tuned; default: those "
+                                                      "of its constructor.")] = "",
+             dataset: DatasetFolder = None,
+             out: Annotated[Path | None, typer.Option(help="Result file, or with --all a folder of them; default: "
+                                                           "results/TASK/METHOD.json.")] = None,
              seeds: Annotated[int | None, typer.Option(min=1, help="Draws of the support set; default: the task's "
-                                                                   "number.")] = None,
+                                                                   "number. With cross-validation, of one training.")
+                              ] = None,
              parameters: Parameters = None,
              workers: Annotated[int, typer.Option(min=1, help="Trials that run at the same time.")] = 1,
              timeout: Annotated[float | None, typer.Option(help="Seconds that one call of the method may take; "
@@ -90,29 +101,62 @@ def evaluate(method: Annotated[list[str], typer.Option(autocompletion=complete_m
                                 ] = "process", json: JsonFile = None) -> None:
     """Score methods on a task.
 
-    Prints a table; every number goes into a JSON file. Finished seeds are kept, and the same command goes on after an
+    Prints a table; every number goes into a JSON file. Finished parts are kept, and the same command goes on after an
     interruption.
     """
-    from vsfsim.bench.commands.evaluate import evaluate as run
-    from vsfsim.bench.commands.evaluate import log_of
-    from vsfsim.bench.leaderboard import score_table
+    from vsfsim.bench.commands import presets
+    from vsfsim.bench.commands.evaluate_all import evaluate_all
     from vsfsim.bench.method import check_name
     from vsfsim.bench.task import load_task
     from vsfsim.core.errors import MethodError
 
-    given = parameters_of(parameters)
-    if len(method) > 1 and (out is not None or given):
-        raise MethodError("--out and --set belong to one method, but --method is given several times. Give one, or "
-                          "leave them away.")
-    for name in method:
+    given, names = parameters_of(parameters), list(method or [])
+    if every == bool(names):
+        raise MethodError("give --method NAME, or --all for every method that ships.")
+    if ((every or len(names) > 1) and given) or (len(names) > 1 and out is not None):
+        raise MethodError("--out and --set belong to one method, but several are asked for. Give one --method, or "
+                          "leave them away (--out FOLDER goes with --all).")
+    if every and preset and preset not in presets.PRESETS:
+        raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(presets.PRESETS)}.")
+    for name in names:
         check_name(name)
     wanted = load_task(task)
-    paths = [result_path(out, wanted.name, name) for name in method]
+    shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
+              "sandbox": sandbox}
+    if every:
+        rows = [row for row in presets.choices(wanted.observation.name) if preset in ("", row.preset)]
+        folder = out or Path("results") / wanted.name
+        result_path(folder / "row.json", wanted.name, "row")
+        show = str(json) != "-"
+        made = []
+        for one in evaluate_all(wanted, rows, folder, before=lambda row: print(f"evaluate {row.stem}", flush=True)
+                                if show else None, **shared):
+            made.append(one)
+            if show:
+                print(f"{one.choice.stem:<28}{one.state}", flush=True)
+        write_json([{"method": m.choice.method, "preset": m.choice.preset, "state": m.state, "written": str(m.path)}
+                    for m in made], json)
+        failed = [one for one in made if one.result is None]
+        if failed:
+            raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
+                              + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
+                              "command tries them again.")
+        return
+    _evaluate_each(names, wanted, out, preset, given, shared, json)
+
+
+def _evaluate_each(names: list[str], wanted: Task, out: Path | None, preset: str, given: dict[str, Any],
+                   shared: dict[str, Any], json: Path | None) -> None:
+    """Score the methods that were named, one after the other."""
+    from vsfsim.bench.commands.evaluate import evaluate as run
+    from vsfsim.bench.commands.evaluate import log_of
+    from vsfsim.bench.leaderboard import score_table
+
+    paths = [result_path(out, wanted.name, f"{name}.{preset}" if preset else name) for name in names]
     numbers = []
-    for index, (name, path) in enumerate(zip(method, paths, strict=True)):
+    for index, (name, path) in enumerate(zip(names, paths, strict=True)):
         with Progress(f"evaluate {name}") as progress:
-            result = run(name, wanted, dataset, parameters=given, seeds=seeds, workers=workers, timeout=timeout,
-                         memory=memory, sandbox=sandbox, out=path, progress=progress)
+            result = run(name, wanted, parameters=given, preset=preset, out=path, progress=progress, **shared)
         numbers.append({**result.summary(), "written": str(path)})
         if str(json) == "-":
             continue
@@ -126,7 +170,7 @@ def evaluate(method: Annotated[list[str], typer.Option(autocompletion=complete_m
         if log.exists():
             print(f"what the method printed is in {log}")
         print(f"written to {path}")
-    write_json(numbers[0] if len(method) == 1 else numbers, json)
+    write_json(numbers[0] if len(names) == 1 else numbers, json)
 
 
 @app.command()

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.evaluate import evaluate as run
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
@@ -20,7 +21,8 @@ from vsfsim.data.dataset import Dataset
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "process",
-             out: str | Path | None = None, progress: Callable[[int, int, str], None] | None = None) -> Result:
+             out: str | Path | None = None, preset: str = "",
+             progress: Callable[[int, int, str], None] | None = None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
     Args:
@@ -36,6 +38,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         sandbox: "process", or "bubblewrap", which hides files and network, too.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
             are done, and what the method prints becomes a .log beside it.
+        preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
         progress: called with (trials done, of how many, what is going on).
 
     Raises:
@@ -46,7 +49,10 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     check_name(name)
     wanted = task if isinstance(task, Task) else load_task(task)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
-    options: dict[str, Any] = {"parameters": parameters, "seeds": seeds, "progress": progress, "isolation": isolation}
+    if preset:
+        parameters = {**chosen(name, preset, wanted.observation.name).parameters, **(parameters or {})}
+    options: dict[str, Any] = {"parameters": parameters, "preset": preset,
+                               "seeds": seeds, "progress": progress, "isolation": isolation}
     if out is None:
         return run(name, wanted, data, **options)
     path = Path(out)

@@ -203,7 +203,8 @@ def _answers(where: str, value: Any) -> dict[str, dict[str, list]]:
 
 
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
-    **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation"),
+    **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation",
+                     "preset"),
                     _word),
     **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package"), _plain_table),
     "shots": _words, "seeds": _seeds, "scores": _scores, "queries": _queries, "timing": _timing,

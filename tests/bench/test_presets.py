@@ -1,0 +1,75 @@
+"""Presets of the methods, and `vsfsim evaluate --all`."""
+
+import inspect
+
+import pytest
+
+from vsfsim.bench.commands import evaluate_all as command
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.presets import Choice, choices, preset
+from vsfsim.bench.leaderboard import collect, text
+from vsfsim.bench.method import find_method
+from vsfsim.bench.observations import OBSERVATIONS
+from vsfsim.bench.result import Result
+from vsfsim.core.errors import MethodError
+from vsfsim.core.shelf import methods
+
+
+def test_every_shipped_method_has_a_preset_and_every_preset_builds_its_method():
+    shipped = {name for name, entry in methods().items() if entry.value.startswith("vsfsim.baselines.")}
+    rows = {name: choices(name) for name in OBSERVATIONS}
+    assert {row.method for one in rows.values() for row in one} == shipped
+    for row in (row for one in rows.values() for row in one):
+        method = find_method(row.method)
+        assert set(row.parameters) <= set(inspect.signature(method).parameters), row.stem
+        method(**row.parameters)
+
+
+def test_a_preset_knows_the_observation():
+    shoes, plants = preset("sbml", "paper", "pressure"), preset("sbml", "paper", "joint-torque")
+    assert (shoes.parameters["spacing"], plants.parameters["spacing"]) == (0.005, 0.01)  # appendix B.2
+    assert preset("imaml", "paper", "joint-torque").parameters["inner_rate"] == 0.01  # appendix B.4
+    assert "neural-vsf" not in {row.method for row in choices("joint-torque")}
+    assert shoes.stem == "sbml.paper"
+
+
+@pytest.mark.parametrize(("method", "name", "message"), [
+    ("sbml", "papers", "--preset is 'papers', but sbml has paper and tuned. Did you mean 'paper'?"),
+    ("contact-points", "paper", "contact-points has tuned"),
+    ("toy_methods:Constant", "paper", "the method 'toy_methods:Constant' has no presets"),
+])
+def test_an_unknown_preset_is_refused(method, name, message):
+    with pytest.raises(MethodError) as error:
+        preset(method, name, "pressure")
+    assert message in str(error.value)
+
+
+def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_dataset, tmp_path, monkeypatch):
+    rows = [Choice("toy_methods:Constant", "paper", {"value": 2.0}), Choice("toy_methods:Crashes", "tuned", {}),
+            Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
+    # the toys have no table of presets; what a row asks for is what is used
+    monkeypatch.setattr("vsfsim.bench.commands.evaluate.chosen", lambda name, preset, observation: rows[0])
+    found = list(command.evaluate_all(task, rows, tmp_path, dataset=toy_dataset.path, seeds=1))
+    assert [one.state for one in found[::2]] == ["made", "made"] and "KeyError: 'toe'" in found[1].state
+    assert found[0].path.name == "toy_methods:Constant.paper.json" and found[1].result is None
+    assert Result.load(found[2].path).parameters == {"value": 3.0} and Result.load(found[2].path).preset == "tuned"
+    again = list(command.evaluate_all(task, rows[::2], tmp_path, dataset=toy_dataset.path, seeds=1))
+    assert [one.state for one in again] == ["kept", "kept"]
+    other = [Choice("toy_methods:Constant", "paper", {"value": 2.5})]
+    assert [one.state for one in command.evaluate_all(task, other, tmp_path, dataset=toy_dataset.path, seeds=1)] == [
+        "made"], "other parameters are another row"
+    shown = text(collect(task, [tmp_path]))
+    assert "toy_methods:Constant (paper)" in shown and "toy_methods:Constant (tuned)" in shown
+
+
+def test_parameters_go_over_a_preset(task, toy_dataset):
+    result = evaluate("contact-points", task, toy_dataset.path, preset="tuned", parameters={"share": 0.4}, seeds=1)
+    assert result.preset == "tuned" and result.parameters["share"] == 0.4
+
+
+def test_the_command_wants_a_method_or_all(vsfsim, tmp_path):
+    for words in ((), ("--all", "--method", "gaussian")):
+        found = vsfsim("evaluate", "--task", "fewshot-shoes-mini-v1", *words, cwd=tmp_path)
+        assert found.returncode == 2 and "give --method NAME, or --all" in found.stderr
+    found = vsfsim("evaluate", "--task", "fewshot-shoes-mini-v1", "--all", "--preset", "best", cwd=tmp_path)
+    assert found.returncode == 2 and "--preset is 'best'; it is one of paper, tuned" in " ".join(found.stderr.split())

@@ -1,0 +1,78 @@
+"""`vsfsim evaluate --all`: every method with every preset on a task, one after the other, resumable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import Task, open_dataset
+from vsfsim.core.errors import Interrupted, TaskError, VsfsimError
+
+
+@dataclass(frozen=True)
+class Made:
+    """What became of one row."""
+
+    choice: Choice
+    """The method and its preset."""
+    path: Path
+    """Its result file."""
+    result: Result | None
+    """The result; None where the method failed."""
+    state: str
+    """"made", "kept" (it was there already), or the message of the failure."""
+
+
+def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path | None = None, seeds: int | None = None,
+                 before: Callable[[Choice], Any] = lambda _: None, **options: Any) -> Iterator[Made]:
+    """Make the results that are missing in a folder.
+
+    A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete. An
+    interrupted evaluation goes on where it stopped. A method that fails is reported, and the next one runs.
+
+    Args:
+        task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
+        `evaluate`. before: called before a row is made. options: further ones of `evaluate`.
+
+    Yields:
+        Every row in its order.
+
+    Raises:
+        VsfsimError: the dataset is missing or does not fit the task.
+    """
+    data = open_dataset(task, dataset)
+    for choice in rows:
+        path = folder / f"{choice.stem}.json"
+        known = _kept(path, task, data.sha256, choice, seeds)
+        if known is not None:
+            yield Made(choice, path, known, "kept")
+            continue
+        before(choice)
+        try:
+            result = evaluate(choice.method, task, data, parameters=choice.parameters, seeds=seeds, out=path,
+                              preset=choice.preset, **options)
+        except Interrupted:
+            raise
+        except VsfsimError as error:
+            yield Made(choice, path, None, str(error))
+        else:
+            yield Made(choice, path, result, "made")
+
+
+def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:
+    if not path.is_file():
+        return None
+    try:
+        result = Result.load(path)
+    except TaskError:
+        return None
+    same = (result.task_sha256, result.dataset_sha256, result.method, result.preset) == (
+        task.sha256, dataset_sha256, choice.method, choice.preset)
+    runs = len(task.protocol.runs(seeded="seed" in result.parameters)) if seeds is None else seeds
+    asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items())
+    return result if same and asked and len(result.seeds) == runs else None

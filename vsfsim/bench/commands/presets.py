@@ -1,0 +1,63 @@
+"""Presets: named settings of the methods that ship, read from baselines/presets.toml without importing a method."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from vsfsim.core.errors import MethodError, did_you_mean
+from vsfsim.core.shelf import folder
+from vsfsim.core.table import parse_toml, read_text
+
+PRESETS = ("paper", "tuned")
+"""Names: the literal text of a paper, and ours."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A method with a preset: one row of a leaderboard."""
+
+    method: str
+    """Name of the method."""
+    preset: str
+    """"paper" or "tuned"."""
+    parameters: Mapping[str, Any]
+    """Of its constructor, over its defaults."""
+
+    @property
+    def stem(self) -> str:
+        """Of its result file."""
+        return f"{self.method}.{self.preset}"
+
+
+def _table() -> dict[str, Any]:
+    path = folder("baselines") / "presets.toml"
+    return parse_toml(read_text(path, "presets", MethodError), path, "presets", MethodError)
+
+
+def preset(method: str, name: str, observation: str) -> Choice:
+    """The settings of a method for tasks with an observation.
+
+    Raises:
+        MethodError: the method has no presets, or not this one.
+    """
+    table = _table()
+    if method not in table:
+        raise MethodError(f"--preset: the method '{method}' has no presets. {did_you_mean(method, table)} Give its "
+                          f"parameters by --set.")
+    known = [key for key in PRESETS if key in table[method]]
+    if name not in known:
+        raise MethodError(f"--preset is '{name}', but {method} has {' and '.join(known)}. {did_you_mean(name, known)}")
+    given = table[method][name]
+    settings = {key: value for key, value in given.items() if not isinstance(value, dict)}
+    return Choice(method, name, {**settings, **given.get(observation, {})})
+
+
+def choices(observation: str) -> list[Choice]:
+    """All methods with all their presets that can predict an observation, the one with the papers' settings first."""
+    out = []
+    for method, table in _table().items():
+        if observation in table.get("observations", [observation]):
+            out += [preset(method, name, observation) for name in PRESETS if name in table]
+    return out
