@@ -32,7 +32,7 @@ def test_scene_builds(name: str) -> None:
         return
     if scene.arm is not None:
         plant = grow(scene.object.shape, np.random.default_rng(0), where=name)
-        assert scene.object.tier == "rod" and 50 <= len(plant.nodes) - 1 <= 500
+        assert scene.object.tier == "rod" and 50 <= len(plant.nodes) - 1 <= 600
         return
     solid = build_solid(scene.object, resolution=scene.object.resolution or 0.01, rng=np.random.default_rng(0))
     spec = scene.object

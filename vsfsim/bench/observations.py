@@ -8,7 +8,7 @@ brings its `Channel`. Every observation is scored by the metrics of `vsfsim.benc
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,7 +31,10 @@ class Channel:
     """The noise-free values (T, ...) of a touch; None where the dataset does not hold them."""
     noisy: Callable[..., np.ndarray]
     """(clean values with NaN in unconverged frames, time (T,) [s], clean force (T, 3) [N], `Noise`, object_index,
-    view_index, touch_index) -> values as a real sensor shows them, of the same shape."""
+    view_index, touch_index) -> values as a real sensor shows them, of the same shape. It may take more keywords, those
+    of `motion`."""
+    motion: Callable[[Touch], Mapping[str, np.ndarray | None]] = lambda touch: {}
+    """Keywords of ``noisy`` that say how the sensor moved."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,8 @@ def _pressure_change(touch: Touch) -> np.ndarray | None:
 
 FORCE = Channel("contact force", "any sensor", lambda touch: touch.force, _noisy_force)
 PRESSURE = Channel("pressure", "a bubble, a [sensor] in the scene", _pressure_change, noisy_pressure)
-TORQUE = Channel("joint torques", "an arm, an [arm] in the scene", lambda touch: touch.torque, noisy_torque)
+TORQUE = Channel("joint torques", "an arm, an [arm] in the scene", lambda touch: touch.torque, noisy_torque,
+                 lambda touch: {"q": touch.q})
 
 PUNYO_RIM_AREA = 7.18e-3
 """Area inside the rim of a Punyo [m^2]: pi times its semi-axes. It converts a pressure to a force. The stiffness

@@ -69,7 +69,7 @@ def record(view: ObjectView, task: Task) -> Recording:
             raise TaskError(f"object view '{view.name}' touch {index} has no {row.channel.name}, which task "
                             f"{task.name} reads; its dataset must be made with {row.channel.made_with}.")
         values, force = _where_converged(values, touch), _where_converged(touch.force, touch)
-        noisy = row.channel.noisy(values, touch.time, force, task.noise, **which)
+        noisy = row.channel.noisy(values, touch.time, force, task.noise, **which, **row.channel.motion(touch))
         action = Action(frozen(touch.time), frozen(touch.mount_pose), frozen(touch.axis), view.probe, row.name,
                         row.size, None if touch.q is None else frozen(touch.q))
         readings.append(Reading(action, frozen(row.reading(noisy, touch.axis)), frozen(touch.converged),

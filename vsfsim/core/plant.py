@@ -55,6 +55,8 @@ class Plant:
     """None for none."""
     notes: tuple[str, ...] = field(default=())
     """One sentence each."""
+    name: str = ""
+    """What a person would call it, e.g. "orange-tree"; "" for none."""
 
     def __post_init__(self) -> None:
         n = len(self.nodes)

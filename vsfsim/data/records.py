@@ -190,6 +190,8 @@ class Truth:
     """Of a blade's segments, 0 for a round one (M,) [m]; None for a solid."""
     segment_ends: np.ndarray | None = None
     """Of a plant's segments on its middle line, world (M, 2, 3) [m]; None for a solid."""
+    notes: tuple[str, ...] | None = None
+    """What the object is, and why others were drawn before it, one sentence each; None if not recorded."""
 
     def __repr__(self) -> str:
         modulus = self.young_modulus

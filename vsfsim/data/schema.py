@@ -149,6 +149,8 @@ FIELDS: list[Field] = [
            required=False),
     _truth("region", "int64", "M", "1", "Region of each element, an index into region_names."),
     _truth("region_names", TEXT, "R", "1", "Names of the object's parts."),
+    _truth("notes", TEXT, "S", "1", "What the object is, and why others were drawn before it, one sentence each.",
+           required=False),
     _truth("probe_points", "float64", "P 3", "m", "Surface points where the small cone was pressed, world."),
     _truth("probe_normals", "float64", "P 3", "1", "Outward unit normals there, world."),
     _truth("probe_stiffness", "float64", "P", "N/m", "Force of the cone over its displacement (SBML appendix C.4)."),

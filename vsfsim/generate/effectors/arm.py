@@ -13,8 +13,8 @@ from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import ObjectView
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
+from vsfsim.generate.plants.admit import grow
 from vsfsim.generate.plants.batches import make_together
-from vsfsim.generate.plants.prepare import grow
 from vsfsim.generate.plants.surface import plant_surface, triangles_of
 from vsfsim.generate.plants.touches import make_views
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult

@@ -17,14 +17,23 @@ from vsfsim.robot import clearance
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
 
-DRAWS = 100  # targets that are tried for one touch
+# targets that are tried for one touch: an arm that reaches a tenth of the points misses all with probability 2e-14
+DRAWS = 300
 TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
 LIFT = 0.35  # largest angle by which the tool's axis is raised or lowered from that line [rad]
-# largest angle between the line of motion and the tool's axis in half of the touches [rad]; in the others the tool
-# moves along its own axis
-SWEEP = 1.0
 SHORTEST = 0.4  # the depth of a touch is drawn between this share of the scene's depth and all of it [-]
 PLANT, POT = "the arm would start in the plant", "the arm would touch the pot"
+
+
+class NothingReached(SceneError):
+    """No target of a touch can be reached."""
+
+    reasons: str
+    """What was in the way, and how often."""
+
+    def __init__(self, message: str, reasons: str):
+        super().__init__(message)
+        self.reasons = reasons
 
 
 @dataclass(frozen=True)
@@ -93,7 +102,8 @@ def aim_arm(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np
         where: the scene, for messages.
 
     Raises:
-        SceneError: nothing is visible, or none of `DRAWS` targets of a touch can be reached; with what was in the way.
+        SceneError: nothing is visible.
+        NothingReached: none of `DRAWS` targets of a touch can be reached; with what was in the way.
     """
     if not len(cloud):
         raise SceneError(f"{where}: the camera sees no plant; check [camera] distance, azimuth, elevation and fov.")
@@ -110,7 +120,7 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         seed = int(rng.integers(2**31))
         axis = _turned(target - shoulder, rng.uniform(-TURN, TURN), rng.uniform(-LIFT, LIFT))
         sideways = rng.uniform() < 0.5
-        way = _turned(axis, *(rng.uniform(-SWEEP, SWEEP, 2) * [1.0, 0.4] if sideways else (0.0, 0.0)))
+        way = _turned(axis, *(rng.uniform(-spec.sweep, spec.sweep, 2) * [1.0, 0.4] if sideways else (0.0, 0.0)))
         roll, depth = rng.uniform(-np.pi, np.pi), touches.depth * rng.uniform(SHORTEST, 1.0)
         start, stop = target - touches.approach * way, target + depth * way
         try:
@@ -131,8 +141,9 @@ def _draw(arm: Arm, spec: ArmSpec, touches: TouchSpec, plant: Plant, cloud: np.n
         plan = np.concatenate([np.zeros(free), np.arange(1.0, inward + 1), np.full(hold, float(inward)), back])
         return ArmAim(target, way, start, stop, line, plan, free + inward + hold, draw, refused)
     reasons = ", ".join(f"{text} ({n})" for text, n in refused.most_common())
-    raise SceneError(f"{where} [touches]: none of {DRAWS} targets can be reached: {reasons}. Move [arm] base or the "
-                     f"object, or use a smaller approach or depth.")
+    why = f"none of {DRAWS} targets can be reached: {reasons}"
+    raise NothingReached(f"{where} [touches]: {why}. Move [arm] base or the object, or use a smaller approach or "
+                         f"depth.", why)
 
 
 def plant_gap(plant: Plant, first: np.ndarray, last: np.ndarray, radii: np.ndarray) -> float:

@@ -79,7 +79,8 @@ class _Preparation:
                 k, part = self._aiming.pop(future)
                 aims, poses, took = future.result()
                 o = self.outlines[k]
-                self.ready.append((k, part, Subject(o.job, o.scene, o.plant, o.model, self._views[k], aims, poses)))
+                self.ready.append((k, part, Subject(o.job, o.scene, o.plant, o.model, self._views[k], aims, poses,
+                                                   o.notes)))
             self._spent.add(took)
         return sum(len(s.aims) for *_, s in self.ready[before:])
 

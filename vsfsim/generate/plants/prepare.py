@@ -9,16 +9,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from vsfsim.core.errors import SceneError
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import CameraSpec, Scene
-from vsfsim.core.shape import Family
 from vsfsim.data.records import View
 from vsfsim.data.streams import Stream
 from vsfsim.generate.job import Job
+from vsfsim.generate.plants.admit import admitted
 from vsfsim.generate.plants.aim import ArmAim, aim_arm, load
 from vsfsim.generate.plants.surface import plant_view
-from vsfsim.physics.rods.family import grow as grow_family
 from vsfsim.physics.rods.model import RodModel, build
 from vsfsim.robot.arm import Arm
 from vsfsim.sensing.camera import look_at
@@ -66,6 +64,8 @@ class Outline:
     """The plant as this view turns it."""
     model: RodModel
     """The plant as beams."""
+    notes: tuple[str, ...] = ()
+    """What the plant is, and why others were drawn before it; empty for a plant without a name."""
 
 
 def outline(job: Job) -> Outline:
@@ -73,9 +73,9 @@ def outline(job: Job) -> Outline:
     r, scene = job.recipe, job.scene()
     if "arm" in r.options:
         scene = dataclasses.replace(scene, arm=dataclasses.replace(scene.required_arm, model=r.options["arm"]))
-    plant = grow(scene, job.stream(Stream.BODY), number=job.object_index)
-    plant = plant.turned(2.0 * np.pi * job.view_index / r.views)
-    return Outline(job, scene, plant, build(plant, gravity=scene.gravity))
+    found = admitted(job, scene)
+    plant = found.plant.turned(2.0 * np.pi * job.view_index / r.views)
+    return Outline(job, scene, plant, build(plant, gravity=scene.gravity), found.notes)
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,8 @@ class Subject:
     """The touches."""
     poses: np.ndarray
     """Poses of the arm's capsules along the lines of the touches (P, B, K, 4, 4) [m]."""
+    notes: tuple[str, ...] = ()
+    """As of `Outline`."""
     arm: Arm | None = None
     """The arm, or None in another process than the one that loaded it: its simulator does not travel."""
 
@@ -112,7 +114,7 @@ def prepare_job(job: Job, *, device: str, seconds: Seconds | None = None) -> Sub
     seconds.charge("grow", since)
     view = look(o, device=device, seconds=seconds)
     arm, aims, poses = choose(o, view.points(), range(o.scene.required_touches.count), seconds=seconds)
-    return Subject(job, o.scene, o.plant, o.model, view, aims, poses, arm)
+    return Subject(job, o.scene, o.plant, o.model, view, aims, poses, o.notes, arm)
 
 
 def look(o: Outline, *, device: str, seconds: Seconds) -> View:
@@ -138,21 +140,6 @@ def choose(o: Outline, cloud: np.ndarray, numbers: range, *, seconds: Seconds) -
     poses = np.stack([arm.body_poses(a.line) for a in aims], axis=1)
     seconds.charge("kinematics", since)
     return arm, aims, poses
-
-
-def grow(scene: Scene, seed: np.random.SeedSequence | int, *, number: int = 0) -> Plant:
-    """The plant of a scene, as object ``number`` of its dataset.
-
-    Raises:
-        SceneError: its object is no family of plants, or a parameter is wrong.
-    """
-    shape = scene.object.shape
-    if not isinstance(shape, Family):
-        raise SceneError(f"{scene.source} [arm]: an arm touches plants; give [object.shape] family = \"plant\", not "
-                         f"{type(shape).__name__.lower()}.")
-    plant = grow_family(shape, np.random.default_rng(seed),
-                        where=f"{scene.source} [object.shape] family '{shape.name}'", number=number)
-    return dataclasses.replace(plant.turned(scene.object.yaw), poisson_ratio=scene.object.poisson_ratio)
 
 
 def see(plant: Plant, camera: CameraSpec, *, device: str, renderer: str) -> View:

@@ -100,7 +100,7 @@ def finish(subject: Subject, frames: RodFrames, *, device: str, seconds: Seconds
     since = seconds.charge("torque", since)
     chain = chain_of(arm)
     truth = plant_truth(subject.model, subject.view, touches, chain, friction=subject.scene.object.friction,
-                        device=device)
+                        device=device, notes=subject.notes)
     seconds.charge("truth", since)
     job = subject.job
     return ObjectView(job.name, job.object_index, job.view_index, job.split, chain, subject.view, tuple(touches), truth)

@@ -47,7 +47,7 @@ def nearest_material_points(model: RodModel,
 
 
 def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain, *, friction: float,
-                device: str) -> Truth:
+                device: str, notes: tuple[str, ...] = ()) -> Truth:
     """The truth of a plant's view, which no method may see.
 
     ``probe_stiffness`` is the force along minus the visible normal over the displacement of the material point there,
@@ -61,6 +61,7 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
         chain: the arm as a method sees it.
         friction: Coulomb coefficient between arm and plant [-].
         device: Warp device.
+        notes: what the plant is, and why others were drawn before it.
     """
     plant = model.plant
     points = voxel_sample(view.points(), PROBE_VOXEL)
@@ -89,4 +90,4 @@ def plant_truth(model: RodModel, view: View, touches: list[Touch], chain: Chain,
                  probe_points=points[keep], probe_normals=normals[keep], probe_stiffness=stiffness[keep],
                  vsf_points=particles, vsf_stiffness=fitted,
                  vsf_touched=np.diff(w.tocsc().indptr) > 0, radius=plant.radius[1:], half_width=plant.half_width[1:],
-                 segment_ends=ends)
+                 segment_ends=ends, notes=notes or None)

@@ -1,0 +1,291 @@
+"""Artificial potted plants: wire-cored stems, branches, petioles and leaves, and a trunk whose pot gives way.
+
+`grow` makes the tree of beams (`vsfsim.core.plant.Plant`). A round part has a core of steel wire in a plastic sheath,
+or is solid wood; its bending stiffness is
+
+    E I = pi/64 (E_wire d^4 + E_sheath (D^4 - d^4))        core d, outer diameter D,
+
+and a blade has that of its midrib's wire and of its sheet, E_sheet w t^3 / 12. A beam of the simulator has one modulus:
+``young_modulus`` is the effective one, E I over the second moment of the outer section. Wires come in gauges, so the
+ratio d / D varies by a few percent from part to part: thickness tells most of the stiffness, as it does on real ones.
+
+Where the budget of segments has no room for all leaves, each leaf that grows stands for several that move together: its
+petiole and its blade have their bending stiffness, so the foliage as a whole pushes back as all leaves would.
+
+Every stem stands in the pot on a joint, a segment of 10 mm whose bending stiffness E I / L is the rotational stiffness
+of the pot's filling. Stems and branches, and petioles and blades, have a budget of segments each.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from vsfsim.core.plant import Plant, Pot
+from vsfsim.core.solid import Appearance
+from vsfsim.scenes._artificial_kinds import (
+    BRANCH,
+    JOINT,
+    KINDS,
+    LEAF,
+    PETIOLE,
+    PLANTS,
+    REGIONS,
+    TRUNK,
+    Kind,
+    Leaves,
+    Level,
+    Named,
+    Options,
+    Stalk,
+    name_of,
+    read_options,
+)
+
+E_STEEL = 2.0e11
+"""Young's modulus of steel wire [Pa]."""
+E_SHEATH = 2.0e8
+"""Of the sheath, low-density polyethylene [Pa]."""
+E_SHEET = (2.0e8, 6.0e8)
+"""Bounds of Young's modulus of a leaf's sheet, polyethylene, log-uniform for each plant [Pa]."""
+E_WOOD = (6.0e9, 1.0e10)
+"""Bounds of Young's modulus of a dry natural-wood trunk, log-uniform for each plant [Pa]."""
+_WIRE_SPREAD = 0.05
+"""Standard deviation of ln of the wire's diameter over the outer one, from part to part [-]."""
+_GOLDEN = 2.399963
+"""The golden angle [rad]."""
+_DIRECTION_SPREAD = 0.05
+"""Standard deviation of the random change of an axis's direction per segment [rad]."""
+_DENSITY = 1000.0
+"""Of all parts [kg/m^3]; it matters in scenes with gravity only."""
+_JOINT_LENGTH, _JOINT_RADIUS = 0.01, 0.01
+"""Of the segment that stands for the pot's filling [m]."""
+
+
+def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str, number: int = 0) -> Plant:
+    """A plant in a pot that stands on z = 0, with its foot above the origin.
+
+    Args:
+        parameters: fields of `_artificial_kinds.Options`.
+        rng: random stream of form, wires and appearance, in this order.
+        where: file and section, for error messages.
+        number: of the object in its dataset, from 0.
+
+    Raises:
+        SceneError: a parameter is unknown or out of its range.
+    """
+    options = read_options(parameters, where)
+    name = name_of(options, int(rng.integers(len(PLANTS))), number)
+    kind = _sized(PLANTS[name], options, rng)
+    tree = _Tree(kind, options, rng)
+    tree.grow()
+    region = np.array(tree.region)
+    count = [int((region[1:] == r).sum()) for r in range(len(REGIONS))]
+    nodes = np.array(tree.nodes)
+    return Plant(
+        nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width), np.array(tree.normal),
+        np.array(tree.modulus), np.full(len(nodes), _DENSITY), region, REGIONS, look=np.array(tree.axis),
+        appearance=_appearance(tree, kind, rng), pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]), name=name,
+        notes=(f"{name}: {count[TRUNK] + count[BRANCH]} segments of wood, {count[PETIOLE] + count[LEAF]} of "
+               f"{tree.leaves} leaves (each stands for {tree.each:.1f}), {nodes[:, 2].max():.2f} m high.",))
+
+
+def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
+    """The kind of a named plant with its own sizes. The number of draws does not depend on the outcome."""
+    kind = KINDS[named.kind]
+    wild = options.plant == "random"
+    f = np.exp((math.log(1.3) if wild else math.log1p(options.variation)) * rng.uniform(-1.0, 1.0, 8))
+    size, girth = named.size * f[0], named.girth * f[1]
+
+    def scaled(stalk: Stalk, by: float) -> Stalk:
+        return replace(stalk, length=size * by * stalk.length, diameter=girth * stalk.diameter)
+
+    levels = tuple(replace(level, count=max(1, round(level.count * named.dense * f[2])),
+                           angle=level.angle * f[3] ** 0.5, stalk=scaled(level.stalk, f[4])) for level in kind.levels)
+    length, width, thick = kind.leaves.blade
+    petiole = kind.leaves.petiole
+    blade = named.leaf * f[5]
+    leaves = replace(kind.leaves, count=max(1, round(kind.leaves.count * named.dense * f[6])),
+                     petiole=None if petiole is None else replace(petiole, length=blade * petiole.length,
+                                                                  diameter=girth * petiole.diameter),
+                     blade=(blade * length, blade * width, thick), midrib=girth * kind.leaves.midrib)
+    return replace(kind, stem=scaled(kind.stem, f[7]), levels=levels, leaves=leaves)
+
+
+class _Tree:
+    """The plant while it grows: lists with one entry per node, and lists with one entry per axis."""
+
+    def __init__(self, kind: Kind, options: Options, rng: np.random.Generator):
+        self.kind, self.options, self.rng = kind, options, rng
+        self.wood, self.sheet = _drawn(rng, E_WOOD), _drawn(rng, E_SHEET)
+        self.nodes = [np.array([0.0, 0.0, kind.pot[1] - _JOINT_LENGTH])]
+        self.parent, self.radius, self.half_width, self.normal = [-1], [0.01], [0.0], [np.zeros(3)]
+        self.modulus, self.region, self.axis = [1e9], [JOINT], [0]
+        self.axes: list[int] = [JOINT]  # region of each axis
+        self.leaves, self.each = 0, 1.0
+        self.step = self._step()
+
+    def _step(self) -> float:
+        """Length of the segments of wood [m]: the options' own, or longer so that all branches fit the budget."""
+        lengths, bearers = [self.kind.stem.length] * self.kind.stems, self.kind.stems
+        for level in self.kind.levels:
+            bearers *= level.count
+            lengths += [level.stalk.length] * bearers
+        step = self.options.segment
+        while sum(max(1, round(1.1 * length / step)) for length in lengths) > self.options.wood_segments:
+            if step > 2.0 * max(lengths):
+                break  # one segment an axis is the least
+            step *= 1.1
+        return step
+
+    def grow(self) -> None:
+        kind, stems = self.kind, []
+        for k in range(kind.stems):
+            azimuth = k * _GOLDEN + self.rng.uniform(-0.3, 0.3)
+            out = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
+            lean = kind.lean * self.rng.uniform(0.5, 1.0)
+            way = math.cos(lean) * np.array([0.0, 0.0, 1.0]) + math.sin(lean) * out
+            root = 0
+            if kind.spread > 0.0:  # a stiff segment in the filling leads to the foot of the stem
+                place = self.nodes[0] + kind.spread * math.sqrt((k + 0.5) / kind.stems) * out + [0.0, 0.0, 0.001]
+                root = self._node(0, place, 0.01, JOINT, 1e11, 0)
+            second = math.pi * _JOINT_RADIUS**4 / 4.0
+            foot = self._node(root, self.nodes[root] + _JOINT_LENGTH * way, _JOINT_RADIUS, JOINT,
+                              _drawn(self.rng, kind.joint) * _JOINT_LENGTH / second, 0)
+            stems.append(self._stalk(foot, way, kind.stem, TRUNK, self.step))
+        bearers = stems
+        for level in kind.levels:
+            bearers = [child for axis in bearers for child in self._branches(axis, level)]
+        self._add_leaves(bearers, kind.leaves)
+
+    def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int,
+              half_width: float = 0.0, normal: np.ndarray | None = None) -> int:
+        self.nodes.append(place)
+        self.parent.append(parent)
+        self.radius.append(radius)
+        self.half_width.append(half_width)
+        self.normal.append(np.zeros(3) if normal is None else normal)
+        self.region.append(region)
+        self.modulus.append(modulus)
+        self.axis.append(axis)
+        return len(self.nodes) - 1
+
+    def _new_axis(self, region: int) -> int:
+        self.axes.append(region)
+        return len(self.axes) - 1
+
+    def _stalk(self, start: int, way: np.ndarray, stalk: Stalk, region: int, step: float,
+               factor: float = 1.0) -> list[int]:
+        """Grow a round part of ``factor`` times its length from node ``start``; its nodes, the start first."""
+        length = factor * stalk.length
+        count = max(1, round(length / step))
+        wire = stalk.wire * stalk.diameter * math.exp(_WIRE_SPREAD * self.rng.normal())
+        axis, out, at = self._new_axis(region), [start], start
+        for k in range(count):
+            way = way + self.rng.normal(0.0, _DIRECTION_SPREAD, 3) - [0.0, 0.0, stalk.droop * length / count]
+            way = way / np.linalg.norm(way)
+            place = self.nodes[at] + length / count * way
+            if place[2] < 0.03:  # nothing grows into the table
+                break
+            outer = stalk.diameter * (1.0 - (1.0 - stalk.taper) * (k + 0.5) / count)
+            several = self.each if region == PETIOLE else 1.0
+            at = self._node(at, place, 0.5 * outer, region, several * round_modulus(outer, wire, self.wood), axis)
+            out.append(at)
+        return out
+
+    def _branches(self, axis: list[int], level: Level) -> list[list[int]]:
+        out, turn = [], self.rng.uniform(0.0, 2.0 * math.pi)
+        for k in range(level.count):
+            place = level.start + (1.0 - level.start) * (k + 0.5) / level.count
+            joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))] if len(axis) > 1 else axis[0]
+            way = self._around(joint, turn + k * _GOLDEN, level.angle * self.rng.uniform(0.8, 1.2))
+            # Branches that start higher are shorter.
+            out.append(self._stalk(joint, way, level.stalk, BRANCH, self.step,
+                                   self.rng.uniform(0.85, 1.15) * (1.2 - 0.35 * place)))
+        return [branch for branch in out if len(branch) > 1]
+
+    def _around(self, node: int, azimuth: float, angle: float) -> np.ndarray:
+        along = self.nodes[node] - self.nodes[self.parent[node]]
+        along = along / np.linalg.norm(along)
+        side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+        side /= np.linalg.norm(side)
+        across = math.cos(azimuth) * side + math.sin(azimuth) * np.cross(along, side)
+        return math.cos(angle) * along + math.sin(angle) * across
+
+    def _add_leaves(self, bearers: list[list[int]], leaves: Leaves) -> None:
+        """Grow leaves on the axes ``bearers``, as many as the budget allows."""
+        parts = max(2, min(4, round(leaves.blade[0] / 0.06)))
+        each = parts + (leaves.petiole is not None)
+        sites = list(itertools.product(range(len(bearers)), range(leaves.count)))
+        room = min(len(sites), self.options.leaf_segments // each)
+        self.each = len(sites) / max(room, 1)
+        turns = self.rng.uniform(0.0, 2.0 * math.pi, len(bearers) + 1)
+        for s in sorted(self.rng.permutation(len(sites))[:room]):
+            bearer, k = sites[s]
+            axis = bearers[bearer]
+            place = leaves.start + (1.0 - leaves.start) * (k + 0.5) / leaves.count
+            joint = axis[max(1, min(len(axis) - 1, round(place * (len(axis) - 1))))] if len(axis) > 1 else axis[0]
+            way = self._around(joint, turns[bearer] + k * _GOLDEN, leaves.angle * self.rng.uniform(0.8, 1.2))
+            at = joint
+            if leaves.petiole is not None:
+                at = self._stalk(joint, way, leaves.petiole, PETIOLE, leaves.petiole.length)[-1]
+            self._blade(at, way, leaves, parts)
+            self.leaves += 1
+
+    def _blade(self, at: int, way: np.ndarray, leaves: Leaves, parts: int) -> None:
+        length, width, thickness = leaves.blade
+        wire = leaves.midrib * math.exp(_WIRE_SPREAD * self.rng.normal())
+        axis = self._new_axis(LEAF)
+        for k in range(parts):
+            way = way - np.array([0.0, 0.0, leaves.droop * length / parts])
+            way = way / np.linalg.norm(way)
+            place = self.nodes[at] + length / parts * way
+            if place[2] < 0.02:
+                return
+            normal = np.array([0.0, 0.0, 1.0]) - way[2] * way
+            if np.linalg.norm(normal) < 0.1:  # the normal of an upright blade is arbitrary
+                normal = np.cross(way, np.array([1.0, 0.0, 0.0]))
+            normal /= np.linalg.norm(normal)
+            local = width * math.sin(math.pi * (0.12 + 0.76 * (k + 0.5) / parts))
+            modulus = self.each * blade_modulus(local, thickness, wire, self.sheet)
+            at = self._node(at, place, 0.5 * thickness, LEAF, modulus, axis, 0.5 * local, normal)
+
+
+def round_modulus(outer: float, wire: float, wood: float) -> float:
+    """Effective Young's modulus in bending [Pa] of a round section of diameter ``outer`` [m]: steel wire of diameter
+    ``wire`` [m] in a sheath, or solid wood of the modulus ``wood`` [Pa] where there is no wire."""
+    if wire == 0.0:
+        return wood
+    share = (min(wire, outer) / outer) ** 4
+    return E_STEEL * share + E_SHEATH * (1.0 - share)
+
+
+def blade_modulus(width: float, thickness: float, wire: float, sheet: float) -> float:
+    """Effective Young's modulus in bending [Pa] of a blade of ``width`` and ``thickness`` [m]: a sheet of the modulus
+    ``sheet`` [Pa] and a midrib of steel wire of diameter ``wire`` [m]."""
+    return sheet + E_STEEL * math.pi * wire**4 / 64.0 / (width * thickness**3 / 12.0)
+
+
+def _drawn(rng: np.random.Generator, span: tuple[float, float]) -> float:
+    return math.exp(rng.uniform(math.log(span[0]), math.log(span[1])))
+
+
+def _appearance(tree: _Tree, kind: Kind, rng: np.random.Generator) -> Appearance:
+    """The appearance of every axis: the colour of its part, with a small random tint. The colour of a part says
+    nothing about its own wire."""
+    bark, green = np.array(kind.bark), np.array(kind.foliage)
+    base = {JOINT: bark, TRUNK: bark, BRANCH: 0.75 * bark + 0.25 * green,
+            PETIOLE: 0.6 * green + 0.4 * np.array([0.45, 0.35, 0.12]), LEAF: green}
+    albedo, texture, scale, contrast = [], [], [], []
+    for region in tree.axes:
+        albedo.append(np.clip(base[region] * np.exp(rng.normal(0.0, 0.15) + rng.normal(0.0, 0.06, 3)), 0.01, 0.95))
+        wooden = region in (JOINT, TRUNK, BRANCH)
+        texture.append(kind.texture if wooden else ("plain" if region == PETIOLE else "noise"))
+        scale.append(rng.uniform(0.004, 0.012))
+        contrast.append(rng.uniform(0.1, 0.4) if region != PETIOLE else 0.0)
+    return Appearance(np.array(albedo), tuple(texture), np.array(scale), np.array(contrast))

@@ -1,0 +1,76 @@
+"""Plants that a dataset refuses and draws again, and that it says so."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import find_scene
+from vsfsim.data.streams import Stream
+from vsfsim.generate.job import jobs_of
+from vsfsim.generate.plants import admit, aim
+from vsfsim.generate.recipe import make_recipe
+
+
+@pytest.fixture
+def job(tmp_path):
+    text = find_scene("plants-v3-mini").read_text()
+    for old, new in (("wood_segments = 120", "wood_segments = 30"), ("leaf_segments = 300", "leaf_segments = 30"),
+                     ('plant = "by-object"', 'plant = "boxwood"')):
+        assert old in text
+        text = text.replace(old, new)
+    loaded = parse_scene(text, find_scene("plants-v3-mini"))
+    recipe = make_recipe(loaded, seed=3, objects=1, views=2, touches=1)
+    return jobs_of(recipe, loaded.path, tmp_path, None)[1]
+
+
+def with_limit(scene, limit):
+    return dataclasses.replace(scene, arm=dataclasses.replace(scene.arm, reject_below=limit))
+
+
+def test_the_first_plant_is_taken_where_nothing_is_asked_and_the_second_where_the_first_is_refused(job, monkeypatch):
+    scene = job.scene()
+    first = admit.admitted(job, with_limit(scene, 0.0))
+    assert first.refused == () and first.notes[0].startswith("boxwood")
+    seen = []
+
+    def refusal(plant, *rest):
+        seen.append(plant)
+        return "too soft" if len(seen) == 1 else None
+
+    monkeypatch.setattr(admit, "refusal", refusal)
+    second = admit.admitted(job, with_limit(scene, 2.0))
+    assert np.array_equal(seen[0].nodes, first.plant.nodes) and len(seen) == 2
+    assert not np.array_equal(second.plant.young_modulus, first.plant.young_modulus)
+    assert second.notes == (*second.plant.notes, "Draw 1 of boxwood was refused: too soft.")
+    # the other view of the object gets the same plant, without asking again
+    assert admit.admitted(dataclasses.replace(job, view_index=0), with_limit(scene, 2.0)) is second and len(seen) == 2
+
+
+def test_a_scene_none_of_whose_plants_can_be_used_is_refused_with_the_reason(job, monkeypatch):
+    monkeypatch.setattr(admit, "refusal", lambda *_: "the arm reaches 0 of 4 points")
+    with pytest.raises(SceneError, match=r"none of 12 plants drawn for object 0.*reaches 0 of 4 points.*reject_below"):
+        admit.admitted(job, with_limit(job.scene(), 3.0))
+
+
+def test_pilot_touches_tell_a_stiff_plant_from_a_soft_one_and_a_far_one(job, monkeypatch):
+    monkeypatch.setattr(aim, "DRAWS", 6)
+    monkeypatch.setattr(admit, "PILOTS", 2)
+    scene = job.scene()
+    plant = admit.grow(scene, job.stream(Stream.BODY), number=0)
+    arm, seed = admit.load(scene.arm), np.random.SeedSequence(0)
+    assert admit.refusal(plant, with_limit(scene, 0.05), arm, 1, seed) is None
+    soft = dataclasses.replace(plant, young_modulus=1e-4 * plant.young_modulus)
+    assert "below reject_below = 0.05 N m" in admit.refusal(soft, with_limit(scene, 0.05), arm, 1, seed)
+    far = dataclasses.replace(plant, nodes=plant.nodes + [3.0, 0.0, 0.0])
+    assert "none of 6 targets can be reached" in admit.refusal(far, with_limit(scene, 0.05), arm, 1, seed)
+
+
+def test_the_scenes_of_artificial_plants_are_the_issues():
+    mini, full = (load_scene(find_scene(name)).sample(0) for name in ("plants-v3-mini", "plants-v3"))
+    assert mini.dataset.objects >= 12 and full.dataset.objects >= 24 and full.dataset.views == 4
+    assert 50 <= full.touches.count <= 70 and full.touches.depth == 0.10 and full.arm.sweep == 0.0
