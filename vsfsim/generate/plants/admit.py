@@ -1,8 +1,8 @@
 """Which plants a dataset takes: a plant whose touches would say nothing, or that the arm cannot reach, is drawn again.
 
 A few pilot touches are made on a candidate: straight lines past random points of its surface, in the orientation of
-every view, of the scene's own depth. The plant is drawn again if the arm reaches fewer than a twentieth of the points of a
-view, or if the largest norm of the joint torques in a pilot touch, in the median over these, is below
+every view, of the scene's own depth. The plant is drawn again if the arm reaches fewer than a twentieth of the points
+of a view, or if the largest norm of the joint torques in a pilot touch, in the median over these, is below
 ``[arm] reject_below``, the norm that the arm's sensors show when it meets nothing. The verdict depends on the seed and
 the object alone, so that all views of an object, and all workers, agree.
 """
