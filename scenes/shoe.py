@@ -33,6 +33,9 @@ from vsfsim.scenes._materials import (
 from vsfsim.scenes._shoe_styles import REGIONS, STYLES, ShoeForm, read_parameters
 
 SOLE, TOE_CAP, UPPER, TONGUE, HEEL_COUNTER = range(len(REGIONS))
+OUTSOLE = len(REGIONS)
+"""Region of the sole's lower layer, where it has one."""
+_CORNERS = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
 
 # Roundness of the grid's edges (0 a square, 1 a circle): of the plan view, of the profiles of heel and toe, and of the
 # cross-sections at the collar and over the forefoot.
@@ -41,7 +44,7 @@ _PLAN, _HEEL, _TOE, _COLLAR, _FOREFOOT = 0.80, 0.12, 0.72, 0.20, 0.88
 _HEEL_COUNTER_END, _TOE_CAP_START, _TONGUE_LENGTH, _TONGUE_WIDTH = 0.17, 0.80, 0.22, 0.36
 _LEAN = 0.10
 """Inward lean of the walls at the collar, as a fraction of the half width."""
-_LONGEST_CELL = 3.0
+LONGEST_CELL = 3.0
 """Largest length of a cell, in units of the wall's thickness. A flat panel of such cells bends within 2 % of plate
 theory, and at the coarsest tier no usual wall (5.7 mm and more) is affected. A curved wall needs smaller cells, because
 its bending decays over sqrt(radius * wall)."""
@@ -65,18 +68,35 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     if not 0.004 <= resolution <= 0.030:
         raise SceneError(f"{where}: resolution is {resolution!r}; a shoe is meshed with cells of 0.004 to 0.03 m.")
     form, options = read_parameters(parameters, rng, where)
-    vertices, hexes, hex_region, rank = _mesh(form, min(resolution, _LONGEST_CELL * form.wall))
-    # Left and right differ only in the bend, because mirroring the grid would invert its cells.
-    vertices[:, 1] += (-1 if options.side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
-    tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
+    vertices, hexes, hex_region, rank = mesh(form, min(resolution, LONGEST_CELL * form.wall))
+    vertices, tets, owner = divide(form, options.side, vertices, hexes, rank)
     table = {"style": CLASSES, "any": TEXTURED, "graded": GRADED}[options.materials]
     young_modulus, classes = _moduli(STYLES[options.style].materials if table is CLASSES else None, rng, table=table)
     look = draw_appearance(classes, young_modulus, options.appearance_informative, rng, table=table)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    vertices -= [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]
     made_of = ", ".join(f"{region} {material}" for region, material in zip(REGIONS, classes))
     return Solid(vertices, tets, hex_region[owner], REGIONS, young_modulus, look,
                  (f"{options.style}, {options.side}: {made_of}.",))
+
+
+def divide(form: ShoeForm, side: str, vertices: np.ndarray, hexes: np.ndarray,
+           rank: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Bend the shoe sideways, centre it and cut its cells.
+
+    Args:
+        form: of the shoe.
+        side: "left" or "right".
+        vertices, hexes, rank: of `mesh`.
+
+    Returns:
+        Vertices (n, 3) [m], tetrahedra (m, 4) and the cell of each (m,).
+    """
+    # Left and right differ only in the bend, because mirroring the grid would invert its cells.
+    vertices = vertices.copy()
+    vertices[:, 1] += (-1 if side == "left" else 1) * form.bend * _curve(vertices[:, 0] / form.length)
+    tets, owner = split_hexes(hexes, improve_rank(vertices, hexes, rank))
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    vertices -= [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), low[2]]
+    return vertices, tets, owner
 
 
 def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Generator, *,
@@ -104,11 +124,20 @@ def _moduli(materials: Mapping[str, tuple[str, ...]] | None, rng: np.random.Gene
 # ---------------------------------------------------------------------------------------------- the grid
 
 
-def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), and rank of each vertex for `split_hexes` (n,)."""
+def mesh(form: ShoeForm, h: float, *, walls: Mapping[int, float] | None = None,
+         outsole: float | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Vertices (n, 3) [m], hexahedra (c, 8), region of each (c,), and rank of each vertex for `split_hexes` (n,).
+
+    Args:
+        form: of the shoe.
+        h: size of a cell [m].
+        walls: thickness of the regions' walls [m] where it is not the form's.
+        outsole: the sole's lowest layer as a part of its thickness [-]: the sole then has two layers, and the lower one
+            is the region `OUTSOLE`. None: the sole is one region, in one or two layers.
+    """
     nj = 2 * max(2, round((form.width - 2 * form.wall) / h / 2)) + 2
     height = (2 * form.toe_height + form.collar_height + form.throat_height) / 4 - form.sole_fore
-    ks = 2 if 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
+    ks = 2 if outsole is not None or 0.5 * (form.sole_heel + form.sole_fore) > 2.2 * h else 1
     nk = max(2, round((height - form.wall) / h)) + 1 + ks
     # Grid planes lie on the borders of the regions, so that meshes of all resolutions have the same regions.
     borders = form.length * np.array([_HEEL_COUNTER_END, form.opening, form.opening + _TONGUE_LENGTH, _TOE_CAP_START])
@@ -132,12 +161,19 @@ def _mesh(form: ShoeForm, h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray,
     region[i >= toe] = TOE_CAP
     region[top & (i >= opening) & (i < tongue_end) & (j >= tongue[0]) & (j < tongue[1])] = TONGUE
     region[k < ks] = SOLE
+    if outsole is not None:
+        region[k == 0] = OUTSOLE
+    wall = np.full((ni + 1, nj + 1, nk + 1), form.wall)
+    for part, thickness in (walls or {}).items():
+        cells = np.argwhere((region == part) & ~(cavity | collar))
+        for corner in _CORNERS:
+            wall[tuple((cells + corner).T)] = thickness
+    levels = np.linspace(0.0, 1.0, ks + 1) if outsole is None else np.array([0.0, outsole, 1.0])
 
     keep = ~(cavity | collar)
     index = np.arange((ni + 1) * (nj + 1) * (nk + 1)).reshape(ni + 1, nj + 1, nk + 1)
-    steps = ((0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1))
-    hexes = np.stack([index[a:a + ni, b:b + nj, c:c + nk][keep] for a, b, c in steps], axis=1)
-    points = _bend(form, along, cross, nk, ks).reshape(-1, 3)
+    hexes = np.stack([index[a:a + ni, b:b + nj, c:c + nk][keep] for a, b, c in _CORNERS], axis=1)
+    points = _bend(form, along, cross, nk, wall, levels).reshape(-1, 3)
     used, hexes = np.unique(hexes, return_inverse=True)
     rank = _rank(ni, nj, nk).reshape(-1)[used]
     return points[used], hexes.reshape(-1, 8), region[keep], rank.argsort(kind="stable").argsort(kind="stable")
@@ -157,9 +193,14 @@ def _rank(ni: int, nj: int, nk: int) -> np.ndarray:
 # ---------------------------------------------------------------------------------------------- the form
 
 
-def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int) -> np.ndarray:
-    """Positions (ni+1, nj+1, nk+1, 3) [m] of the grid's vertices; x from the heel, before the sideways bend."""
-    ni, nj = len(along) - 1, len(cross) - 1
+def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, wall: np.ndarray,
+          levels: np.ndarray) -> np.ndarray:
+    """Positions (ni+1, nj+1, nk+1, 3) [m] of the grid's vertices; x from the heel, before the sideways bend.
+
+    ``wall`` (ni+1, nj+1, nk+1) [m] is the wall's thickness at each vertex, ``levels`` (ks+1,) [-] the planes of the
+    sole's layers.
+    """
+    ni, nj, ks = len(along) - 1, len(cross) - 1, len(levels) - 1
     profile = _Profile(form)
     i, j, k = np.indices((ni + 1, nj + 1, nk + 1))
     u = along[i]
@@ -175,10 +216,10 @@ def _bend(form: ShoeForm, along: np.ndarray, cross: np.ndarray, nk: int, ks: int
     flare = np.where(k < ks, form.flare * np.where((k == 0) & (ks > 1), 0.6, 1.0), 0.0)
     shell = _surface(form, profile, u, v_out, w_out, flare)
     # The sole's inner vertices follow its flare; otherwise the diagonals of its tall outer cells would nearly cross.
-    lining = _surface(form, profile, u, side, rise, flare - form.wall)
+    lining = _surface(form, profile, u, side, rise, flare - wall)
     points = np.where(outside[..., None], shell, lining)
     x = points[..., 0]
-    below = profile.bottom(x) + (profile.sole(x) - profile.bottom(x)) * k / ks
+    below = profile.bottom(x) + (profile.sole(x) - profile.bottom(x)) * levels[np.minimum(k, ks)]
     points[..., 2] = np.where(k < ks, below, points[..., 2])
     points[..., 2] += profile.spring(x)
     return points

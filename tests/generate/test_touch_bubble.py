@@ -16,7 +16,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import parse_probe_shape, probe_table
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.verify import skin_loss, verify
-from vsfsim.generate.aim import Aim
+from vsfsim.generate.aim import Aim, tilted
 from vsfsim.generate.effectors import bubble as touch_bubble
 from vsfsim.generate.inspect import inspect
 from vsfsim.generate.recipe import make_recipe
@@ -200,7 +200,7 @@ def test_first_contact_is_where_the_dome_meets_the_body():
 def test_tilted_directions_fill_a_cone_and_a_dome_that_comes_in_so_touches_with_its_flank():
     rng = np.random.default_rng(0)
     axis = np.array([0.6, 0.0, -0.8])
-    drawn = np.array([touch_bubble.tilted(axis, 0.5, rng) for _ in range(2000)])
+    drawn = np.array([tilted(axis, 0.5, rng) for _ in range(2000)])
     assert np.linalg.norm(drawn, axis=1) == pytest.approx(1.0)
     cosine = drawn @ axis
     # even by solid angle: cosines are uniform from cos 0.5 to 1, of standard error (1 - cos 0.5) / sqrt(12 * 2000) =
@@ -275,8 +275,8 @@ def test_a_tier_is_chosen_that_bends(made):
     ("fine = true", "fine = 1", r"\[sensor\]: fine is 1; it must be true"),
     ("nodes = 100", "nodes = 100\ncontact_edge = 1e-6", r"\[sensor\]: contact_edge is 1e-06"),
     ("approach = 0.005", "approach = 0.005\ntilt = 1.3", r"\[touches\]: tilt is 1.3"),
-    ("[sensor]\nkind = \"bubble\"\nnodes = 100\nfine = true\ncamera = [16, 12]\n[touches]",
-     "[probe]\nshape = { sphere = 0.02 }\n[touches]\ntilt = 0.2", "there is no .sensor.; a rigid probe"),
+    ("approach = 0.005", "approach = 0.005\napproach_range = [0.01, 0.02]", "approach gives one value for all touches"),
+    ("approach = 0.005", "approach_range = [0.02, 0.01]", r"approach_range is \[0.02, 0.01\]; it must satisfy"),
     ("[touches]", "[arm]\nmodel = \"gen3\"\n[touches]", r"there is a \[sensor\] and an \[arm\]"),
     ("[touches]", "[[obstacles]]\nshape = { sphere = 0.01 }\npose = [0, 0, 1]\n[touches]",
      r"this scene has \[\[obstacles\]\]"),

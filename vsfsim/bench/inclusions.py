@@ -54,7 +54,7 @@ class Inclusions:
             TaskError: the scene has no inclusions.
         """
         seed = stream(recipe.seed, Stream.SCENE, view.object_index)
-        scene = parse_scene(recipe.scene_text, f"{recipe.scene}.toml").sample(seed)
+        scene = parse_scene(recipe.scene_text, f"{recipe.scene}.toml").sample(seed, number=view.object_index)
         assert scene.object is not None
         parts = scene.object.young_modulus.inclusions
         if not parts:

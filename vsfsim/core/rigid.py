@@ -78,7 +78,7 @@ def parse_probe(node: Any, path: Path) -> tuple[ProbeShape, tuple[RigidBody, ...
     where = f"{path} [probe]"
     if node is None:
         return Sphere(0.02), ()
-    t = Table(node, where, ("shape", "parts"))
+    t = Table(node, where, ("shape", "parts", "mount_stiffness"))
     if isinstance(t.table.get("shape"), Mapping) and "chain" in t.table["shape"]:
         raise SceneError(f"{where}: a chain is no probe of a scene; write [arm].")
     if isinstance(t.table.get("shape"), Mapping) and "dome" in t.table["shape"]:
@@ -86,6 +86,21 @@ def parse_probe(node: Any, path: Path) -> tuple[ProbeShape, tuple[RigidBody, ...
     shape = beside(parse_probe_shape(t.table.get("shape"), where), path)
     return shape, tuple(_body(row, path, f"{path} [[probe.parts]] {i + 1}", "offset") for i,
                         row in enumerate(t.rows("parts")))
+
+
+def parse_mount(tree: Mapping[str, Any], path: Path) -> float | None:
+    """``mount_stiffness`` of ``[probe]`` [N/m], or None for a rigid mount.
+
+    Raises:
+        SceneError: not a stiffness, or the scene makes no touches of a dataset with it.
+    """
+    node = tree.get("probe")
+    if not isinstance(node, Mapping) or "mount_stiffness" not in node:
+        return None
+    if "touches" not in tree:
+        raise SceneError(f"{path} [probe]: mount_stiffness is {node['mount_stiffness']!r}, but there is no [touches]; "
+                         f"a [press] moves the probe itself. Take mount_stiffness out.")
+    return Table(node, f"{path} [probe]", tuple(node)).number("mount_stiffness", 0.0, 1.0, 1e9, "N/m")
 
 
 def parse_obstacles(node: Any, path: Path) -> tuple[RigidBody, ...]:

@@ -1,7 +1,8 @@
 """The scene file: what is pressed, by what, along which path, and seen from where.
 
 TOML becomes a frozen dataclass. Any value may be a distribution, ``{ uniform = [a, b] }``,
-``{ loguniform = [a, b] }`` or ``{ choice = [..] }``; `SceneFile.sample` fixes them all with one seed.
+``{ loguniform = [a, b] }``, ``{ choice = [..] }`` or ``{ each = [..] }``; `SceneFile.sample` fixes them all with one
+seed and the object's number.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from vsfsim.core.arm_spec import ArmSpec, parse_arm
 from vsfsim.core.bubble import Bubble, parse_sensor, sensor_kind
 from vsfsim.core.errors import SceneError, did_you_mean
-from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_obstacles, parse_press, parse_probe
+from vsfsim.core.rigid import MAX_BODIES, PressSpec, RigidBody, parse_mount, parse_obstacles, parse_press, parse_probe
 from vsfsim.core.scene_tables.camera import CameraSpec, parse_camera
 from vsfsim.core.scene_tables.dataset import DatasetSpec, TouchSpec, parse_dataset, parse_touches
 from vsfsim.core.scene_tables.distribution import ends, sample
@@ -65,6 +66,8 @@ class Scene:
     effector: str = "probe"
     """Name of what touches: "arm" with an [arm], the kind of the [sensor], or else "probe"; one of
     `vsfsim.core.shelf.effectors`."""
+    mount_stiffness: float | None = None
+    """Stiffness of the spring that carries the probe along its press [N/m]; None for a rigid mount."""
     effector_table: Mapping[str, Any] = field(default_factory=dict)
     """The table of the effector as it is written, e.g. [sensor] or [arm]; an effector that has no parser of its own in
     `vsfsim.core` reads its settings from it."""
@@ -134,16 +137,17 @@ class SceneFile:
         """The scene's name."""
         return str(self.tree.get("name", self.path.stem))
 
-    def sample(self, seed: int | np.random.SeedSequence = 0) -> Scene:
+    def sample(self, seed: int | np.random.SeedSequence = 0, *, number: int = 0) -> Scene:
         """Fix every distribution.
 
         Args:
             seed: an integer >= 0 (0 is valid) or a `SeedSequence`; the same seed gives the same scene.
+            number: of the object in its dataset, which chooses the entry of ``each``.
 
         Raises:
             SceneError: a value out of its range.
         """
-        return _build(sample(self.tree, np.random.default_rng(seed)), self.path)
+        return _build(sample(self.tree, np.random.default_rng(seed), number=number), self.path)
 
 
 def load_scene(path: str | Path) -> SceneFile:
@@ -185,9 +189,10 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         raise SceneError(f"{path}: there is no [object]; a scene needs one, e.g. shape = {{ box = [0.1, 0.1, 0.05] }}"
                          + (", or [[obstacles]] for the [sensor] to press on." if sensor is not None
                             else ", or a [sensor] and [[obstacles]] for it to press on."))
-    if sensor is None and isinstance(tree.get("touches"), Mapping) and tree["touches"].get("tilt"):
-        raise SceneError(f"{path} [touches]: tilt is {tree['touches']['tilt']!r}, but there is no [sensor]; a rigid "
-                         f"probe comes in along the normal. Take tilt out.")
+    for key in ("tilt", "depth_range", "approach_range"):
+        if "arm" in tree and isinstance(tree.get("touches"), Mapping) and tree["touches"].get(key):
+            raise SceneError(f"{path} [touches]: {key} is {tree['touches'][key]!r}, but the scene has an [arm]; it is "
+                             f"for a [probe] or a [sensor], and an arm draws its own directions. Take {key} out.")
     if sensor is not None and "touches" in tree and "object" not in tree:
         raise SceneError(f"{path} [touches]: the touches of a dataset are made on an [object]; this scene has none. "
                          f"Add it, or use [press] on the [[obstacles]].")
@@ -223,5 +228,6 @@ def _build(tree: Mapping[str, Any], path: Path) -> Scene:
         sensor=sensor,
         arm=parse_arm(tree["arm"], path) if "arm" in tree else None,
         effector=effector,
+        mount_stiffness=parse_mount(tree, path),
         effector_table=tree.get("arm", tree.get("sensor", tree.get("probe", {}))),
     )

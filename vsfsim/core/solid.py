@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from vsfsim.core.scene_tables.foam import Foam
+
 
 @dataclass(frozen=True)
 class Appearance:
@@ -21,7 +23,20 @@ class Appearance:
     """Relative amplitude of the texture, 0..1 (R,)."""
 
 
-TEXTURES = ("plain", "noise", "weave", "grain", "stripes")
+TEXTURES = ("plain", "noise", "weave", "grain", "stripes", "laces", "tread", "seams")
+
+
+@dataclass(frozen=True)
+class Law:
+    """The material of one region besides its Young's modulus."""
+
+    poisson_ratio: float
+    """At small strain [-]."""
+    density: float
+    """[kg/m^3]."""
+    foam: Foam | None = None
+    """The hyperfoam law, scaled to the region's Young's modulus; None for the neo-Hookean law. Its Poisson's ratio
+    counts."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +57,8 @@ class Solid:
     """Of each region, or None for a plain grey."""
     notes: tuple[str, ...] = field(default=())
     """Repairs and decisions, one sentence each."""
+    laws: tuple[Law, ...] | None = None
+    """Of each region (R,), or None where the scene gives one material for the whole object."""
 
     def volume(self) -> float:
         """Volume of the body [m^3]."""

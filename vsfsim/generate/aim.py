@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
-from vsfsim.core.shape import ProbeShape
+from vsfsim.core.shape import Plane, ProbeShape
 from vsfsim.data.records import View
 from vsfsim.generate.cloud import cloud_normals
 from vsfsim.physics.contact import sdf
@@ -19,6 +20,8 @@ from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import turn_to
 
 DRAWS = 200  # targets that are tried for one touch
+_STEPS = 8  # of the linear press that finds the depth of the force limit
+_SPRING_STEPS, _SPRING_BATCH = 4, 4  # steps, and touches at a time, where a spring carries the probe
 BLOCKED = 0.015  # something else that is met this far before the target makes the target unreachable [m]
 
 
@@ -36,6 +39,11 @@ class Aim:
     """Position of the probe's centre, or of the bubble's mount, at first contact with the object at rest (3,) [m]."""
     depth: float
     """How far the press goes past first contact [m]."""
+    approach: float | None = None
+    """Distance of its start before first contact [m]; None for the scene's."""
+    response: np.ndarray | None = None
+    """Force along the press of the rest state's linear response, at equal steps of the probe's own depth from 0 to the
+    scene's largest (k,) [N]; None where the mount is rigid."""
 
 
 def surface_samples(model: Model) -> np.ndarray:
@@ -100,7 +108,7 @@ def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Genera
 
 def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np.random.Generator], *,
               device: str = "cpu") -> list[Aim]:
-    """The touches of a view by the scene's rigid probe, each along the visible normal.
+    """The touches of a view by the scene's rigid probe, each along the visible normal or tilted from it.
 
     A target cannot be reached where another part of the object, or the table (z < 0), is in the way. The depth is cut
     where the rest state's linear response passes ``force_limit``, as a careful robot would stop.
@@ -116,52 +124,98 @@ def aim_probe(scene: Scene, model: Model, view: View, stream: Callable[[int], np
     """
     spec, samples = scene.required_touches, surface_samples(model)
     aims = draw_aims(scene, view, stream,
-                     lambda target, normal, _: _aim_at(scene.probe, spec, model, samples, target, normal),
+                     lambda target, normal, rng: _aim_at(scene.probe, spec, model, samples, target, normal, rng),
                      unreachable="without meeting the table or another part first; use a smaller probe, approach or "
                                  "depth.")
     return _limit(scene, spec, model, aims, device)
 
 
 def _aim_at(probe: ProbeShape, spec: TouchSpec, model: Model, samples: np.ndarray, target: np.ndarray,
-            normal: np.ndarray) -> Aim | None:
-    axis = -normal
+            normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
+    axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
+    depth, approach = spec.draw_depth(rng), spec.draw_approach(rng)
     size = sdf.support(probe, turn_to(axis, probe).T @ axis)
     # the probe starts outside the whole body, so that what it meets first is the first thing on its line
     away = float(np.linalg.norm(samples - target, axis=1).max()) + 2.0 * size
-    pose = probe_pose(probe, target + away * normal, axis)
+    pose = probe_pose(probe, target - away * axis, axis)
     gone = clearance(model, probe, pose, axis, samples=samples)
-    contact = pose[:3, 3] + gone * axis if np.isfinite(gone) else target + size * normal
-    if (contact - target) @ normal - size > BLOCKED:
+    contact = pose[:3, 3] + gone * axis if np.isfinite(gone) else target - size * axis
+    if (target - contact) @ axis - size > BLOCKED:
         return None
-    ends = [contact - spec.approach * axis, contact + spec.depth * axis]
+    ends = [contact - approach * axis, contact + depth * axis]
     down = sdf.support(probe, pose[:3, :3].T @ np.array([0.0, 0.0, -1.0]))
     if min(p[2] for p in ends) - down < 0.0:
         return None
-    return Aim(target, normal, axis, contact, spec.depth)
+    return Aim(target, normal, axis, contact, depth, approach)
+
+
+def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:
+    """A direction (3,) drawn evenly, by solid angle, from the cone of half angle ``most`` [rad] about a unit ``axis``
+    (3,)."""
+    height = 1.0 - rng.random() * (1.0 - np.cos(most))
+    turn = 2.0 * np.pi * rng.random()
+    side = turn_to(axis, Plane())[:, :2] @ [np.cos(turn), np.sin(turn)]
+    return height * axis + np.sqrt(max(0.0, 1.0 - height**2)) * side
 
 
 def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device: str) -> list[Aim]:
     """Cut the depths by one linear press each: its force grows at least linearly with depth, so one cut from a few
-    frames suffices."""
+    frames suffices. A spring at the mount takes its part of the travel, and the response is kept."""
     if not aims:
         return aims
-    steps = 8
+    spring = scene.mount_stiffness
+    # A spring needs fewer steps, because the mount is recorded where it was. Small batches keep the patches small: all
+    # touches of a batch have patches as large as the largest.
+    steps, width = (_STEPS, len(aims)) if spring is None else (_SPRING_STEPS, _SPRING_BATCH)
     depth = spec.depth * np.arange(1, steps + 1) / steps
-    poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in aims] for d in depth])
-    frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
-                    options=SolverOptions(tolerance=1e-3, local_indentation=True), linear=True).run(poses)
-    force = np.linalg.norm(np.where(frames.converged[..., None], frames.force, frames.unbalanced_force), axis=-1)
     out = []
-    for k, a in enumerate(aims):
-        curve = np.concatenate([[0.0], force[:, k]])
-        over = np.flatnonzero(curve > spec.force_limit)
-        cut = spec.depth
-        if len(over):
-            i = int(over[0])
-            share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
-            cut = spec.depth * (i - 1 + share) / steps
-        out.append(Aim(a.target, a.normal, a.axis, a.contact, float(cut)))
+    for part in (aims[k:k + width] for k in range(0, len(aims), width)):
+        poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in part] for d in depth])
+        frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
+                        options=SolverOptions(tolerance=1e-3, local_indentation=True), linear=True).run(poses)
+        vectors = np.where(frames.converged[..., None], frames.force, frames.unbalanced_force)
+        force = np.linalg.norm(vectors, axis=-1)
+        for k, a in enumerate(part):
+            curve = np.concatenate([[0.0], force[:, k]])
+            over = np.flatnonzero(curve > spec.force_limit)
+            cut = spec.depth
+            if len(over):
+                i = int(over[0])
+                share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
+                cut = spec.depth * (i - 1 + share) / steps + (spec.force_limit / spring if spring else 0.0)
+            along = np.maximum.accumulate(np.concatenate([[0.0], np.maximum(-vectors[:, k] @ a.axis, 0.0)]))
+            out.append(dataclasses.replace(a, depth=min(a.depth, float(cut)),
+                                           response=along if spring is not None else None))
     return out
+
+
+def give_way(a: Aim, spec: TouchSpec, stiffness: float, poses: np.ndarray) -> np.ndarray:
+    """Poses (T, 4, 4) of a probe on a spring along the press, whose mount is led along ``poses`` (T, 4, 4).
+
+    A mount that travels s past first contact leads the probe to the depth d with d + F(d) / k = s. F is the rest
+    state's linear response, so the mount that belongs to the probe's true force, `mount_of`, is near ``poses``.
+
+    Args:
+        a: the touch, with its response.
+        spec: depths of the scene.
+        stiffness: k [N/m].
+        poses: of the mount as planned.
+    """
+    assert a.response is not None
+    own = np.linspace(0.0, spec.depth, len(a.response))
+    travel = (poses[:, :3, 3] - a.contact) @ a.axis
+    depth = np.where(travel > 0.0, np.interp(travel, own + a.response / stiffness, own), travel)
+    out = poses.copy()
+    out[:, :3, 3] -= (travel - depth)[:, None] * a.axis
+    return out
+
+
+def mount_of(a: Aim, stiffness: float, poses: np.ndarray, force: np.ndarray, planned: np.ndarray) -> np.ndarray:
+    """Poses (T, 4, 4) of the mount whose spring carries the ``force`` (T, 3) [N] on a probe at ``poses`` (T, 4, 4); as
+    ``planned`` (T, 4, 4) in frames without a force."""
+    out = poses.copy()
+    out[:, :3, 3] += (-force @ a.axis / stiffness)[:, None] * a.axis
+    return np.where(np.isfinite(force).all(axis=1)[:, None, None], out, planned)
 
 
 def probe_pose(probe: ProbeShape, centre: np.ndarray, axis: np.ndarray) -> np.ndarray:

@@ -36,7 +36,8 @@ class Job:
 
     def scene(self) -> Scene:
         """The scene of this object, with the recipe's own number of touches."""
-        scene = parse_scene(self.recipe.scene_text, self.path).sample(self.stream(Stream.SCENE))
+        written = parse_scene(self.recipe.scene_text, self.path)
+        scene = written.sample(self.stream(Stream.SCENE), number=self.object_index)
         touches = dataclasses.replace(scene.required_touches, count=self.recipe.touches)
         return dataclasses.replace(scene, touches=touches)
 

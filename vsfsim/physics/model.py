@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene_tables.foam import Foam
-from vsfsim.core.solid import Solid
+from vsfsim.core.solid import Law, Solid
 from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import hyperfoam, tet10
 from vsfsim.physics.elements.block import Block
@@ -97,16 +97,49 @@ def foam_tetrahedra(foam: Foam) -> Elements:
     return make
 
 
-def gravity_load(mesh: QuadraticMesh, density: float, gravity: np.ndarray) -> np.ndarray:
-    """Consistent nodal weight (3 n,) [N]: -1/20 of a tetrahedron's weight on each corner, 1/5 on each edge node."""
+def regional_tetrahedra(region: np.ndarray, laws: Sequence[Law], *, foams: bool) -> Elements:
+    """Makes the elements of a solid whose regions are of different materials: one block of neo-Hookean tetrahedra, and
+    one block for each foam.
+
+    Args:
+        region: of each tetrahedron (m,), an index into ``laws``.
+        laws: of each region.
+        foams: whether foams follow their own law; otherwise they are neo-Hookean with the foam's Poisson's ratio.
+    """
+    def make(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
+        ratio = np.array([law.poisson_ratio if law.foam is None else law.foam.poisson_ratio for law in laws])
+        foam_of = [law.foam if foams else None for law in laws]
+        blocks = []
+        for foam in dict.fromkeys(foam_of):
+            at = np.flatnonzero(np.isin(region, [r for r, own in enumerate(foam_of) if own == foam]))
+            if not len(at):
+                continue
+            shape, e = (mesh.tets[at], mesh.gradients[at], mesh.volume[at]), young_modulus[at]
+            if foam is None:
+                blocks.append(tet10.block(*shape, *lame(e, ratio[region[at]][:, None])))
+            else:
+                blocks.append(hyperfoam.block(*shape, e / foam.young_modulus, foam))
+        return tuple(blocks)
+
+    return make
+
+
+def gravity_load(mesh: QuadraticMesh, density: float | np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """Consistent nodal weight (3 n,) [N]: -1/20 of a tetrahedron's weight on each corner, 1/5 on each edge node.
+
+    Args:
+        mesh: the mesh.
+        density: of the body, or of each tetrahedron (m,) [kg/m^3].
+        gravity: (3,) [m/s^2].
+    """
     share = np.array([-0.05] * 4 + [0.2] * 6)
     nodal = np.zeros(len(mesh.points))
-    np.add.at(nodal, mesh.tets, density * mesh.volume[:, None] * share)
+    np.add.at(nodal, mesh.tets, (density * mesh.volume)[:, None] * share)
     return (nodal[:, None] * np.asarray(gravity, float)).ravel()
 
 
 def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float, fixed: str | tuple[float, ...],
-                bottom_tolerance: float, where: str, density: float = 1000.0,
+                bottom_tolerance: float, where: str, density: float | np.ndarray = 1000.0,
                 gravity: tuple[float, ...] = (0.0, 0.0, 0.0),
                 rotation: np.ndarray | None = None, translation: np.ndarray | None = None,
                 elements: Elements = tetrahedra) -> Model:
@@ -118,7 +151,7 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         poisson_ratio: nu [-].
         fixed, bottom_tolerance: see `held_nodes`.
         where: scene and section, for messages.
-        density: [kg/m^3].
+        density: of the body, or of each tetrahedron (m,) [kg/m^3].
         gravity: (3,) [m/s^2], world.
         rotation, translation: object to world (3, 3) [-] and (3,) [m].
         elements: makes the blocks of elements of the placed mesh, from (mesh, young_modulus, poisson_ratio).

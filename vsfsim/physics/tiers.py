@@ -18,7 +18,7 @@ from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
 from vsfsim.physics.mesh.inclusions import snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
-from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, tetrahedra
+from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
 from vsfsim.physics.network import OBSERVED_POISSON_RATIO, POISSON_SPREAD, spring_network
 from vsfsim.physics.solve.frames import SolverOptions
 
@@ -245,7 +245,12 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
             f"Tier 'spring' ignores poisson_ratio = {spec.poisson_ratio:g}: a network of springs has about "
             f"{OBSERVED_POISSON_RATIO:g}, whatever its constants. "
             "Young's modulus is kept; use 'linear' or above where nu matters.")))
-    elements = TIERS[tier].elements
+    elements, density = TIERS[tier].elements, spec.density
+    if solid.laws is not None:
+        region = np.asarray(solid.region)
+        density = np.array([law.density for law in solid.laws])[region]
+        if elements is tetrahedra:
+            elements = regional_tetrahedra(region, solid.laws, foams=TIERS[tier].nonlinear)
     if spec.foam is not None and elements is tetrahedra and TIERS[tier].nonlinear:
         elements = foam_tetrahedra(spec.foam)
     elif spec.foam is not None:
@@ -253,5 +258,5 @@ def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, fo
             f"Tier '{tier}' takes the foam at small strain, with the modulus at rest; use '{_FOAM}' or above for its "
             f"law.")))
     return build_model(solid, values, poisson_ratio=spec.poisson_ratio, fixed=spec.fixed, bottom_tolerance=tolerance,
-                       where=where, density=spec.density, gravity=scene.gravity, rotation=turn, translation=shift,
+                       where=where, density=density, gravity=scene.gravity, rotation=turn, translation=shift,
                        elements=elements)

@@ -88,7 +88,7 @@ def _place(body: RigidBody) -> np.ndarray:
 
 
 def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np.ndarray, *,
-               depth: float | None = None) -> np.ndarray:
+               depth: float | None = None, approach: float | None = None) -> np.ndarray:
     """Poses (T, 4, 4) of one scripted touch: wait without contact, straight in, hold, straight out.
 
     Args:
@@ -97,9 +97,10 @@ def touch_path(spec: TouchSpec, probe: ProbeShape, contact: np.ndarray, axis: np
         contact: position of the probe's centre when its surface reaches the target (3,) [m].
         axis: unit direction of the press (3,).
         depth: travel after the first contact [m], or None for the scene's.
+        approach: distance of the start before first contact [m], or None for the scene's.
     """
     free, inward, hold, out = spec.frames
-    start = contact - spec.approach * axis
+    start = contact - (spec.approach if approach is None else approach) * axis
     # the waiting frames, at rest at the start, are the sensor's tare
     waiting = np.repeat(start[None], free, axis=0)
     # the frames of the way in cover the depth only; on the way from the start to the surface nothing touches

@@ -16,7 +16,7 @@ from vsfsim.sensing.surface import Surface, corner_normals, srgb
 
 wp.set_module_options({"enable_backward": False, "max_unroll": 1})
 
-_PLAIN, _NOISE, _WEAVE, _GRAIN, _STRIPES = range(len(TEXTURES))
+_PLAIN, _NOISE, _WEAVE, _GRAIN, _STRIPES, _LACES, _TREAD, _SEAMS = range(len(TEXTURES))
 _TURN = 2.0 * np.pi
 
 
@@ -91,6 +91,23 @@ def _texture(kind: int, p: wp.vec3) -> float:
     if kind == _STRIPES:
         s = wp.sin(turn * (p[0] + 0.35 * p[2]))
         return wp.clamp(4.0 * s, -1.0, 1.0)
+    if kind == _LACES:
+        # Two crossing sets of bands across the object's middle plane: bright bands on a slightly darker ground.
+        a = wp.sin(turn * (0.8 * p[0] + 0.6 * p[1]))
+        b = wp.sin(turn * (0.8 * p[0] - 0.6 * p[1]))
+        return wp.clamp(6.0 * (wp.max(a, b) - 0.75), -0.3, 1.0)
+    if kind == _TREAD:
+        # Ribs across the sole, with narrow dark grooves.
+        return wp.clamp(1.0 - 12.0 * (wp.sin(turn * p[0]) - 0.6), -1.0, 0.3)
+    if kind == _SEAMS:
+        # A double line of stitches about every second wavelength, along a slanted direction.
+        s = 0.5 * (0.9 * p[0] - 0.5 * p[2])
+        away = wp.abs(s - wp.floor(s) - 0.5)
+        line = wp.min(wp.abs(away - 0.03), wp.abs(away - 0.11))
+        dash = wp.sin(3.0 * turn * (0.5 * p[0] + 0.9 * p[2] + p[1]))
+        if line < 0.018 and dash > -0.4:
+            return 1.0
+        return wp.clamp(0.6 * (_value_noise(2.0 * p) - 0.5), -1.0, 1.0)
     return 0.0
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from vsfsim.core.errors import SceneError
 from vsfsim.core.table import Table
 
@@ -27,11 +29,23 @@ class TouchSpec:
     frames: tuple[int, int, int, int]
     """Readings in each phase: (free, in, hold, out)."""
     tilt: float = 0.0
-    """Half angle of the cone about the visible normal from which the direction of a bubble is drawn, so that its flanks
-    touch, too [rad]; 0 for the normal itself."""
+    """Half angle of the cone about the visible normal from which the direction of a press is drawn, so that a sensor's
+    flanks touch, too [rad]; 0 for the normal itself."""
+    depth_range: tuple[float, float] | None = None
+    """Bounds that each touch's own depth is drawn from [m]; None: every touch has ``depth``."""
+    approach_range: tuple[float, float] | None = None
+    """Bounds that each touch's own approach is drawn from [m]; None: every touch has ``approach``."""
     plan: bool = False
     """Keep the planned path of an arm beside the one that it took. A task with cross-validation shows only the plan
     of a touch that is to be predicted, because the path that was taken tells where the force limit was met."""
+
+    def draw_depth(self, rng: np.random.Generator) -> float:
+        """Depth of one touch [m]; nothing is drawn where all touches have the same."""
+        return self.depth if self.depth_range is None else float(rng.uniform(*self.depth_range))
+
+    def draw_approach(self, rng: np.random.Generator) -> float:
+        """Approach of one touch [m]; nothing is drawn where all touches have the same."""
+        return self.approach if self.approach_range is None else float(rng.uniform(*self.approach_range))
 
 
 @dataclass(frozen=True)
@@ -53,15 +67,36 @@ def parse_touches(node: Any, path: Path) -> TouchSpec:
         SceneError: an unknown key, or a value that is not allowed.
     """
     t = Table(node, f"{path} [touches]", ("count", "depth", "approach", "force_limit", "frames", "tilt",
-                                           "plan"))
+                                            "plan", "depth_range", "approach_range"))
     where = f"{path} [touches] frames"
     f = Table(t.table.get("frames", {}), where, ("free", "in", "hold", "out"))
     frames = (f.count("free", 2, 1, 1000), f.count("in", 6, 1, 1000), f.count("hold", 1, 0, 1000),
               f.count("out", 3, 0, 1000))
-    return TouchSpec(t.count("count", 10, 1, 10_000), t.number("depth", 0.01, 1e-5, 0.5, "m"),
-                     t.number("approach", 0.01, 1e-4, 0.5, "m"),
+    depth, approach = _range(t, "depth", 1e-5), _range(t, "approach", 1e-4)
+    return TouchSpec(t.count("count", 10, 1, 10_000),
+                     depth[1] if depth else t.number("depth", 0.01, 1e-5, 0.5, "m"),
+                     approach[1] if approach else t.number("approach", 0.01, 1e-4, 0.5, "m"),
                      t.number("force_limit", 30.0, 1e-3, 1e6, "N"), frames, t.number("tilt", 0.0, 0.0, 1.2, "rad"),
-                     t.flag("plan", False))
+                     depth, approach, t.flag("plan", False))
+
+
+def _range(t: Table, key: str, least: float) -> tuple[float, float] | None:
+    """The bounds ``key``_range [m], from ``least`` to 0.5; None where there are none.
+
+    Raises:
+        SceneError: the bounds are not in order, out of range, or given beside the one value for all touches.
+    """
+    name = f"{key}_range"
+    if name not in t.table:
+        return None
+    if key in t.table:
+        raise SceneError(f"{t.where}: {key} gives one value for all touches, and {name} bounds that each touch draws "
+                         f"its own from; give one of them.")
+    low, high = t.vector(name, None, 2)
+    if not least <= low <= high <= 0.5:
+        raise SceneError(f"{t.where}: {name} is [{low:g}, {high:g}]; it must satisfy {least:g} <= low <= high <= 0.5 "
+                         f"(metres).")
+    return low, high
 
 
 def parse_dataset(node: Any, path: Path) -> DatasetSpec:

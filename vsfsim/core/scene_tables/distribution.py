@@ -1,5 +1,6 @@
-"""Distributions in a scene file: ``{ uniform = [a, b] }``, ``{ loguniform = [a, b] }`` or ``{ choice = [..] }`` in the
-place of any value."""
+"""Distributions in a scene file: ``{ uniform = [a, b] }``, ``{ loguniform = [a, b] }``, ``{ choice = [..] }`` or
+``{ each = [..] }`` in the place of any value. Of ``each``, object number k of a dataset takes entry k, and the list
+begins again after its end."""
 
 from __future__ import annotations
 
@@ -11,12 +12,18 @@ import numpy as np
 
 from vsfsim.core.errors import SceneError
 
-_DISTRIBUTIONS = ("uniform", "loguniform", "choice")
+_DISTRIBUTIONS = ("uniform", "loguniform", "choice", "each")
 
 
-def sample(tree: Any, rng: np.random.Generator) -> Any:
-    """The tree with every distribution drawn, in the order of the file; a choice may hold distributions itself."""
-    return _resolve(tree, lambda kind, args: _draw(kind, args, rng))
+def sample(tree: Any, rng: np.random.Generator, *, number: int = 0) -> Any:
+    """The tree with every distribution drawn, in the order of the file; a choice may hold distributions itself.
+
+    Args:
+        tree: the parsed scene.
+        rng: random stream.
+        number: of the object in its dataset, from 0.
+    """
+    return _resolve(tree, lambda kind, args: _draw(kind, args, rng, number))
 
 
 def _is_distribution(node: Any) -> bool:
@@ -58,7 +65,7 @@ def _check_distribution(kind: str, args: Any, where: str) -> None:
     if not isinstance(args, list) or not args:
         raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: give a list, e.g. "
                          f"{{ uniform = [0.1, 0.2] }}.")
-    if kind == "choice":
+    if kind in ("choice", "each"):
         return
     if len(args) != 2 or any(isinstance(v, bool) or not isinstance(v, (int, float)) or not math.isfinite(v)
                              for v in args):
@@ -69,7 +76,9 @@ def _check_distribution(kind: str, args: Any, where: str) -> None:
         raise SceneError(f"{where}: distribution {{ {kind} = {args!r} }}: it must satisfy {need}.")
 
 
-def _draw(kind: str, args: list, rng: np.random.Generator) -> Any:
+def _draw(kind: str, args: list, rng: np.random.Generator, number: int) -> Any:
+    if kind == "each":
+        return args[number % len(args)]
     if kind == "choice":
         return args[int(rng.integers(len(args)))]
     if kind == "uniform":

@@ -20,7 +20,7 @@ from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, SceneFile, TouchSpec
 from vsfsim.core.shape import Plane
 from vsfsim.data.records import ObjectView, Touch, View
-from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, surface_samples
+from vsfsim.generate.aim import BLOCKED, Aim, draw_aims, surface_samples, tilted
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -191,26 +191,18 @@ def aim(scene: Scene, model: Model, sensor: BubbleModel, view: View,
         SceneError: as `draw_aims`.
     """
     spec, samples, dome = scene.required_touches, surface_samples(model), dome_of(sensor)
-    depth = min(spec.depth, depth_at(sensor, spec.force_limit))
+    most = depth_at(sensor, spec.force_limit)
 
     def reach(target: np.ndarray, normal: np.ndarray, rng: np.random.Generator) -> Aim | None:
         axis = -normal if spec.tilt == 0.0 else tilted(-normal, spec.tilt, rng)
+        depth, approach = min(spec.draw_depth(rng), most), spec.draw_approach(rng)
         contact = first_contact(dome, samples, target, axis)
-        free = _reachable(dome, contact, target, axis, depth, spec.approach)
-        return Aim(target, normal, axis, contact, depth) if free else None
+        free = _reachable(dome, contact, target, axis, depth, approach)
+        return Aim(target, normal, axis, contact, depth, approach) if free else None
 
     return draw_aims(scene, view, stream, reach,
                      unreachable="by the [sensor] without meeting the table or another part first; use a smaller "
                                  "bubble, approach or depth, or an object with more free surface.")
-
-
-def tilted(axis: np.ndarray, most: float, rng: np.random.Generator) -> np.ndarray:
-    """A direction (3,) drawn evenly, by solid angle, from the cone of half angle ``most`` [rad] about a unit ``axis``
-    (3,)."""
-    height = 1.0 - rng.random() * (1.0 - np.cos(most))
-    turn = 2.0 * np.pi * rng.random()
-    side = turn_to(axis, LEADING)[:, :2] @ [np.cos(turn), np.sin(turn)]
-    return height * axis + np.sqrt(max(0.0, 1.0 - height**2)) * side
 
 
 def first_contact(dome: Dome, samples: np.ndarray, target: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -269,7 +261,7 @@ def mount_path(spec: TouchSpec, a: Aim) -> np.ndarray:
 
     Two soft bodies that stuck part somewhere near first contact, and there is no force left to measure an imbalance by.
     """
-    poses = touch_path(spec, LEADING, a.contact, a.axis, depth=a.depth)
+    poses = touch_path(spec, LEADING, a.contact, a.axis, depth=a.depth, approach=a.approach)
     free, inward, _, out = spec.frames
     if out:
         back = poses[free:free + inward][::-1][1:] if inward > 1 else poses[free:free + 1]

@@ -1,4 +1,8 @@
-"""The rigid probe of a scene's ``[probe]``: it goes in along the normal that the camera sees."""
+"""The rigid probe of a scene's ``[probe]``: it goes in along the normal that the camera sees, or tilted from it.
+
+With ``mount_stiffness`` a spring along the press carries the probe. The recorded pose is then the mount's: where the
+probe would be without a force.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +14,7 @@ import warp as wp
 
 from vsfsim.core.scene import Scene, SceneFile
 from vsfsim.data.records import AUDIT_COLUMNS, CONTACT_COLUMNS, ObjectView, Touch
-from vsfsim.generate.aim import Aim, aim_probe
+from vsfsim.generate.aim import Aim, aim_probe, give_way, mount_of
 from vsfsim.generate.effector import Drawing
 from vsfsim.generate.job import Job
 from vsfsim.generate.press_result import MeshSeries, PressRequest, PressResult
@@ -94,12 +98,18 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
     spec = scene.required_touches
     out: list[Touch] = []
     for part in (aims[some] for some in batches(len(aims), BATCH)):
-        poses = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth) for a in part], axis=1)
+        planned = np.stack([touch_path(spec, scene.probe, a.contact, a.axis, depth=a.depth, approach=a.approach)
+                            for a in part], axis=1)
+        poses, spring = planned, scene.mount_stiffness
+        if spring is not None:
+            poses = np.stack([give_way(a, spec, spring, planned[:, k]) for k, a in enumerate(part)], axis=1)
         solver = Solver(model, scene.probe, friction=scene.object.friction, device=device, precision=precision,
                         options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
         width = len(part)
         frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
-        out.extend(_record(a, poses[:, k], frames, k) for k, a in enumerate(part))
+        for k, a in enumerate(part):
+            own = poses[:, k] if spring is None else mount_of(a, spring, poses[:, k], frames.force[:, k], planned[:, k])
+            out.append(_record(a, own, frames, k))
     return out
 
 

@@ -1,0 +1,152 @@
+"""Footwear: whole over all its shoes, made of the materials that it names, and of the elastic laws that they have."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from vsfsim.core.errors import SceneError
+from vsfsim.core.quality import worst_angle
+from vsfsim.core.scene import load_scene, parse_scene
+from vsfsim.core.shelf import scenes
+from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics import tiers
+from vsfsim.physics.mesh.manifold import body_of_each_tet, pinched_vertices
+from vsfsim.scenes import footwear
+from vsfsim.scenes._footwear_materials import MATERIALS, modulus_of
+from vsfsim.scenes._footwear_models import CHOICES, MODELS, PARTS
+
+WORST = 8.0  # degrees; two draws of every shoe gave 9.6 at least
+
+
+def make(seed: int = 0, *, resolution: float = 0.018, **parameters: object) -> Solid:
+    return footwear.build(parameters, np.random.default_rng(seed), resolution=resolution, where="test")
+
+
+def test_there_are_23_shoes_of_four_classes_and_slippers_mislead() -> None:
+    styles = [m.style for m in MODELS.values()]
+    assert len(MODELS) == 23 and {s: styles.count(s) >= 5 for s in CHOICES} == dict.fromkeys(CHOICES, True)
+    # a slipper that looks like a boot is an order of magnitude softer than one
+    slipper, boot = MODELS["moccasin"], MODELS["work-boot"]
+    assert slipper.looks["upper"] == boot.materials[PARTS.index("upper")] == "boot-leather"
+    soft, stiff = (make(0, model=name).young_modulus[PARTS.index("upper")] for name in ("moccasin", "work-boot"))
+    assert stiff > 10.0 * soft
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_shoe_is_whole(model: str) -> None:
+    solid = make(1, model=model)
+    assert tet_volumes(solid.vertices, solid.tets).min() > 0.0 and not len(pinched_vertices(solid.tets))
+    assert worst_angle(solid.vertices, solid.tets) > math.radians(WORST)
+    assert solid.region_names == PARTS and set(np.unique(solid.region)) == set(range(len(PARTS)))
+    for part in range(len(PARTS)):
+        assert body_of_each_tet(solid.tets[solid.region == part]).max() == 0
+    middle = solid.vertices[solid.tets].mean(axis=1)[:, 2]
+    assert middle[solid.region == PARTS.index("outsole")].max() < middle[solid.region == PARTS.index("sole")].max()
+
+
+def test_a_padded_tongue_is_thicker_than_the_upper() -> None:
+    def tongue(model: str) -> float:
+        solid = make(0, model=model, variation=0.0)
+        return float(tet_volumes(solid.vertices, solid.tets[solid.region == PARTS.index("tongue")]).sum())
+
+    # the same form with a tongue of padding (10 mm) and of suede (the wall's 6 mm)
+    assert tongue("skate-sneaker") > 1.4 * tongue("toe-cap-sneaker")
+
+
+def test_a_wall_has_the_point_stiffness_of_its_sheet() -> None:
+    # 4 E t^2 / (R sqrt(3 (1 - nu^2))) at R = 40 mm: leather of 1.4 mm 4 to 10 N/mm, a thermoplastic cap 13 to 90
+    def stiffness(name: str, share: float) -> float:
+        wall = 0.006
+        nu = MATERIALS[name].poisson_ratio
+        return 4.0 * modulus_of(name, wall, (share, 0.5)) * wall**2 / (0.04 * math.sqrt(3.0 * (1.0 - nu**2)))
+
+    low, _ = MATERIALS["leather"].young_modulus
+    assert stiffness("leather", 0.0) == pytest.approx(4.0 * low * 0.0014**2 / (0.04 * math.sqrt(3.0 * 0.84)))
+    assert stiffness("leather", 0.5) / 1e3 == pytest.approx(6.0, rel=0.2)
+    assert stiffness("knit", 0.5) < 500.0 < 1500.0 < stiffness("suede", 0.5) < stiffness("leather", 0.5)
+    assert 10e3 < stiffness("thermoplastic", 0.0) < stiffness("thermoplastic", 1.0) < 93e3
+
+
+def test_parts_of_one_material_are_of_one_sheet_and_the_seed_decides() -> None:
+    felt = make(3, model="felt-slipper")
+    own = [felt.young_modulus[PARTS.index(part)] for part in ("toe_cap", "upper", "heel_counter")]
+    assert own[0] == own[1] == own[2]
+    again, other = make(3, model="felt-slipper"), make(4, model="felt-slipper")
+    assert np.array_equal(felt.vertices, again.vertices) and np.array_equal(felt.young_modulus, again.young_modulus)
+    assert np.array_equal(felt.appearance.albedo, again.appearance.albedo)
+    assert not np.array_equal(felt.young_modulus, other.young_modulus)
+
+
+def test_random_shoes_differ_and_stay_within_their_class() -> None:
+    seen = set()
+    for seed in range(8):
+        solid = make(seed, style="runner", resolution=0.03)
+        words = solid.notes[0].split(": ")[1].rstrip(".").split(", ")
+        materials = dict(word.split(" ") for word in words)
+        assert all(materials[part] in CHOICES["runner"][part] for part in PARTS)
+        seen.add(solid.notes[0].split(": ")[1])
+    assert len(seen) >= 6
+
+
+def test_each_part_has_its_own_law_in_the_model() -> None:
+    text = """
+    gravity = [0.0, 0.0, -9.81]
+    [object]
+    resolution = 0.03
+    [object.shape]
+    family = "footwear"
+    model = "racing-flat"
+    """
+    scene = parse_scene(text, Path("t.toml")).sample(0)
+    model = tiers.build(scene, "fem-coarse", seed=0)
+    region = np.asarray(model.solid.region)
+    foams = [law.foam for law in model.solid.laws]
+    assert [foam is not None for foam in foams] == [True, False, False, True, False, False]
+    assert {block.kind for block in model.blocks} == {"tet10", "hyperfoam"}
+    assert sum(len(block) for block in model.blocks) == len(region) and len(model.blocks) == 3
+    rigid = next(block for block in model.blocks if block.kind == "tet10")
+    assert len(rigid) == np.isin(region, [r for r, foam in enumerate(foams) if foam is None]).sum()
+    # the weight is that of parts of different density
+    volume = tet_volumes(model.solid.vertices, model.solid.tets)
+    density = np.array([law.density for law in model.solid.laws])[region]
+    assert -model.load.sum() == pytest.approx(9.81 * (density * volume).sum())
+    assert 0.12 < (density * volume).sum() < 0.6, "a shoe weighs 0.1 to 0.6 kg"
+    # the linear tier takes foams at small strain
+    assert {block.kind for block in tiers.build(scene, "linear", seed=0).blocks} == {"tet10"}
+
+
+def test_the_datasets_have_each_shoe_once() -> None:
+    for name, count in (("shoes-v2-mini", 12), ("shoes-v2", 23), ("shoes-v2-punyo-mini", 12), ("shoes-v2-punyo", 23)):
+        written = load_scene(scenes()[name])
+        shoes = [written.sample(0, number=k).object.shape.parameters["model"] for k in range(count)]
+        assert len(set(shoes)) == count <= len(MODELS) and set(shoes) <= set(MODELS)
+        assert written.sample(0).dataset.objects == count
+        styles = [MODELS[shoe].style for shoe in shoes]
+        assert min(styles.count(style) for style in CHOICES) >= 2
+
+
+def test_refusals() -> None:
+    with pytest.raises(SceneError, match=r"model is 'work-bot'. Did you mean 'work-boot'"):
+        make(model="work-bot")
+    with pytest.raises(SceneError, match="whose style is 'boot'; take style out"):
+        make(model="work-boot", style="runner")
+    with pytest.raises(SceneError, match=r"unknown key 'modl'. Did you mean 'model'"):
+        make(modl="work-boot")
+    with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
+        make(resolution=0.1)
+
+
+def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
+    text = "[object]\nshape = { box = [0.1, 0.1, 0.05] }\nyoung_modulus = { each = [1e5, 2e5, 4e5] }\n"
+    scene = parse_scene(text, Path("t.toml"))
+    assert [scene.sample(7, number=k).object.young_modulus.base for k in range(4)] == [1e5, 2e5, 4e5, 1e5]
+    with pytest.raises(SceneError, match="give a list"):
+        parse_scene(text.replace("[1e5, 2e5, 4e5]", "3"), Path("t.toml"))
+    with pytest.raises(SceneError, match="young_modulus"):
+        parse_scene(text.replace("4e5]", "-4e5]"), Path("t.toml"))
+
+
