@@ -21,11 +21,12 @@ TEXT = """
 shape = { box = [0.08, 0.08, 0.04] }
 young_modulus = 1e5
 tier = "linear"
+resolution = 0.016
 [probe]
 shape = { sphere = 0.015 }
 mount_stiffness = 800.0
 [touches]
-count = 6
+count = 4
 depth_range = [0.003, 0.006]
 approach_range = [0.004, 0.02]
 tilt = 0.5
@@ -48,11 +49,11 @@ def test_no_two_touches_are_the_same_press(made):
     _, view = made
     touches = view.touches
     tilt = np.array([np.arccos(-t.axis @ t.normal) for t in touches])
-    assert len(np.unique(tilt.round(6))) == 6 and (tilt < 0.5 + 1e-9).all() and tilt.max() > 0.2
+    assert len(np.unique(tilt.round(6))) == len(touches) and (tilt < 0.5 + 1e-9).all() and tilt.max() > 0.2
     start = [np.linalg.norm(t.mount_pose[1, :3, 3] - t.mount_pose[0, :3, 3]) for t in touches]
     assert np.ptp(start) > 0.004
     travel = [(t.mount_pose[-1, :3, 3] - t.mount_pose[0, :3, 3]) @ t.axis for t in touches]
-    assert len(np.unique(np.round(travel, 6))) == 6
+    assert len(np.unique(np.round(travel, 6))) == len(touches)
 
 
 def test_the_spring_is_in_equilibrium_with_the_object(made):
