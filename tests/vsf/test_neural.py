@@ -82,14 +82,13 @@ def probe(field):
 
 
 @pytest.mark.parametrize("kind, settings, least", [
-    ("grid", Fitting(iterations=150, batch=600, samples=25, rate=3e-2), 0.85),
-    pytest.param("nerf", Fitting(iterations=300, batch=300, samples=20, rate=3e-3), 0.7, marks=pytest.mark.slow)])
+    ("grid", Fitting(iterations=150, batch=600, samples=25, rate=3e-2), 0.78),
+    pytest.param("nerf", Fitting(iterations=300, batch=300, samples=20, rate=3e-3), 0.68, marks=pytest.mark.slow)])
 def test_a_field_finds_the_rope(kind, settings, least):
-    # Fewer steps than the papers', at a higher rate. F1 of the grid is 0.901 on an Intel Xeon, with and without
-    # ATEN_CPU_CAPABILITY=default; that of the papers' network is 0.845 and 0.888: its steps amplify rounding. Where the
-    # touches fall matters more: over 20 seeds the two have medians of 0.87 and 0.74.
+    # Fewer steps than the papers', at a higher rate. Over ten seeds of the touches F1 of the grid is 0.84 to 0.91; that
+    # of the papers' network, whose steps amplify rounding, is 0.76 to 0.91 over eight.
     field = layer_with_inclusion(radius=0.006, path=lambda x: 0.3 * x)
-    touches = palpate(field, touches=14, frames=8, extent=(0.08, 0.08), noise=0.002, rings=5)
+    touches = palpate(field, touches=30, frames=8, extent=(0.08, 0.08), noise=0.002, rings=5)
     points, truth = probe(field)
     assert f1(np.ones(len(points)), truth) < 0.3
     assert f1(density(fit(kind, touches, BOUNDS, settings), points), truth) > least
