@@ -153,7 +153,6 @@ def test_moment_is_that_of_the_points_on_the_surface(model, line, device):
                                                          rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.xfail(reason="one frame of eight is at the edge of its tolerance, and rounding decides", strict=False)
 def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(model, line, device):
     mu = 0.3
     options = SolverOptions(tolerance=1e-4)
