@@ -15,6 +15,7 @@ from vsfsim.physics.coefficients import lame
 from vsfsim.physics.elements import hyperfoam, tet10
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
+from vsfsim.physics.mesh.near_rigid import limited
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
 from vsfsim.physics.mesh.validity import refuse_loose, sound
 
@@ -184,7 +185,12 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     placed = QuadraticMesh(mesh.points @ turn.T + shift, mesh.tets, mesh.gradients @ turn.T, mesh.volume, mesh.faces,
                            mesh.owner)
     free = np.repeat(np.where(held, 0.0, 1.0), 3)
-    blocks = elements(placed, young_modulus, poisson_ratio)
+    acting, lowered = limited(placed, young_modulus)
+    if lowered > 1.0:
+        solid = dataclasses.replace(solid, notes=(*solid.notes, (
+            f"A part inside is so stiff that it only moves and turns. It acts with a modulus {lowered:.2g} times "
+            f"smaller, which lowers the force by 0.2 % at most.")))
+    blocks = elements(placed, acting, poisson_ratio)
     stiffness = assemble(len(placed.points), blocks)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),

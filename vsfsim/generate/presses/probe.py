@@ -28,6 +28,7 @@ from vsfsim.generate.presses.boundary import deformed_surface, face_pressure
 from vsfsim.generate.presses.verdict import (
     FORCES,
     direction,
+    edge_notes,
     force_columns,
     of_mesh,
     path_notes,
@@ -170,7 +171,8 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
     names = ("probe", *(f"part {i + 1}" for i in range(len(scene.parts))),
              *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
     fields, more = solved(frames)
-    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside))
+    notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside),
+             *edge_notes(names, scene.bodies, body_force))
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
     more |= {"body_force": body_force, "bodies": names, "friction": scene.frictions, "pressure": None,
              "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,

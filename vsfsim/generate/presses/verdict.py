@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from vsfsim.core.rigid import PressSpec
+from vsfsim.core.shape import Box, Cylinder, ProbeShape
 from vsfsim.generate.press_result import Column
 from vsfsim.generate.record import BALANCE, audit
 from vsfsim.physics.solve.frames import Frames, Reason
@@ -126,6 +127,22 @@ def path_notes(gap: float, way: float, inside: float = 0.0) -> list[str]:
         return [f"The probe starts {1e3 * inside:.1f} mm inside the body, so depth counts from there and not from "
                 f"first contact; move from in [press] back to where the probe is free."]
     return []
+
+
+def edge_notes(names: Sequence[str], shapes: Sequence[ProbeShape], body_force: np.ndarray) -> list[str]:
+    """What a user should know where a rigid body with sharp edges touches.
+
+    Args:
+        names: of the bodies (K).
+        shapes: of the bodies (K).
+        body_force: force on each (T, K, 3) [N]; NaN in frames that did not converge.
+    """
+    sharp = [name for name, shape, force in zip(names, shapes, np.moveaxis(body_force, 1, 0), strict=True)
+             if isinstance(shape, (Box, Cylinder)) and np.nan_to_num(force).any()]
+    if not sharp:
+        return []
+    return [f"The contact has sharp edges ({', '.join(sharp)}), where the pressure has no bound: the force converges "
+            f"slowly with the element size, and a coarse mesh is too stiff. Compare meshes with --refine 3."]
 
 
 def of_mesh(progress: Callable[[int, int, str], None] | None, mesh: int,

@@ -283,8 +283,8 @@ class RigidContact:
         return (self.gap[columns] < 0.0).any(dim=1)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`: over the Gauss points and, between them, over a finer grid as well."""
-        deepest = torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[0, columns])
+        """See `Contact`: over the Gauss points, a finer grid between them, and the bodies' own points."""
+        deepest = torch.maximum(-self.gap[columns].amin(dim=1), self._overlap[:, columns].amax(dim=0))
         if len(self._fine):
             used = wp.to_torch(self._stiffness)[columns, ::self._parts, 0] > 0.0  # not padding
             local = wp.to_torch(self._local)[columns, ::self._parts].long()

@@ -101,7 +101,8 @@ class Frames:
     energy: np.ndarray
     """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
-    """Depth of the deepest point of the object's boundary inside a body, between the contact points too (T, B) [m]."""
+    """Depth of the deepest point of the object's boundary inside a body, between the contact points too, or of a body's
+    surface inside the object (T, B) [m]."""
     slipping: np.ndarray
     """Share of the points in contact that slip (T, B) [-]."""
     contact_points: np.ndarray
