@@ -31,7 +31,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
 
     Args:
         parameters: `model`, the lengths of `vsfsim.scenes._shoe_styles.RANGES`, and `style`, `side`, `variation` and
-            `appearance_informative` as of the family `shoe`. `style` counts for a random shoe only.
+            `appearance_informative` as of the family `shoe`. `style` counts for a random shoe only. The last is 1 for a
+            named shoe and 0.9 for a random one where it is not given.
         rng: random stream of form, materials, moduli and appearance, in this order.
         resolution: size of a cell along the surface [m], limited to 3 walls; walls are one cell thick, the sole two.
         where: file and section, for error messages.
@@ -53,7 +54,9 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     own = MODELS.get(name)
     style = own.style if own else parameters.get("style", "sneaker")
     given = {key: value for key, value in parameters.items() if key != "model"}
-    form, options = read_parameters({"wall": WALL, **(own.form if own else {}), **given, "style": style}, rng, where)
+    # A named shoe looks as its model says; a random one has a part in ten that looks like another material.
+    usual = {"wall": WALL, "appearance_informative": 1.0 if own else 0.9, **(own.form if own else {})}
+    form, options = read_parameters({**usual, **given, "style": style}, rng, where)
     # A random shoe's draws are made for a named one, too, so that both use the stream alike.
     drawn = {part: allowed[int(rng.integers(len(allowed)))] for part, allowed in CHOICES[style].items()}
     materials = dict(zip(PARTS, own.materials)) if own else {part: drawn[part] for part in PARTS}

@@ -150,3 +150,12 @@ def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
         parse_scene(text.replace("4e5]", "-4e5]"), Path("t.toml"))
 
 
+
+
+def test_a_named_shoe_looks_as_its_model_says() -> None:
+    for name in ("work-boot", "clog"):
+        model = MODELS[name]
+        for seed in range(5):
+            look = make(seed, model=name, resolution=0.03).appearance
+            for part, material, texture in zip(PARTS, model.materials, look.texture):
+                assert texture == MATERIALS[model.looks.get(part, material)].texture

@@ -1,15 +1,18 @@
-"""The camera inside the bubble: where it stands, exact depth, and dots that move with the skin."""
+"""The camera inside the bubble: where it stands, exact depth, a print that moves with the skin, and colours whose
+statistics are those of a real Punyo's pictures."""
 
+import itertools
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).parent))
 from toy_bubble import disc
 
-from vsfsim.sensing.bubble_camera import BubbleCamera, look_inside
+from vsfsim.sensing.bubble_camera import PUNYO, BubbleCamera, look_inside
 from vsfsim.sensing.membrane_fe import SensorError
 
 SMALL = BubbleCamera(width=160, height=120, focal=107.5)
@@ -56,7 +59,7 @@ def test_depth_lies_on_the_triangles(device):
     assert np.abs(hit[inside, 2] - 0.03089 * (1 - rho[inside] ** 2) ** 0.763).max() < 6e-4
 
 
-def test_dots_ride_on_the_skin(device):
+def test_the_print_rides_on_the_skin(device):
     # the same material carried 3 mm to the right, on a plane: the picture moves by focal * 3 mm / depth and is
     # otherwise the same
     flat, triangles, _ = disc(10)
@@ -64,12 +67,58 @@ def test_dots_ride_on_the_skin(device):
     shift = 0.00675  # 20 pixels at 54 mm
     still = np.column_stack([flat, np.zeros(len(flat))])
     view = look_inside(np.stack([still, still + [shift, 0.0, 0.0]]), triangles, flat, camera, device=device)
-    dark = (view.rgb[..., 0] < 90) & (view.depth > 0)
-    assert 0.1 < dark[0].mean() < 0.4
+    bright = (view.rgb[..., 1] > 160) & (view.depth > 0)
+    assert 0.15 < bright[0].mean() < 0.5
     pixels = round(160.0 * shift / 0.054)
-    a, b = dark[0, :, 20:120], dark[1, :, 20 + pixels:120 + pixels]
-    assert (a == b).mean() > 0.99
-    assert (dark[0, :, 20:120] == dark[1, :, 20:120]).mean() < 0.9
+    # what stands in front of the skin at the left does not move
+    a, b = bright[0, :, 80:130], bright[1, :, 80 + pixels:130 + pixels]
+    assert (a == b).mean() > 0.97
+    assert (bright[0, :, 80:130] == bright[1, :, 80:130]).mean() < 0.8
+
+
+def otsu(values):
+    """The threshold that divides values of 0 to 255 into two classes of the largest variance between them."""
+    share = np.bincount(values.ravel(), minlength=256) / values.size
+    below, sums = share.cumsum(), (share * np.arange(256)).cumsum()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return int(np.nanargmax((sums[-1] * below - sums) ** 2 / (below * (1.0 - below))))
+
+
+def statistics(rgb, seen):
+    """The quantities of `PUNYO` for a picture (H, W, 3) whose pixels ``seen`` (H, W) show skin."""
+    green = rgb[..., 1]
+    limit = otsu(green[seen])
+    bright = seen & (green > limit)
+    size = np.bincount(ndimage.label(bright)[0].ravel())[1:]
+    window = green[112:368, 192:448].astype(float)
+    window = (window - window.mean()) * np.outer(np.hanning(256), np.hanning(256))
+    power, f = np.abs(np.fft.fft2(window)) ** 2, np.hypot(*np.meshgrid(np.fft.fftfreq(256), np.fft.fftfreq(256)))
+    edges = np.geomspace(0.02, 0.25, 12)
+    mean = [power[(f >= low) & (f < high)].mean() for low, high in itertools.pairwise(edges)]
+    slope = np.polyfit(np.log(np.sqrt(edges[1:] * edges[:-1])), np.log(mean), 1)[0]
+    return {"membrane mean": rgb[seen].mean(axis=0), "dark skin": rgb[seen & ~bright].mean(axis=0),
+            "bright patches": rgb[bright].mean(axis=0), "bright share": bright.sum() / seen.sum(),
+            "saturated share": (green[seen] >= 250).mean(), "spectrum slope": slope,
+            "patches": (size > 150).sum() / (seen.sum() * 0.0206**2),  # 0.206 mm a pixel in the middle [1/cm^2]
+            "corners": [rgb[row, column] for row in (12, 467) for column in (12, 627)]}
+
+
+def test_the_picture_has_a_real_punyos_statistics():
+    points, triangles, flat = dome(16)
+    view = look_inside(points[None], triangles, flat, BubbleCamera())
+    found = statistics(view.rgb[0], view.depth[0] > 0)
+    for name, value in found.items():
+        print(f"{name:16} {np.round(value, 2).tolist()}   real: {PUNYO.get(name, 0.74)}")
+    # sRGB levels: a real sensor's exposure and print vary by more from frame to frame and from skin to skin
+    for name in ("membrane mean", "dark skin", "bright patches"):
+        assert np.abs(found[name] - PUNYO[name]).max() < 15.0, name
+    assert found["bright share"] == pytest.approx(PUNYO["bright share"], abs=0.05)
+    assert found["saturated share"] == pytest.approx(PUNYO["saturated share"], abs=0.05)
+    assert found["spectrum slope"] == pytest.approx(PUNYO["spectrum slope"], abs=0.25)
+    assert found["patches"] == pytest.approx(0.74, rel=0.35)
+    for corner, real in zip(found["corners"], PUNYO["corners"], strict=True):
+        # green first, then blue, then red
+        assert corner[1] > corner[2] > corner[0] and np.abs(corner.astype(int) - real).max() < 80
 
 
 def test_a_dent_is_seen_in_depth_and_shade(device):
@@ -88,8 +137,8 @@ def test_what_it_refuses():
     points, triangles, flat = dome(3)
     with pytest.raises(SensorError, match="tilt"):
         BubbleCamera(tilt=2.0)
-    with pytest.raises(SensorError, match="dot_radius"):
-        BubbleCamera(dot_radius=0.0)
+    with pytest.raises(SensorError, match="patch"):
+        BubbleCamera(patch=0.0)
     with pytest.raises(SensorError, match="not finite"):
         look_inside(np.full((1, *points.shape), np.nan), triangles, flat, SMALL)
     with pytest.raises(SensorError, match=r"\(T, n, 3\)"):

@@ -2,8 +2,14 @@
 
 These values of the real sensor are known (docs/sensing.md): 640 x 480 pixels, a focal length of about 430 px, a tilt
 of 25 degrees, and the rim plane at about 54 mm. The public mesh is given in the camera's frame and places the camera
-40 mm off the dome's axis along the long semi-axis, so that the tilt turns it to the middle. The appearance is an
-assumption, not measured from photographs: a pale skin with a pattern of dark dots, and two lamps beside the lens.
+40 mm off the dome's axis along the long semi-axis, so that the tilt turns it to the middle.
+
+The appearance follows statistics that were measured from three public pictures of a real Punyo's inside
+(uiuc-iml/punyo_force_estimation, demo/0/expand): a near-black skin with bright ragged patches of some millimetres and
+fine flecks, one green lamp at the left of the picture, whose light saturates near it, a white housing ring around the
+rim that glows green, clips on it, a tube that comes in at the left and a label at the lower left. `PUNYO` gives the
+statistics. The print is drawn procedurally at material points, so it moves and stretches with the skin; tube and label
+change the colours alone, not the depth.
 """
 
 from __future__ import annotations
@@ -33,10 +39,8 @@ class BubbleCamera:
     """From the camera to the rim plane, along the dome's axis [m]."""
     offset: float = 0.040
     """Of the camera along -x, the long semi-axis [m]."""
-    dot_spacing: float = 0.0022
-    """Of the printed dots, on the stress-free skin [m]."""
-    dot_radius: float = 0.00055
-    """Of a printed dot, on the stress-free skin [m]."""
+    patch: float = 0.0030
+    """Longest wavelength of the print's patches, on the stress-free skin [m]."""
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1 or not self.focal > 0.0:
@@ -46,9 +50,9 @@ class BubbleCamera:
             raise SensorError(f"bubble camera: tilt {self.tilt!r} rad, distance {self.distance!r} m, offset "
                               f"{self.offset!r} m; give a tilt within 1.5 and lengths under half a metre, "
                               "the distance greater than 0 (the camera is below the rim plane).")
-        if not 0.0 < self.dot_radius < self.dot_spacing:
-            raise SensorError(f"bubble camera: dot_radius {self.dot_radius!r} and dot_spacing {self.dot_spacing!r} m; "
-                              f"the radius must be greater than 0 and under the spacing.")
+        if not 0.0 < self.patch < 0.5:
+            raise SensorError(f"bubble camera: patch is {self.patch!r} m; it must be a length greater than 0 and under "
+                              f"half a metre.")
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -64,6 +68,23 @@ class BubbleCamera:
         out[:3, 0], out[:3, 1], out[:3, 2] = (c, 0.0, -s), (0.0, 1.0, 0.0), (s, 0.0, c)
         out[:3, 3] = (-self.offset, 0.0, -self.distance)
         return out
+
+
+PUNYO = {
+    "membrane mean": (24.0, 129.0, 73.0),
+    "dark skin": (7.0, 86.0, 36.0),
+    "bright patches": (61.0, 226.0, 158.0),
+    "bright share": 0.32,
+    "saturated share": 0.13,
+    "spectrum slope": -2.65,
+    "corners": ((24, 193, 111), (45, 177, 104), (83, 153, 83), (89, 184, 103)),
+}
+"""Statistics of real pictures of 640 x 480 pixels.
+
+sRGB means of the membrane, of its dark and of its bright part (divided by Otsu's threshold of green), the bright share
+of the membrane's area, the share with green at 250 or more, the slope of the power spectral density of green from 0.02
+to 0.25 cycles a pixel, and the colours of the housing in the corners (top left, top right, bottom left, bottom right).
+"""
 
 
 @dataclass(frozen=True)
@@ -83,7 +104,7 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     Args:
         points: node positions, mount frame (T, n, 3) [m].
         triangles: wound outwards (m, 3).
-        material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the dots are printed there.
+        material: coordinates of the nodes on the stress-free skin (n, 2) [m]; the patches are printed there.
         camera: its pose and intrinsics.
         device: Warp device.
 
@@ -107,10 +128,15 @@ def look_inside(points: np.ndarray, triangles: np.ndarray, material: np.ndarray,
     from vsfsim.sensing.render_bubble import cast_inside
 
     normals = np.stack([nodal_normals(x, triangles) for x in points])
-    lamps = pose[:3, 3] + np.array([[0.0, 0.02, 0.0], [0.0, -0.02, 0.0]])
-    # The light is full where the optical axis meets the rim plane, straight in front of the lamps.
-    power = 0.5 * (camera.distance / math.cos(camera.tilt)) ** 2
+    lamp = pose[:3, 3] + np.array([-0.012, -0.018, 0.004])
+    # The light is full where the optical axis meets the rim plane.
+    power = (camera.distance / math.cos(camera.tilt)) ** 2
     depth, light = cast_inside(points, triangles.astype(np.int32), normals, material, camera.intrinsics, pose,
-                               camera.width, camera.height, lamps=lamps, power=power,
-                               dots=(camera.dot_spacing, camera.dot_radius), albedo=(0.62, 0.05), device=device)
-    return InsideView(depth, srgb(light[..., None] * np.array([1.0, 0.96, 0.9])))
+                               camera.width, camera.height, lamp=lamp, power=power, patch=camera.patch,
+                               rim=_rim(material), device=device)
+    return InsideView(depth, srgb(light))
+
+
+def _rim(material: np.ndarray) -> tuple[float, float]:
+    """Semi-axes of the rim (2,) [m], as those of the skin's flat shape."""
+    return float(np.abs(material[:, 0]).max()), float(np.abs(material[:, 1]).max())
