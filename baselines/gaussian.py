@@ -33,15 +33,19 @@ class GaussianAverage(PosteriorAnswers):
             their touches decide.
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
+        noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
+        band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
         device: Warp device.
     """
 
     _zero_mean = False
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
-                 fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+                 fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
+                 band: float = 0.0, device: str = "cpu"):
         self.fit_std = fit_std
-        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
+                                             noise_share=noise_share, band=band))
         self._prior: tuple[float, float] | None = None
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:

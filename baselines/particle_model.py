@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.baselines.visible_cloud import visible_cloud
@@ -46,6 +47,14 @@ class VsfSettings:
     noise_share: float = 0.0
     """Fraction of a touch's largest reading that is added to ``noise_std`` in quadrature, for all readings of the
     touch, because the particle model errs in proportion [-]."""
+    band: float = 0.0
+    """Particles further from every visible point are left out [m]; 0 keeps the whole hidden volume, as SBML appendix
+    B.2 does. Behind thin branches that volume is mostly air."""
+
+    def __post_init__(self) -> None:
+        for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres")):
+            if not 0.0 <= value < np.inf:
+                raise MethodError(f"{name} is {value!r}; it must be 0 or greater, {unit}.")
 
 
 @dataclass
@@ -77,10 +86,15 @@ class ParticleModel:
         # deep, and a shallow press would reach no particle.
         particles = particles_from_view(view, bounds=bounds, spacing=settings.spacing, device=settings.device,
                                         tolerance=0.5 * settings.spacing)
+        if settings.band and len(particles):
+            near = cKDTree(cloud).query(particles, distance_upper_bound=settings.band)[0]
+            particles = particles[near <= settings.band]
         if not len(particles):
+            wider = ", or a wider band" if settings.band else ""
             raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points "
                               f"span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
-                              f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller spacing.")
+                              f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller "
+                              f"spacing{wider}.")
         return cls(particles, settings)
 
     def observe(self, action: Action) -> sparse.csr_matrix:

@@ -31,18 +31,21 @@ class PointVsf(PosteriorAnswers):
             a shoe's upper.
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
+        noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
+        band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
         device: Warp device.
         estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which assimilates one frame
             after the other (Neural VSF section III-B).
     """
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
-                 prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, device: str = "cpu",
-                 estimator: str = "batch"):
+                 prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
+                 band: float = 0.0, device: str = "cpu", estimator: str = "batch"):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
         self.prior_std, self.estimator = prior_std, estimator
-        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device))
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
+                                             noise_share=noise_share, band=band))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Nothing to learn."""
@@ -66,9 +69,11 @@ class DenseVsf(PointVsf):
     """
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, skin_std: float = 0.05,
-                 prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, device: str = "cpu"):
+                 prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
+                 band: float = 0.0, device: str = "cpu"):
         if not skin_std > 0.0:
             raise MethodError(f"dense-vsf: skin_std is {skin_std!r}; it must be greater than 0, in newtons.")
         super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin,
-                         table_height=table_height, device=device)
-        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std))
+                         table_height=table_height, noise_share=noise_share, band=band, device=device)
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std,
+                                             noise_share, band))

@@ -28,7 +28,7 @@ class Sbml(PosteriorAnswers):
 
     Args:
         structure: HE, HE+HO or HE+SEG (section 4.5).
-        features: local, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.registry`.
+        features: local, local-thick, local-full, xyzrgb, dinov2-s or dinov2-b, see `vsfsim.vsf.features.registry`.
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
@@ -46,6 +46,7 @@ class Sbml(PosteriorAnswers):
         fit_std: prior standard deviation of a spring constant in the fits that give the initial uncertainty [N/m].
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
+        band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
         device: "cpu" or "cuda:0", for Warp and torch.
     """
 
@@ -53,7 +54,7 @@ class Sbml(PosteriorAnswers):
                  seed: int = 0, rate: float = 1e-4, epochs: int = 400, patience: int = 40, dropout: float = 0.1,
                  output: str = "softplus", validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0,
                  noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01,
-                 table_height: float = 0.0, device: str = "cpu"):
+                 table_height: float = 0.0, band: float = 0.0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -67,7 +68,7 @@ class Sbml(PosteriorAnswers):
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share))
+                                             noise_share=noise_share, band=band))
         self._search_seed = seed
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None

@@ -254,6 +254,15 @@ def plants(device: Device = "cpu",
 
 
 @app.command()
+def touches(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset made with an arm.")],
+            out: JsonFile = None) -> None:
+    """Torques, forces and stiffness of the touches of a plants dataset, beside those of a real plant."""
+    from benchmarks.plant_figures import measure
+
+    _report(measure(dataset, progress=step), out)
+
+
+@app.command()
 def bubble(device: Device = "cpu",
            touches: Annotated[int | None, typer.Option(min=1,
                                                        help="Touches of the batch; default: 4 on a CPU, "
