@@ -1,0 +1,54 @@
+"""Particles bounded to what can be matter, and the noise in proportion to a touch's force, in every particle method."""
+
+from __future__ import annotations
+
+import inspect
+
+import numpy as np
+import pytest
+
+from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
+from vsfsim.baselines.particle_model import ParticleModel, VsfSettings
+from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
+from vsfsim.baselines.sbml import Sbml
+from vsfsim.core.errors import MethodError
+from vsfsim.data.records import View
+
+SETTINGS = {"spacing": 0.005, "friction": 0.0, "noise_std": 1.0, "margin": 0.01, "table_height": 0.0, "device": "cpu"}
+
+
+@pytest.fixture
+def twig():
+    """An upright twig of 10 mm, seen from the side at 1 m by a camera 0.25 m above the table."""
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    pose[:3, 3] = [0.0, -1.0, 0.25]
+    depth = np.zeros((100, 100), np.float32)
+    depth[10:90, 48:53] = 1.0
+    return View(np.full((100, 100, 3), 80, np.uint8), depth, depth > 0.0,
+                np.array([[500.0, 0.0, 49.5], [0.0, 500.0, 49.5], [0.0, 0.0, 1.0]]), pose)
+
+
+def test_a_band_leaves_out_the_air_behind_a_twig(twig):
+    tilted = twig.camera_pose.copy()
+    tilted[:3, 3] += [0.0, 0.0, 0.3]
+    turn = 0.3
+    tilted[:3, :3] = np.array([[1.0, 0.0, 0.0], [0.0, -np.sin(turn), np.cos(turn)],
+                               [0.0, -np.cos(turn), -np.sin(turn)]])
+    from_above = View(twig.rgb, twig.depth, twig.mask, twig.intrinsics, tilted)
+    whole = ParticleModel.behind(from_above, VsfSettings(**SETTINGS)).particles
+    band = ParticleModel.behind(from_above, VsfSettings(**SETTINGS, band=0.012)).particles
+    away = np.linalg.norm(band[:, None] - from_above.points()[None], axis=2).min(axis=1)
+    assert 0 < len(band) < len(whole) and away.max() <= 0.012
+    assert {tuple(p) for p in band} <= {tuple(p) for p in whole}
+    with pytest.raises(MethodError, match="or a wider band"):
+        ParticleModel.behind(from_above, VsfSettings(**SETTINGS, band=1e-7))
+
+
+@pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf, DenseVsf, Sbml])
+def test_every_particle_method_takes_both_and_refuses_what_is_none(method):
+    assert {"noise_share", "band"} <= set(inspect.signature(method).parameters)
+    made = method(noise_share=0.5, band=0.015)
+    assert (made.shelf.settings.noise_share, made.shelf.settings.band) == (0.5, 0.015)
+    with pytest.raises(MethodError, match="band is -1"):
+        method(band=-1.0)
