@@ -12,7 +12,8 @@ from vsfsim.data.records import Touch
 
 
 def pushed(stiffness, *, frames=21, free=6):
-    """A tool that moves 5 mm a frame along +x and meets a spring after ``free`` frames; joint 2 has a lever of 0.5 m."""
+    """A tool that moves 5 mm a frame along +x and meets a spring after ``free`` frames; joint 2 has a lever of half a
+    metre."""
     travel = 0.005 * np.arange(frames)
     force = stiffness * np.maximum(travel - travel[free], 0.0)
     pose = np.tile(np.eye(4), (frames, 1, 1))

@@ -49,7 +49,8 @@ def test_parts_have_the_bending_stiffness_of_their_wires(all_plants):
                                                                                                  - 0.0012**4)))
     leaf = blade_modulus(0.04, 0.0005, 0.0005, 2e8) * 0.04 * 0.0005**3 / 12.0
     assert 6e-4 < leaf < 8e-4
-    bands = {BRANCH: (5e-3, 8.0), PETIOLE: (6e-4, 0.7), TRUNK: (0.15, 400.0)}
+    # of rods up to 5.3 mm in a monstera's stalks, of petioles that stand for up to four
+    bands = {BRANCH: (5e-3, 8.0), PETIOLE: (6e-4, 1.0), TRUNK: (0.15, 400.0)}
     for name, p in all_plants.items():
         bend = sections(p)[1][:, 1] * p.lengths()
         for region, (low, high) in bands.items():
