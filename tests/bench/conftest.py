@@ -67,7 +67,7 @@ def plain_table():
         for key in ("queries", "readings"):
             table[key] = unpack(table[key]) if table[key] else {}
         table["answers"] = {name: unpack(columns) for name, columns in table["answers"].items()}
-        del table["objects"]
+        del table["objects"], table["maps"]
         return {**table, "schema_version": 2}
 
     return read

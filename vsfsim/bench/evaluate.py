@@ -22,7 +22,7 @@ from vsfsim.bench.trials.answers import Answers
 from vsfsim.bench.trials.collect import Collector, Progress
 from vsfsim.bench.trials.folds import test_names
 from vsfsim.bench.trials.rows import Rows, as_columns, beside_zero, scores_of, stored
-from vsfsim.bench.trials.score import rows_of
+from vsfsim.bench.trials.score import map_of, rows_of
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 
@@ -66,7 +66,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
     rows, readings = _rows(answers, task, dataset)
     said = run.description
     assert said is not None
-    timing = {"meta_fit_s": run.meta_fit_s, "adapt_s": sum(a.adapt_s for a in answers),
+    timing = {"meta_fit_s": run.meta_fit_s, "fits": run.fits, "adapt_s": sum(a.adapt_s for a in answers),
               "predict_s": sum(a.predict_s for a in answers), "adapts": sum(a.adapt_s > 0.0 for a in answers),
               "predicts": sum(len(a.readings) for a in answers if a.adapt_s > 0.0)}
     notes = [f"superseded by {task.superseded_by}"] if task.superseded_by else []
@@ -83,9 +83,19 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), timing=timing,
         peak_memory_mib=round(run.peak_memory_mib, 1), machine=machine(), made_by=made_by(), versions=versions(),
         notes=tuple(notes), readings=readings, package={"name": said.package, "version": said.version},
-        isolation=isolation.sandbox, data=data, preset=preset,
+        isolation=isolation.sandbox, data=data, preset=preset, maps=_maps(answers, task, dataset),
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]})
+
+
+def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
+    """`Result.maps` of a task with cross-validation: of the first run at the shot that ranks."""
+    out: dict[str, list] = {}
+    first = [a for a in answers if (a.trial.shot, a.trial.seed) == (task.ranking_shot, 0) and a.mean is not None]
+    for given in first if task.protocol.folds else ():
+        for column, values in map_of(given, dataset).items():
+            out.setdefault(column, []).extend(values)
+    return out
 
 
 def _rows(answers: list[Answers], task: Task, dataset: Dataset) -> tuple[Rows, dict[str, list]]:

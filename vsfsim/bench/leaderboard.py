@@ -164,7 +164,7 @@ def table(board: Board) -> dict[str, Any]:
              "scores": {metric: {shot: {"mean": score.mean, "std": score.std} for shot, score in by_shot.items()}
                         for metric, by_shot in row.scores.items()},
              "timing": dict(row.result.timing), "made_by": dict(row.result.made_by)} for row in board.rows]
-    return {"task": task.name, "metric": task.primary, "unit": _unit(task.primary, task.observation.unit),
+    return {"task": task.name, "metric": task.primary, "unit": unit_of(task.primary, task.observation.unit),
             "ranking_shot": task.ranking_shot, "higher_is_better": task.metric.higher_is_better,
             "dataset_sha256": board.dataset_sha256, "rows": rows}
 
@@ -201,13 +201,13 @@ def score_table(result: Result, metric: str) -> str:
     order = [*(m for m in (metric,) if m in result.scores), *(m for m in result.scores if m != metric)]
     rows = []
     for name in order:
-        unit = _unit(name, result.unit)
+        unit = unit_of(name, result.unit)
         rows.append([f"{name} [{unit}]" if unit else name,
                      *(_number(result.scores[name].get(label)) for label in result.shots)])
     return text_table(head, rows)
 
 
-def _unit(metric: str, of_reading: str) -> str:
+def unit_of(metric: str, of_reading: str) -> str:
     """Of a metric, "" for a pure number and for one that this version does not know."""
     unit = METRICS[metric].unit if metric in METRICS else ""
     return of_reading if unit is None else unit
@@ -215,7 +215,7 @@ def _unit(metric: str, of_reading: str) -> str:
 
 def _title(board: Board) -> str:
     task = board.task
-    unit = _unit(task.primary, task.observation.unit) or "-"
+    unit = unit_of(task.primary, task.observation.unit) or "-"
     what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
     better = "higher" if task.metric.higher_is_better else "lower"
     spread = "standard error over objects" if _over_objects(task) else "std over seeds"
@@ -227,8 +227,8 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
     task = board.task
     labels = task.protocol.labels
     head = ["#", "method", *(f"{label}-shot" for label in labels), "rank corr.", "adapt", "vsfsim"]
-    rows, labels_of = [], _labels([row.result for row in board.rows])
-    for row, label in zip(board.rows, labels_of):
+    rows, names = [], labels_of([row.result for row in board.rows])
+    for row, label in zip(board.rows, names):
         by_shot = row.scores.get(task.primary, {})
         stiffness = row.scores.get("stiffness_spearman", {}).get(task.ranking_shot)
         adapt = row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0), 1)
@@ -241,7 +241,7 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
     return head, rows
 
 
-def _labels(results: list[Result]) -> list[str]:
+def labels_of(results: list[Result]) -> list[str]:
     """The method's name and preset; where it has several rows, with the parameters in which they differ."""
     out = []
     for result in results:

@@ -60,7 +60,7 @@ class Result:
     """Columns with one row a query touch, shot and seed: object, shot, seed, touch, number of readings n, sum of
     squared errors sse [unit^2] and of absolute errors sae [unit]."""
     timing: Mapping[str, float]
-    """Seconds meta_fit_s, adapt_s and predict_s, and the numbers of calls adapts and predicts."""
+    """Seconds meta_fit_s, adapt_s and predict_s, and the numbers of calls fits, adapts and predicts."""
     peak_memory_mib: float
     """Of the process [MiB]."""
     machine: Mapping[str, Any]
@@ -89,12 +89,16 @@ class Result:
     query touch, or one an object with its metrics."""
     preset: str = ""
     """Name of the settings that were asked for (`vsfsim.bench.commands.presets`), "" for none."""
+    maps: Mapping[str, list] = dataclasses.field(default_factory=dict)
+    """Of a task with cross-validation, the stiffness that the method gave in its first run at the shot that ranks,
+    columns with one row a probed point: object, place x, y, z [0.1 mm from -3 m], truth [N/m], mean and std in the
+    method's unit, std 0 where it gave none."""
     schema_version: int = SCHEMA_VERSION
     """Of the file that it was read from."""
 
     def summary(self) -> dict[str, Any]:
         """For JSON: everything but the raw numbers of every query."""
-        raw = ("queries", "readings", "answers", "data")
+        raw = ("queries", "readings", "answers", "data", "maps")
         return {key: value for key, value in dataclasses.asdict(self).items() if key not in raw}
 
     def __repr__(self) -> str:
@@ -145,7 +149,8 @@ class Result:
         path = Path(path)
         table = {"format": FORMAT, "schema_version": SCHEMA_VERSION, **self.summary(), "objects": self._objects(),
                  "queries": pack(self.queries), "readings": pack(self.readings) if self.readings else {},
-                 "answers": {name: pack(columns) for name, columns in self.answers.items()}, "data": self.data}
+                 "answers": {name: pack(columns) for name, columns in self.answers.items()},
+                 "maps": pack(self.maps) if self.maps else {}, "data": self.data}
         table["schema_version"] = SCHEMA_VERSION
         lines = [f"{json.dumps(key)}: {json.dumps(value, default=str, allow_nan=False)}"
                  for key, value in table.items()]
@@ -173,7 +178,8 @@ class Result:
         optional = {"isolation", "preset",
                     *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset"}, SCHEMA_VERSION: {"readings"}}
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps"},
+                  SCHEMA_VERSION: {"readings"}}
         odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "

@@ -219,6 +219,8 @@ def leaderboard(results: Annotated[list[Path] | None,
                 task: Annotated[str | None, typer.Option(autocompletion=complete_task,
                                                          help="Name of a task; default: all tasks.")] = None,
                 markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown page.")] = False,
+                html: Annotated[Path | None, typer.Option(metavar="DIR", help="Write static pages that work offline "
+                                                                              "into this folder.")] = None,
                 json: JsonFile = None) -> None:
     """Rank the methods of a task, from result files.
 
@@ -228,15 +230,22 @@ def leaderboard(results: Annotated[list[Path] | None,
     from vsfsim.bench.task import load_task
     from vsfsim.core import shelf
 
-    pages, tables = [], []
+    pages, tables, boards = [], [], []
     for name in [task] if task else list(shelf.tasks()):
         wanted = load_task(name)
         paths = list(results or [])
         if not paths and (Path("results") / wanted.name).is_dir():
             paths = [Path("results") / wanted.name]
         found = board.collect(wanted, paths)
+        boards.append(found)
         pages.append((board.markdown if markdown else board.text)(found))
         tables.append(board.table(found))
+    if html is not None:
+        from vsfsim.bench.board.site import write_site
+
+        files = write_site(boards, html)
+        report(f"{len(files)} pages; open {files[0]}", tables[0] if task else tables, json)
+        return
     report("\n\n".join(pages), tables[0] if task else tables, json)
 
 

@@ -58,6 +58,8 @@ class Collector:
     """Test the contract first."""
     meta_fit_s: float = 0.0
     """Seconds of all calls of `meta_fit`."""
+    fits: int = 0
+    """Number of those calls."""
     peak_memory_mib: float = 0.0
     """Largest resident size of the method's processes [MiB]."""
     description: Description | None = None
@@ -142,6 +144,7 @@ class Collector:
     def _learn(self, process: MethodProcess, specimens: list[Specimen], seed: int | None) -> None:
         self.progress(self._finished(), self._total(), "meta-fit")
         self.meta_fit_s += process.meta_fit(specimens, seed=seed)
+        self.fits += 1
 
     def _finished(self) -> int:
         return sum(stage.trials(self.task.protocol) for stage in self._stages if stage.name in self.done)

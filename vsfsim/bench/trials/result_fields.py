@@ -10,7 +10,7 @@ from typing import Any
 
 from vsfsim.bench.metrics import Answer, columns_of
 from vsfsim.bench.trials.packed import is_packed, unpack
-from vsfsim.bench.trials.rows import READING_COLUMNS, Score
+from vsfsim.bench.trials.rows import MAP_COLUMNS, READING_COLUMNS, Score
 from vsfsim.core.errors import TaskError
 from vsfsim.core.plain_text import plain
 
@@ -58,8 +58,9 @@ def checked_fields(given: Mapping[str, Any]) -> dict[str, Any]:
     counts = {len(column) for column in out["queries"].values()}
     if len(counts) != 1:
         raise ValueError("the columns of queries have different lengths")
-    if len({len(column) for column in out.get("readings", {}).values()}) > 1:
-        raise ValueError("the columns of readings have different lengths")
+    for name in ("readings", "maps"):
+        if len({len(column) for column in out.get(name, {}).values()}) > 1:
+            raise ValueError(f"the columns of {name} have different lengths")
     for metric, by_shot in out["scores"].items():
         for shot, score in by_shot.items():
             if shot not in out["shots"] or len(score.per_seed) != len(out["seeds"]) or not math.isclose(
@@ -154,6 +155,9 @@ _COLUMNS: dict[str, Callable[[str, Any], Any]] = {
     "sse": lambda where, value: _number(where, value, low=0.0),
     "sae": lambda where, value: _number(where, value, low=0.0),
     "ss": lambda where, value: _number(where, value, low=0.0), "nll": _number,
+    "x": _count, "y": _count, "z": _count, "truth": lambda where, value: _number(where, value, low=0.0),
+    "mean": lambda where, value: _number(where, value, low=0.0),
+    "std": lambda where, value: _number(where, value, low=0.0),
 }
 
 
@@ -202,6 +206,10 @@ def _answers(where: str, value: Any) -> dict[str, dict[str, list]]:
     return out
 
 
+def _maps(where: str, value: Any) -> dict[str, list]:
+    return _columns(where, value, MAP_COLUMNS) if _table(where, value) else {}
+
+
 _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     **dict.fromkeys(("task", "task_sha256", "dataset_sha256", "method", "entry", "observation", "unit", "isolation",
                      "preset"),
@@ -209,5 +217,5 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     **dict.fromkeys(("dataset_made_by", "parameters", "machine", "made_by", "versions", "package"), _plain_table),
     "shots": _words, "seeds": _seeds, "scores": _scores, "queries": _queries, "timing": _timing,
     "peak_memory_mib": lambda where, value: _number(where, value, low=0.0), "notes": _words, "readings": _readings,
-    "data": _table, "answers": _answers, "schema_version": _count,
+    "data": _table, "answers": _answers, "maps": _maps, "schema_version": _count,
 }

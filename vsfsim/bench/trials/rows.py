@@ -17,6 +17,13 @@ READING_COLUMNS = ("object", "touch", "n", "ss")
 """Of `vsfsim.bench.result.Result.readings`."""
 
 
+MAP_COLUMNS = ("object", "x", "y", "z", "truth", "mean", "std")
+"""Of `vsfsim.bench.result.Result.maps`."""
+
+MAP_STEP, MAP_ORIGIN = 1e-4, 30_000
+"""A coordinate of a map is a whole number: of steps [m] from -3 m."""
+
+
 @dataclass(frozen=True)
 class Score:
     """A metric at one shot."""

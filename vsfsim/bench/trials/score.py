@@ -14,7 +14,7 @@ from vsfsim.bench.reading_metrics import touch_errors, touch_uncertainty
 from vsfsim.bench.stiffness_metrics import can_be_scored
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
-from vsfsim.bench.trials.rows import READING_COLUMNS, Rows
+from vsfsim.bench.trials.rows import MAP_COLUMNS, MAP_ORIGIN, MAP_STEP, READING_COLUMNS, Rows
 from vsfsim.bench.trials.subject import touched
 from vsfsim.data.dataset import Dataset
 
@@ -57,6 +57,21 @@ def rows_of(name: str, answers: Iterable[Answers], task: Task, dataset: Dataset)
             poses = {"estimate": given.pose, "truth": inclusions.known_object()[2]}
             keep(Answer.POSE, given, record_scores(Answer.POSE, [poses]))
     return rows, readings_of([(recording, draw.query)])
+
+
+def map_of(given: Answers, dataset: Dataset) -> dict[str, list]:
+    """The stiffness that a method gave in one trial beside the truth, rows of `vsfsim.bench.result.Result.maps`; three
+    digits of each number. Empty where it gave none."""
+    view = dataset.load(given.trial.subject)
+    assert view.truth is not None
+    if given.mean is None:
+        return {name: [] for name in MAP_COLUMNS}
+    near = touched(view.truth.probe_points, view)
+    std = np.zeros(len(given.mean)) if given.std is None else given.std
+    steps = np.clip(np.rint(view.truth.probe_points[near] / MAP_STEP).astype(int) + MAP_ORIGIN, 0, 2 * MAP_ORIGIN)
+    numbers = [[float(np.float32(f"{v:.3g}")) for v in values] for values in (view.truth.probe_stiffness[near],
+                                                                              given.mean, std)]
+    return dict(zip(MAP_COLUMNS, [[view.name] * len(steps), *steps.T.tolist(), *numbers], strict=True))
 
 
 def readings_of(asked: Iterable[tuple[Recording, Iterable[int]]]) -> dict[str, list]:

@@ -1,0 +1,128 @@
+"""The leaderboard's pages: whole, escaped, offline, and opened by a browser."""
+
+import dataclasses
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.board import charts
+from vsfsim.bench.board.site import write_site
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.task import parse_task
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+EVIL = "<script>document.title='taken'</script>\"'&\u202ename"
+VOID = {"meta", "img", "br"}
+
+
+class Page(HTMLParser):
+    """Checks that tags are closed in their order, and keeps links and texts."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.links, self.tags, self.words = [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.links += [value for key, value in attrs if key in ("href", "src")]
+        assert not [key for key, _ in attrs if key.startswith("on")]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+@pytest.fixture(scope="module")
+def site(task_text, tmp_path_factory):
+    """Pages of one task with two methods, one of which has a hostile name."""
+    changes = {'train = "train", test = "test", ': "folds = 2, draws = 1, trainings = 1, ", "seeds = 3, ": "",
+               "objects = 3": "objects = 4", '"rmse"': '"rmse_ratio"', 'method = "somebody"': 'method = "prior (zero)"'}
+    for old, new in changes.items():
+        task_text = task_text.replace(old, new)
+    task = parse_task(task_text, "toy-v1.toml")
+    folder = tmp_path_factory.mktemp("site")
+    views = [mock_view(i, touches=12) for i in range(4)]
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=4, views=1, touches=12, splits={"test": 4},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(folder / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        dataset = writer.finish()
+    result = evaluate("toy_methods:Sure", task, dataset, parameters={"value": 2.0}, check=False)
+    (folder / "results").mkdir()
+    result.save(folder / "results" / "a.json")
+    queries = {**result.queries, "sse": [1.2**2 * v for v in result.queries["sse"]],
+               "sae": [1.2 * v for v in result.queries["sae"]]}
+    worse = dataclasses.replace(result, method=EVIL, entry=EVIL, notes=(EVIL,), parameters={EVIL: EVIL},
+                                queries=queries)
+    dataclasses.replace(worse, scores=worse.computed()).save(folder / "results" / "b.json")
+    board = leaderboard.collect(task, [folder / "results"])
+    return board, write_site([board], folder / "out")
+
+
+def test_every_page_is_whole_and_every_link_leads_to_a_page(site):
+    board, files = site
+    assert len(files) == 1 + 1 + 2 + 4  # the index, a task, its methods, its objects
+    names = {path.name for path in files}
+    for path in files:
+        found = Page(path.read_text())
+        assert all(link in names or link.startswith("data:image/png;base64,") for link in found.links), path.name
+        assert "script" not in found.tags and "Content-Security-Policy" in path.read_text()
+        assert "://" not in re.sub(r"data:image/png;base64,\S+", "", path.read_text()), "nothing from another machine"
+    text = " ".join(Page(next(p for p in files if p.name.startswith("task-")).read_text()).words)
+    for words in ("rank", "meta-fit", "Error over time", "standard error over objects", "(0.50)", "mock-0003"):
+        assert words in text, words
+    assert {row.rank for row in board.rows} == {1, 2}
+
+
+def test_names_of_strangers_are_text(site):
+    for path in site[1]:
+        assert "<script" not in path.read_text() and "\u202e" not in path.read_text()
+    pages = " ".join(path.read_text() for path in site[1])
+    assert "&lt;script&gt;" in pages
+
+
+def test_an_object_has_its_map_beside_the_truth(site):
+    text = next(p for p in site[1] if "mock-0001" in p.name).read_text()
+    assert text.count("<svg") == 1 + 2 + 1  # the truth, two methods, the colours
+    assert "truth (x right, y up)" in text and "Its picture is in the dataset" in text
+    fills = re.findall(r'fill="(#\w{6})"', text.partition("truth (x right")[0])
+    assert len(set(fills)) > 3, "the soft and the stiff half differ"
+
+
+def test_colours_go_from_one_end_to_the_other():
+    assert (charts.colour_of(-1.0), charts.colour_of(0.0), charts.colour_of(2.0)) == ("#440154", "#440154", "#fde725")
+    assert charts.lines(["0"], [charts.Series("a", [None])], axis="", below="") == ""
+    assert charts.points({"a": (0.0, 1.0, 0.1)}, across="", axis="") == ""
+    rgb = np.zeros((3, 5, 3), np.uint8)
+    assert charts.png(rgb, "a").startswith('<img alt="a" width="5" src="data:image/png;base64,iVBORw0KGgo')
+
+
+@pytest.mark.slow
+def test_a_browser_opens_the_pages_without_a_network(site, tmp_path):
+    browser = next((b for b in ("chromium", "chromium-browser", "google-chrome") if shutil.which(b)), None)
+    if browser is None:
+        pytest.skip("there is no Chromium on this machine; install one to open the pages in it")
+    for path in (p for p in site[1] if not p.name.startswith("method")):
+        done = subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu",
+                               "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom",
+                               path.as_uri()], capture_output=True, text=True, timeout=120, check=True)
+        assert "<h1>" in done.stdout and "taken" not in done.stdout.partition("</title>")[0]
+        assert "CONSOLE" not in done.stderr, "no error and no blocked request"
+        assert done.stdout.count("<table") == path.read_text().count("<table")

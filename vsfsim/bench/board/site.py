@@ -1,0 +1,335 @@
+"""`vsfsim leaderboard --html DIR`: the leaderboard as a folder of static pages that work offline.
+
+There is a page a task, a page a method on a task, and a page an object. Everything comes from the boards; pictures of
+objects are added where the task's dataset is on this machine.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from vsfsim.bench.board import charts
+from vsfsim.bench.board.compare import ByObject, interval, paired
+from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
+from vsfsim.bench.leaderboard import Board, Row, labels_of, unit_of
+from vsfsim.bench.reading_metrics import object_of
+from vsfsim.bench.stiffness_metrics import scale_of
+from vsfsim.bench.task import Task
+from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP, Score, as_rows
+from vsfsim.core.errors import DatasetError, TaskError
+from vsfsim.data.dataset import Dataset
+from vsfsim.data.disk import write_atomic
+
+_COLUMNS = ("stiffness: Spearman's rank correlation of the estimate with the true probe stiffness where touched. 50 % "
+            "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9. "
+            "Meta-fit: time of a training; adapt and predict: of a new object and of a touch.")
+
+MOST_LINES = 8
+"""Methods in a chart; a table has them all."""
+
+
+def write_site(boards: Sequence[Board], out: Path) -> list[Path]:
+    """Write the pages of some tasks into a folder, which is made if missing.
+
+    Returns:
+        The files, index.html first.
+
+    Raises:
+        TaskError: the folder or a file of it cannot be written.
+    """
+    pages: dict[str, str] = {"index.html": _index(boards)}
+    for board in boards:
+        names = labels_of([row.result for row in board.rows])
+        pages[_of_task(board.task)] = _task_page(board, names)
+        for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
+            pages[_of_method(board.task, number)] = _method_page(board, row, name)
+        for name in _objects(board):
+            pages[_of_object(board.task, name)] = _object_page(board, names, name)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise TaskError(f"folder {out} cannot be made: {error.strerror}. Choose another --html.") from error
+    for name, text in pages.items():
+        write_atomic(out / name, text.encode(), error=TaskError)
+    return [out / name for name in pages]
+
+
+def _of_task(task: Task) -> str:
+    return file_name("task", task.name)
+
+
+def _of_method(task: Task, number: int) -> str:
+    return file_name("method", task.name, number)
+
+
+def _of_object(task: Task, name: str) -> str:
+    return file_name("object", task.name, name)
+
+
+# ---------------------------------------------------------------------- pages
+
+
+def _index(boards: Sequence[Board]) -> str:
+    rows: list[list[Cell]] = []
+    for board in sorted(boards, key=lambda b: (bool(b.task.superseded_by), b.task.name)):
+        first = [row for row in board.rows if row.rank == 1]
+        names = dict(zip(map(id, board.rows), labels_of([row.result for row in board.rows]), strict=True))
+        more = f" and {len(first) - 3} more" if len(first) > 3 else ""
+        best = ", ".join(names[id(row)] for row in first[:3]) + more
+        rows.append([link(_of_task(board.task), board.task.name), board.task.description, board.task.observation.name,
+                     str(len(board.rows)), best or "-", board.task.superseded_by or ""])
+    return page("vsfsim leaderboard", [
+        paragraph("Estimators of the stiffness of deformable objects from vision and touch, scored on simulated data. "
+                  "Every number here is computed again from the rows of a result file."),
+        table(["task", "what is predicted", "reading", "rows", "first", "superseded by"], rows, text=(0, 2, 4, 5),
+              long=(1,))])
+
+
+def _task_page(board: Board, names: Sequence[str]) -> str:
+    task, labels = board.task, board.task.protocol.labels
+    over = _over_objects(board)
+    head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["difference to the best"] if over else []),
+            "stiffness", "50 %", "90 %", "meta-fit", "adapt", "predict", "memory"]
+    rows: list[list[Cell]] = []
+    best = next((row for row in board.rows if row.rank == 1), None)
+    for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
+        rows.append([str(row.rank or "-"), link(_of_method(task, number), name),
+                     *(_cell(row, task, label) for label in labels),
+                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task), *_costs(row)])
+    body = [paragraph(task.description)]
+    if task.superseded_by:
+        body.append(paragraph(f"This task is superseded by {task.superseded_by}."))
+    body += [paragraph(_how(board), note=True),
+             table(head, rows, text=(1,), caption=_COLUMNS)]
+    body += [paragraph(f"{name} is not ranked: {row.mark}.", note=True)
+             for row, name in zip(board.rows, names, strict=True) if row.mark]
+    if over:
+        body += _comparison(board, names)
+    body += _literature(board)
+    objects = _objects(board)
+    if objects:
+        body += ["<h2>Objects</h2>", _object_table(board, names, objects)]
+    return page(task.name, body, trail=[link("index.html", "leaderboard")])
+
+
+def _method_page(board: Board, row: Row, name: str) -> str:
+    task, result = board.task, row.result
+    labels = task.protocol.labels
+    scores = [[f"{metric} [{unit}]" if (unit := unit_of(metric, task.observation.unit)) else metric,
+               *(_score(by_shot.get(label)) for label in labels)] for metric, by_shot in row.scores.items()]
+    body = [paragraph(f"{result.entry} on {task.name}; {f'rank {row.rank}' if row.rank else f'not ranked: {row.mark}'}."
+                      f" The file is {row.path.name} ({row.origin}).")]
+    if row.objects and _over_objects(board):
+        series = [charts.Series(name, [interval(row.objects.get(label, {})) for label in labels])]
+        body.append(figure(charts.lines(labels, series, axis="error over that of zero", below="touches", level=1.0),
+                           "Mean over objects and its standard error; the dashed line is predicting zero."))
+    body += ["<h2>Scores</h2>", table(["metric", *(f"{label}-shot" for label in labels)], scores,
+                                      caption=f"mean ± std over {len(result.seeds)} runs")]
+    if row.objects:
+        at = row.objects.get(task.ranking_shot, {})
+        body += ["<h2>Objects</h2>", table(
+            ["object", *(f"{label}-shot" for label in labels)],
+            [[link(_of_object(task, o), o), *(f"{row.objects[label][o]:.3f}" if o in row.objects.get(label, {}) else ""
+                                              for label in labels)] for o in sorted(at, key=lambda o: at[o])],
+            caption="error over that of predicting zero on the same touches, mean over runs")]
+    body += ["<h2>Made with</h2>", table(["parameter", "value"], [[k, str(v)] for k, v in result.parameters.items()],
+                                         text=(0, 1)),
+             table(["", "value"], [["preset", result.preset or "none"],
+                                   ["package", f"{result.package.get('name', '')} {result.package.get('version', '')}"],
+                                   ["vsfsim", f"{result.made_by.get('vsfsim')} {result.made_by.get('commit') or ''}"],
+                                   ["machine", f"{result.machine.get('cpu')}, {result.machine.get('cores')} cores"],
+                                   ["sandbox", result.isolation or "not run here"],
+                                   ["command", command_of(row)]], text=(0,), long=(1,))]
+    body += [paragraph(f"Note: {note}.", note=True) for note in result.notes]
+    return page(f"{name}", body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
+
+
+def _object_page(board: Board, names: Sequence[str], name: str) -> str:
+    task, labels = board.task, board.task.protocol.labels
+    rows: list[list[Cell]] = []
+    for number, (row, label) in enumerate(zip(board.rows, names, strict=True)):
+        if name in row.objects.get(task.ranking_shot, {}):
+            rows.append([link(_of_method(task, number), label),
+                         *(f"{row.objects[shot][name]:.3f}" if name in row.objects.get(shot, {}) else ""
+                           for shot in labels)])
+    order = labels.index(task.ranking_shot) + 1
+    rows.sort(key=lambda cells: str(cells[order]))
+    body = [_picture(task, name), "<h2>Errors</h2>",
+            table(["method", *(f"{label}-shot" for label in labels)], rows,
+                  caption="error over that of predicting zero on the same touches, mean over runs")]
+    maps = _maps(board, names, name)
+    if maps:
+        body += [f"<h2>Stiffness after {task.ranking_shot} touches</h2>",
+                 paragraph("Every point is a place where a small cone measured the true stiffness and that some touch "
+                           "reached. The truth comes first; an estimate is scaled by one factor an object.", note=True),
+                 *maps]
+    return page(name, body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
+
+
+# ---------------------------------------------------------------------- parts of pages
+
+
+def _over_objects(board: Board) -> bool:
+    return any(row.objects for row in board.rows)
+
+
+def _how(board: Board) -> str:
+    task, protocol = board.task, board.task.protocol
+    unit = unit_of(task.primary, task.observation.unit)
+    what = f"{task.primary}{f' [{unit}]' if unit else ''} at {task.ranking_shot}-shot ranks; " + (
+        "higher is better" if task.metric.higher_is_better else "lower is better")
+    if not _over_objects(board):
+        return f"{what}. Mean ± standard deviation over {protocol.seeds} seeds."
+    return (f"{what}. An object's value is its error over that of predicting zero on the same touches. Mean ± standard "
+            f"error over objects: each is a test object once ({protocol.folds} folds, {protocol.draws} draws of the "
+            f"support, {protocol.trainings} trainings). Methods share a rank if their paired difference is below two "
+            f"standard errors.")
+
+
+def _cell(row: Row, task: Task, label: str) -> str:
+    if row.objects.get(label) and task.primary == "rmse_ratio":
+        return _interval(row.objects[label])
+    return _score(row.scores.get(task.primary, {}).get(label))
+
+
+def _interval(values: ByObject) -> str:
+    mean, error = interval(values)
+    return f"{mean:.3f}" + (f" ± {error:.3f}" if math.isfinite(error) else "")
+
+
+def _score(score: Score | None) -> str:
+    return "" if score is None else f"{score.mean:.3f} ± {score.std:.3f}"
+
+
+def _difference(row: Row, best: Row | None, task: Task) -> str:
+    if best is None or row is best or not row.objects.get(task.ranking_shot):
+        return ""
+    found = paired(row.objects[task.ranking_shot], best.objects[task.ranking_shot])
+    return f"{found.mean:+.3f} ± {found.error:.3f}" if found.objects > 1 else ""
+
+
+def _other_scores(row: Row, task: Task) -> list[str]:
+    found = [row.scores.get(metric, {}).get(task.ranking_shot)
+             for metric in ("stiffness_spearman", "coverage50", "coverage90")]
+    return ["" if score is None else f"{score.mean:.2f}" for score in found]
+
+
+def _costs(row: Row) -> list[str]:
+    t = row.result.timing
+    per = [("meta_fit_s", "fits"), ("adapt_s", "adapts"), ("predict_s", "predicts")]
+    times = [_seconds(t[what] / max(t.get(count, 1.0), 1.0)) if what in t else "" for what, count in per]
+    return [*times, f"{row.result.peak_memory_mib:.0f} MiB" if row.result.peak_memory_mib else ""]
+
+
+def _seconds(value: float) -> str:
+    return f"{value:.1f} s" if value >= 1.0 else f"{1e3 * value:.0f} ms"
+
+
+def _comparison(board: Board, names: Sequence[str]) -> list[str]:
+    task, labels = board.task, board.task.protocol.labels
+    ranked = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.objects]
+    series = [charts.Series(name, [interval(row.objects.get(label, {})) for label in labels])
+              for row, name in ranked[:MOST_LINES]]
+    costs = {name: (row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0.0), 1.0),
+                    *interval(row.objects.get(task.ranking_shot, {}))) for row, name in ranked}
+    return ["<h2>Error over touches</h2>",
+            figure(charts.lines(labels, series, axis="error over that of zero", below="touches", level=1.0),
+                   f"Mean over objects and its standard error of the first {len(series)} rows; the dashed line is "
+                   f"predicting zero."),
+            "<h2>Error over time</h2>",
+            figure(charts.points(costs, across="seconds of an adaptation", axis=f"error at {task.ranking_shot}-shot"),
+                   "Error over that of predicting zero, against the time of adapting to a new object.")]
+
+
+def _literature(board: Board) -> list[str]:
+    task, labels = board.task, board.task.protocol.labels
+    if not task.paper:
+        return []
+    zero = {row.unit: row.values["0"][0] for row in task.paper if "(zero)" in row.method and "0" in row.values}
+    rows: list[list[Cell]] = []
+    for row in task.paper:
+        unit = zero.get(row.unit)
+        cells = [_published(row.values.get(label), unit) for label in labels]
+        rows.append([row.method, *cells, row.unit, row.source, "yes" if row.comparable else "no"])
+    caption = "Real objects: another sensor, other objects; the numbers are context."
+    if zero:
+        caption += (" In brackets: over the 0-shot error of the paper's zero Gaussian prior, which predicts zero; that "
+                    "compares with our ratios.")
+    n = len(labels)
+    return ["<h2>The papers' figures</h2>",
+            table(["method", *(f"{label}-shot" for label in labels), "unit", "source", "comparable"], rows,
+                  text=(0, n + 1, n + 2, n + 3), caption=caption)]
+
+
+def _published(value: tuple[float, float | None] | None, zero: float | None) -> str:
+    if value is None:
+        return ""
+    spread = "" if value[1] is None else f" ± {value[1]:.2f}"
+    return f"{value[0]:.2f}{spread}" + (f" ({value[0] / zero:.2f})" if zero else "")
+
+
+def _objects(board: Board) -> list[str]:
+    return sorted({name for row in board.rows for values in row.objects.values() for name in values})
+
+
+def _object_table(board: Board, names: Sequence[str], objects: Sequence[str]) -> str:
+    task = board.task
+    ranked = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.objects][:MOST_LINES]
+    rows: list[list[Cell]] = [[link(_of_object(task, o), o),
+                               *(f"{row.objects[task.ranking_shot][o]:.3f}" for row, _ in ranked)] for o in objects]
+    return table(["object", *(name for _, name in ranked)], rows,
+                 caption=f"error over that of predicting zero at {task.ranking_shot}-shot")
+
+
+def _maps(board: Board, names: Sequence[str], name: str) -> list[str]:
+    """The truth and the estimates of the ranked methods, view by view."""
+    out: list[str] = []
+    seen: dict[str, list[tuple[str, np.ndarray]]] = {}
+    for row, label in zip(board.rows, names, strict=True):
+        by_view: dict[str, list[dict]] = {}
+        for point in as_rows(row.result.maps) if row.rank and row.result.maps else ():
+            if object_of(point["object"]) == name:
+                by_view.setdefault(point["object"], []).append(point)
+        for view, points in by_view.items():
+            array = np.array([[p[k] for k in ("x", "y", "z", "truth", "mean")] for p in points], float)
+            seen.setdefault(view, []).append((label, array))
+    for view, found in sorted(seen.items()):
+        truth = found[0][1]
+        places, true = MAP_STEP * (truth[:, :3] - MAP_ORIGIN), truth[:, 3]
+        if not (true > 0.0).any():
+            continue
+        low, high = (float(np.quantile(true[true > 0.0], q)) for q in (0.02, 0.98))
+        high = max(high, 1.01 * low)
+        pictures = [charts.stiffness_map(places, true, low=low, high=high, name="truth")]
+        for label, array in found:
+            known = true > 0.0
+            if len(array) == len(truth) and (array[known, 4] > 0.0).any():
+                estimate = array[:, 4] / 10.0 ** scale_of(array[known, 4], true[known])
+                pictures.append(charts.stiffness_map(places, estimate, low=low, high=high, name=label))
+        out.append('<div class="pair">' + "".join(f"<figure>{p}</figure>" for p in pictures) + "</div>")
+        out.append(figure(charts.scale_bar(low, high, "N/m"), f"Stiffness on {view}."))
+    return out
+
+
+def _picture(task: Task, name: str) -> str:
+    """The photograph of an object, from the task's dataset; a sentence where that is not here."""
+    try:
+        dataset = Dataset.open(task.dataset.path()).blind()
+        view = next(entry.name for entry in dataset.entries if object_of(entry.name) == name)
+        return figure(charts.png(dataset.load(view).view.rgb, name), f"What the camera sees of {view}.")
+    except (DatasetError, StopIteration, OSError):
+        return paragraph(f"Its picture is in the dataset, which is not on this machine; `{task.dataset.command()}` "
+                         f"makes it.", note=True)
+
+
+def command_of(row: Row) -> str:
+    """The command that makes a row again."""
+    result = row.result
+    if result.entry == "predictions file":
+        return f"vsfsim score FILE --task {result.task} --name {result.method}"
+    given = "" if not result.preset else f" --preset {result.preset}"
+    return f"vsfsim evaluate --method {result.method}{given} --task {result.task}"
