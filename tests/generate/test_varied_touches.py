@@ -30,6 +30,7 @@ count = 4
 depth_range = [0.003, 0.006]
 approach_range = [0.004, 0.02]
 tilt = 0.5
+plan = true
 frames = { free = 1, in = 3, hold = 0, out = 0 }
 [camera]
 width = 64
@@ -77,6 +78,16 @@ def test_the_mount_keeps_to_its_plan(made):
         way = touch.mount_pose[1:, :3, 3] @ touch.axis
         # three equal steps were planned
         assert np.diff(way) == pytest.approx(np.diff(way).mean(), rel=0.1)
+
+
+def test_the_plan_is_even_where_the_mount_tells_the_force(made):
+    _, view = made
+    for touch in view.touches:
+        planned, made_way = (np.diff(poses[1:, :3, 3] @ touch.axis) for poses in (touch.planned_pose, touch.mount_pose))
+        assert planned == pytest.approx(np.full(len(planned), planned.mean()), rel=1e-9)
+        assert touch.planned_frame.tolist() == list(range(len(touch.time)))
+        if touch.touched:
+            assert np.abs(made_way - planned).max() > 1e-9
 
 
 def test_a_probe_on_a_spring_gives_way_by_the_force_over_its_stiffness():

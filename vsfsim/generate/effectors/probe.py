@@ -6,6 +6,7 @@ probe would be without a force.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
@@ -109,8 +110,17 @@ def touch_all(scene: Scene, model: Model, aims: list[Aim], *, tier: str, precisi
         frames = solver.run(poses, progress=None if progress is None else lambda _, k=width: progress(k))
         for k, a in enumerate(part):
             own = poses[:, k] if spring is None else mount_of(a, spring, poses[:, k], frames.force[:, k], planned[:, k])
-            out.append(_record(a, own, frames, k))
+            out.append(dataclasses.replace(_record(a, own, frames, k), **(_plan(planned[:, k]) if spec.plan else {})))
     return out
+
+
+def _plan(poses: np.ndarray) -> dict[str, np.ndarray]:
+    """The planned path of a touch as its record holds it.
+
+    A mount on a spring is recorded where it was, which differs from its plan by what the response is not linear: that
+    difference tells the force, so that a query shows the plan.
+    """
+    return {"planned_time": times(len(poses)), "planned_pose": poses, "planned_frame": np.arange(len(poses))}
 
 
 def _record(a: Aim, poses: np.ndarray, frames: Frames, k: int) -> Touch:

@@ -121,8 +121,9 @@ def test_a_browser_opens_the_pages_without_a_network(site, tmp_path):
         pytest.skip("there is no Chromium on this machine; install one to open the pages in it")
     for path in (p for p in site[1] if not p.name.startswith("method")):
         done = subprocess.run([browser, "--headless", "--no-sandbox", "--disable-gpu",
-                               "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr", "--dump-dom",
-                               path.as_uri()], capture_output=True, text=True, timeout=120, check=True)
+                               "--host-resolver-rules=MAP * ~NOTFOUND", f"--user-data-dir={tmp_path / 'profile'}",
+                               "--enable-logging=stderr", "--dump-dom", path.as_uri()], capture_output=True, text=True,
+                              timeout=120, check=True)
         assert "<h1>" in done.stdout and "taken" not in done.stdout.partition("</title>")[0]
         assert "CONSOLE" not in done.stderr, "no error and no blocked request"
         assert done.stdout.count("<table") == path.read_text().count("<table")
