@@ -12,11 +12,14 @@ from vsfsim.bench.mock import mock_view
 from vsfsim.bench.predictions import questions
 from vsfsim.bench.protocol import record
 from vsfsim.bench.result import Result
-from vsfsim.bench.task import parse_task
+from vsfsim.bench.task import load_task, parse_task
 from vsfsim.bench.trials.folds import folds_of
+from vsfsim.core import shelf
 from vsfsim.core.errors import TaskError
+from vsfsim.core.scene import load_scene
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
+from vsfsim.generate.recipe import make_recipe
 
 OBJECTS = 4
 
@@ -157,3 +160,11 @@ def test_a_wrong_protocol_is_refused(text, old, new, message):
 def test_more_draws_than_the_task_has_are_refused(folded, dataset):
     with pytest.raises(TaskError, match="has 2 of each training"):
         evaluate("toy_methods:Constant", folded, dataset, seeds=3, check=False)
+
+
+@pytest.mark.parametrize("name", [name for name in shelf.tasks() if load_task(name).protocol.folds])
+def test_a_shipped_task_wants_the_scene_that_ships(name):
+    wanted = load_task(name).dataset
+    recipe = make_recipe(load_scene(shelf.find_scene(wanted.scene)))
+    assert (recipe.scene_sha256, recipe.objects, recipe.views, recipe.touches, recipe.tier) == (
+        wanted.scene_sha256, wanted.objects, wanted.views, wanted.touches, wanted.tier)
