@@ -18,6 +18,7 @@ from vsfsim.generate.job import Job
 from vsfsim.physics import tiers
 from vsfsim.physics.model import Model
 from vsfsim.sensing.camera import look_at, render
+from vsfsim.sensing.kinect import seen_by
 from vsfsim.sensing.surface import Surface
 
 
@@ -32,7 +33,9 @@ class Subject:
     model: Model
     """The object, discretised."""
     view: View
-    """Its picture."""
+    """Its exact picture, in which touches are aimed and the truth is placed."""
+    recorded: View
+    """The picture with the camera's errors of depth, which the dataset holds."""
 
     def stream(self, touch: int) -> np.random.Generator:
         """The random stream that touch number ``touch`` is aimed with."""
@@ -41,7 +44,7 @@ class Subject:
     def record(self, probe: ProbeShape, touches: Sequence[Touch], truth: Truth) -> ObjectView:
         """The object view of what was found."""
         job = self.job
-        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.view, tuple(touches),
+        return ObjectView(job.name, job.object_index, job.view_index, job.split, probe, self.recorded, tuple(touches),
                           truth)
 
 
@@ -62,7 +65,7 @@ def prepare(job: Job, *, device: str) -> Subject:
     intrinsics, pose = look_at(camera, 0.5 * (low + high))
     view = render(surface_of(model.solid, scene), intrinsics, pose, camera.width, camera.height, device=device,
                   renderer=r.renderer)
-    return Subject(job, scene, model, view)
+    return Subject(job, scene, model, view, seen_by(view, scene.camera, job.stream(Stream.DEPTH)))
 
 
 def batches(count: int, most: int) -> list[slice]:

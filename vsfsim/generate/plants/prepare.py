@@ -20,7 +20,7 @@ from vsfsim.generate.plants.surface import plant_view
 from vsfsim.physics.rods.model import RodModel, build
 from vsfsim.robot.arm import Arm
 from vsfsim.sensing.camera import look_at
-from vsfsim.sensing.kinect import kinect_depth
+from vsfsim.sensing.kinect import seen_by
 
 
 @dataclass
@@ -121,8 +121,7 @@ def look(o: Outline, *, device: str, seconds: Seconds) -> View:
     """What the scene's camera sees of the plant."""
     since = seconds.begin()
     view = see(o.plant, o.scene.camera, device=device, renderer=o.job.recipe.renderer)
-    if o.scene.camera.noise == "kinect":
-        view = kinect_depth(view, o.job.stream(Stream.DEPTH))
+    view = seen_by(view, o.scene.camera, o.job.stream(Stream.DEPTH))
     seconds.charge("look", since)
     return view
 
