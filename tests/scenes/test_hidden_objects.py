@@ -1,4 +1,4 @@
-"""The hidden objects of `rope-punyo` and `bag-punyo`: three layouts, covered on all sides, with a true mask and pose."""
+"""The hidden objects of `rope-punyo` and `bag-punyo`: layouts, covered on all sides, with a true mask and pose."""
 
 from __future__ import annotations
 
