@@ -14,6 +14,7 @@ from vsfsim.cli.options import (
     MethodName,
     Parameters,
     TaskName,
+    check_choice,
     complete_method,
     complete_task,
     parameters_of,
@@ -247,6 +248,32 @@ def leaderboard(results: Annotated[list[Path] | None,
         report(f"{len(files)} pages; open {files[0]}", tables[0] if task else tables, json)
         return
     report("\n\n".join(pages), tables[0] if task else tables, json)
+
+
+@app.command()
+def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper or tuned.")
+                             ] = "tuned",
+           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size.")
+                           ] = "mini",
+           json: JsonFile = None) -> None:
+    """Hold the papers' claims against stored results.
+
+    Reads the results that ship and those in results/TASK. Each verdict names the commands behind it.
+    """
+    from vsfsim.bench import leaderboard as board
+    from vsfsim.bench.board import claims as judged
+    from vsfsim.bench.commands.presets import PRESETS
+    from vsfsim.bench.task import load_task
+
+    check_choice("--preset", preset, PRESETS)
+    check_choice("--size", size, ("mini", "standard"))
+    wanted = judged.claims_of(size)
+    boards = {}
+    for name in dict.fromkeys(claim.task for claim in wanted):
+        made = Path("results") / name
+        boards[name] = board.collect(load_task(name), [made] if made.is_dir() else [])
+    verdicts = judged.judge(wanted, boards, preset=preset)
+    report(judged.text(verdicts), judged.table(verdicts), json)
 
 
 @app.command()

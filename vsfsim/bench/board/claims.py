@@ -1,0 +1,221 @@
+"""`vsfsim claims`: what the two papers claim, with their figures, against stored results.
+
+A claim says that one method errs less than another, or that two cannot be told apart. It is decided object by object:
+it holds if the paired difference has the claimed sign by more than two standard errors over objects, it does not hold
+if it has the other sign by as much, and else it cannot be told. A result is found by its method, its preset and its
+task; where one is missing, the claim cannot be told and the command that makes the result is printed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from vsfsim.bench.board.compare import TOLD_APART, ByObject, Paired, interval, paired, ratios
+from vsfsim.bench.leaderboard import Board, Row
+from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.reading_metrics import object_of
+from vsfsim.bench.trials.rows import as_rows
+from vsfsim.core.text_table import text_table
+
+HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
+
+
+@dataclass(frozen=True)
+class Side:
+    """A method at a number of touches."""
+
+    method: str
+    """Name of the method."""
+    shot: str
+    """Label of the shot."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim of a paper."""
+
+    text: str
+    """In our words."""
+    source: str
+    """Paper and place."""
+    figures: str
+    """The paper's, of both sides."""
+    task: str
+    """Name of the task that asks it here."""
+    better: Side
+    """What the paper finds better."""
+    worse: Side
+    """Than what."""
+    metric: str = "rmse_ratio"
+    """By which metric."""
+    equal: bool = False
+    """The paper finds no difference."""
+    note: str = ""
+    """What is different here, or ""."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A claim beside our results."""
+
+    claim: Claim
+    """The claim."""
+    answer: str
+    """`HOLDS`, `FAILS` or `UNTOLD`."""
+    ours: str
+    """Both sides with their standard errors over objects, or why there is none."""
+    difference: Paired | None
+    """Better minus worse over objects; None where a result is missing."""
+    commands: tuple[str, ...] = field(default=())
+    """Which made the results, or would make the missing ones."""
+
+
+def _pair(task: str, table: str, zero_table: str, figures: Mapping[str, str]) -> list[Claim]:
+    """The claims of SBML that are the same for plants and shoes."""
+    def claim(key: str, text: str, source: str, better: tuple[str, str], worse: tuple[str, str], *,
+              equal: bool = False) -> Claim:
+        return Claim(text, source, figures[key], task, Side(*better), Side(*worse), equal=equal)
+
+    return [
+        claim("average", "before any touch the learned prior errs less than the average Gaussian prior", table,
+              ("sbml", "0"), ("gaussian", "0")),
+        claim("zero", "before any touch the learned prior errs less than predicting zero", zero_table, ("sbml", "0"),
+              ("gaussian-zero", "0")),
+        claim("few", "after 5 touches the learned prior errs less than the average Gaussian prior", table,
+              ("sbml", "5"), ("gaussian", "5")),
+        claim("few zero", "after 10 touches the learned prior errs less than the zero Gaussian prior", zero_table,
+              ("sbml", "10"), ("gaussian-zero", "10")),
+        claim("falls", "the error of the learned prior falls from 0 to 10 touches", table, ("sbml", "10"),
+              ("sbml", "0")),
+        claim("all", "a stiffness field fitted to all touches errs less than predicting zero", table,
+              ("point-vsf", "all"), ("gaussian-zero", "0")),
+        claim("imaml", "before any touch the learned prior errs less than iMAML with vision", table, ("sbml", "0"),
+              ("imaml-vision", "0")),
+        claim("imaml few", "after 10 touches the learned prior errs less than iMAML with vision", table,
+              ("sbml", "10"), ("imaml-vision", "10")),
+        claim("vision", "vision does not help iMAML before any touch", zero_table, ("imaml", "0"),
+              ("imaml-vision", "0"), equal=True),
+    ]
+
+
+def claims_of(size: str = "mini") -> list[Claim]:
+    """The claims, asked of the tasks of a size.
+
+    Args:
+        size: "mini", or "standard" for the tasks of the papers' size.
+    """
+    mini = "-mini" if size == "mini" else ""
+    plants, shoes = f"fewshot-plants-v3{mini}-v1", f"fewshot-shoes-v2{mini}-v1"
+    out = _pair(plants, "SBML, table 1", "SBML, tables 1 and 4", {
+        "average": "2.80 and 5.23 N m", "zero": "2.80 and 3.55 N m", "few": "2.67 and 4.42 N m",
+        "few zero": "2.61 and 2.88 N m", "falls": "2.61 and 2.80 N m", "all": "2.57 and 3.55 N m",
+        "imaml": "2.80 and 3.86 N m", "imaml few": "2.61 and 4.51 N m", "vision": "3.95 and 3.86 N m"})
+    out += [
+        Claim("on plants, predicting zero errs less than the average Gaussian prior", "SBML, tables 1 and 4",
+              "3.55 and 5.23 N m", plants, Side("gaussian-zero", "0"), Side("gaussian", "0")),
+        Claim("the learned prior before any touch errs less than the zero Gaussian prior after 10",
+              "SBML, appendix C.1", "2.80 and 2.88 N m", plants, Side("sbml", "0"), Side("gaussian-zero", "10"))]
+    out += _pair(shoes, "SBML, table 2", "SBML, tables 2 and 5", {
+        "average": "7.43 and 8.27 hPa", "zero": "7.43 and 9.21 hPa", "few": "5.05 and 5.54 hPa",
+        "few zero": "4.18 and 4.63 hPa", "falls": "4.18 and 7.43 hPa", "all": "4.10 and 9.21 hPa",
+        "imaml": "7.43 and 9.95 hPa", "imaml few": "4.18 and 6.15 hPa", "vision": "7.44 and 9.95 hPa"})
+    out += [
+        Claim("on shoes, the average Gaussian prior errs less than predicting zero", "SBML, tables 2 and 5",
+              "8.27 and 9.21 hPa", shoes, Side("gaussian", "0"), Side("gaussian-zero", "0")),
+        Claim("the neural field finds a stiff inclusion better than points", "Neural VSF, table I",
+              "F1 0.493 and 0.329", "inclusion-mini-v2", Side("neural-vsf", "all"), Side("point-vsf", "all"),
+              metric="mask_f1", note="one force a frame of a ball here; dense forces of a bubble there"),
+        Claim("the neural field locates a hidden object at a smaller angle than contact points", "Neural VSF, fig. 7",
+              "drawn, no number", "localization-mini-v2", Side("neural-vsf", "all"), Side("contact-points", "all"),
+              metric="rotation_error", note="one force a frame of a ball here; dense forces of a bubble there")]
+    return out
+
+
+def judge(claims: Sequence[Claim], boards: Mapping[str, Board], *, preset: str = "tuned") -> list[Verdict]:
+    """Every claim beside the results of its task.
+
+    Args:
+        claims: to be judged. boards: by name of the task. preset: of the methods; a result without a preset counts
+        where the task has none with it.
+    """
+    return [_judge(claim, boards.get(claim.task), preset) for claim in claims]
+
+
+def _judge(claim: Claim, board: Board | None, preset: str) -> Verdict:
+    sides = [(side, _row(board, side.method, preset)) for side in (claim.better, claim.worse)]
+    missing = [command_for(side.method, claim.task, preset) for side, row in sides if row is None]
+    if missing:
+        return Verdict(claim, UNTOLD, "no result", None, tuple(dict.fromkeys(missing)))
+    values = [_by_object(row, claim.metric, side.shot) for side, row in sides if row is not None]
+    commands = tuple(dict.fromkeys(f"{command_for(row.result.method, claim.task, row.result.preset)} ({row.path.name})"
+                                   for _, row in sides if row is not None))
+    if not all(values):
+        return Verdict(claim, UNTOLD, f"no {claim.metric} at these shots", None, commands)
+    ours = " and ".join(_written(one) for one in values)
+    found = paired(*values)
+    sign = -1.0 if METRICS[claim.metric].higher_is_better else 1.0
+    if claim.equal:
+        answer = FAILS if found.told_apart else HOLDS if found.objects > 2 else UNTOLD
+    else:
+        answer = UNTOLD if not found.told_apart else HOLDS if sign * found.mean < 0.0 else FAILS
+    return Verdict(claim, answer, ours, found, commands)
+
+
+def _row(board: Board | None, method: str, preset: str) -> Row | None:
+    """The ranked row of a method with a preset, else without one."""
+    rows = [row for row in board.rows if row.rank and row.result.method == method] if board is not None else []
+    return next((row for wanted in (preset, "") for row in rows if row.result.preset == wanted), None)
+
+
+def _by_object(row: Row, metric: str, shot: str) -> ByObject:
+    """A metric of each object, mean over runs."""
+    if metric == "rmse_ratio":
+        return row.objects.get(shot) or ratios(row.result, shot)
+    answer = METRICS[metric].answer.value
+    found: dict[str, list[float]] = {}
+    for one in as_rows(row.result.answers.get(answer, {})) if answer in row.result.answers else ():
+        if one["shot"] == shot and one.get(metric) is not None:
+            found.setdefault(object_of(one["object"]), []).append(one[metric])
+    return {name: sum(v) / len(v) for name, v in found.items()}
+
+
+def _written(values: ByObject) -> str:
+    mean, error = interval(values)
+    return f"{mean:.3f}" + (f" ± {error:.3f}" if error == error else "")
+
+
+def command_for(method: str, task: str, preset: str) -> str:
+    """The command that makes a result."""
+    return f"vsfsim evaluate --method {method}{f' --preset {preset}' if preset else ''} --task {task}"
+
+
+def text(verdicts: Sequence[Verdict]) -> str:
+    """The verdicts for a terminal, numbered, with the commands behind them."""
+    rows = [[str(k), v.answer, v.claim.text, v.claim.figures, v.ours, _difference(v)]
+            for k, v in enumerate(verdicts, start=1)]
+    counts = ", ".join(f"{sum(v.answer == word for v in verdicts)} {word}" for word in (HOLDS, FAILS, UNTOLD))
+    lines = [text_table(["#", "verdict", "claim", "paper", "here, ± standard error over objects", "difference"], rows),
+             "", f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
+             f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
+             f"errors."]
+    for k, v in enumerate(verdicts, start=1):
+        note = f"; {v.claim.note}" if v.claim.note else ""
+        lines.append(f"{k}: {v.claim.source}{note}; " + ("missing: " if v.difference is None else "")
+                     + "; ".join(v.commands))
+    return "\n".join(lines)
+
+
+def _difference(verdict: Verdict) -> str:
+    d = verdict.difference
+    return "" if d is None or not d.objects else f"{d.mean:+.3f} ± {d.error:.3f} ({d.objects})"
+
+
+def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
+    """The verdicts for JSON."""
+    return [{"claim": v.claim.text, "source": v.claim.source, "paper": v.claim.figures, "task": v.claim.task,
+             "metric": v.claim.metric, "verdict": v.answer, "here": v.ours, "note": v.claim.note,
+             "difference": None if v.difference is None else {"mean": v.difference.mean, "error": v.difference.error,
+                                                              "objects": v.difference.objects},
+             "commands": list(v.commands)} for v in verdicts]
