@@ -48,6 +48,7 @@ def test_a_missing_result_is_named_with_its_command():
     assert found.answer == UNTOLD and found.difference is None
     assert found.commands == (f"vsfsim evaluate --method b --preset tuned --task {TASK}",)
     assert "1 claims: 0 holds, 0 does not hold, 1 cannot be told" in text([found])
+    assert f"  {found.commands[0]}  # claims 1" in text([found])
     other = verdict(row("a", LEVEL), row("b", LEVEL, preset="paper"))
     assert other.answer == UNTOLD, "another preset is another row"
     plain = verdict(row("a", [v - 0.1 for v in LEVEL]), row("b", LEVEL, preset=""))

@@ -95,7 +95,7 @@ def _pair(task: str, table: str, zero_table: str, figures: Mapping[str, str]) ->
               ("imaml-vision", "0")),
         claim("imaml few", "after 10 touches the learned prior errs less than iMAML with vision", table,
               ("sbml", "10"), ("imaml-vision", "10")),
-        claim("vision", "vision does not help iMAML before any touch", zero_table, ("imaml", "0"),
+        claim("vision", "before any touch iMAML with vision cannot be told from iMAML without", zero_table, ("imaml", "0"),
               ("imaml-vision", "0"), equal=True),
     ]
 
@@ -193,17 +193,22 @@ def command_for(method: str, task: str, preset: str) -> str:
 
 def text(verdicts: Sequence[Verdict]) -> str:
     """The verdicts for a terminal, numbered, with the commands behind them."""
-    rows = [[str(k), v.answer, v.claim.text, v.claim.figures, v.ours, _difference(v)]
+    rows = [[str(k), v.answer, v.claim.text, v.claim.source, v.claim.figures, v.ours, _difference(v)]
             for k, v in enumerate(verdicts, start=1)]
     counts = ", ".join(f"{sum(v.answer == word for v in verdicts)} {word}" for word in (HOLDS, FAILS, UNTOLD))
-    lines = [text_table(["#", "verdict", "claim", "paper", "here, ± standard error over objects", "difference"], rows),
-             "", f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
+    head = ["#", "verdict", "claim", "source", "paper", "here, ± standard error over objects", "difference (objects)"]
+    lines = [text_table(head, rows), "", f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
              f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
              f"errors."]
-    for k, v in enumerate(verdicts, start=1):
-        note = f"; {v.claim.note}" if v.claim.note else ""
-        lines.append(f"{k}: {v.claim.source}{note}; " + ("missing: " if v.difference is None else "")
-                     + "; ".join(v.commands))
+    lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
+    for words, wanted in (("Made by:", True), ("Missing; these commands make them:", False)):
+        by_command: dict[str, list[int]] = {}
+        for k, v in enumerate(verdicts, start=1):
+            for command in v.commands if (v.difference is not None) == wanted else ():
+                by_command.setdefault(command, []).append(k)
+        if by_command:
+            lines += ["", words, *(f"  {command}  # claims {', '.join(map(str, numbers))}"
+                                   for command, numbers in by_command.items())]
     return "\n".join(lines)
 
 
