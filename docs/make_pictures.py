@@ -16,6 +16,7 @@ PICTURES = {
     "shoe": [["inspect", "shoes-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
     "plant": [["press", "plants-mini", "--seed", "1", "--picture", "OUT"]],
+    "plants-v3": [["measure", "plant-sheet", "plants-v3", "--picture", "OUT"]],
     "contact-sheet": [["generate", "shoes-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out", "DATASET"],
                       ["inspect", "DATASET", "--out", "OUT"]],
 }

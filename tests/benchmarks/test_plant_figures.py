@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks.plant_figures import touch_figures
+from benchmarks.artificial_plants.figures import touch_figures
 from vsfsim.data.records import Touch
 
 

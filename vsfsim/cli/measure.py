@@ -257,9 +257,43 @@ def plants(device: Device = "cpu",
 def touches(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset made with an arm.")],
             out: JsonFile = None) -> None:
     """Torques, forces and stiffness of the touches of a plants dataset, beside those of a real plant."""
-    from benchmarks.plant_figures import measure
+    from benchmarks.artificial_plants.figures import measure
 
     _report(measure(dataset, progress=step), out)
+
+
+@app.command(name="plant-prior")
+def plant_prior(task: Annotated[str, typer.Argument(metavar="TASK", help="Name of a task with joint torques, or the "
+                                                                         "path of its .toml file.")],
+                dataset: DatasetFolder = None, out: JsonFile = None) -> None:
+    """How much of a plant's stiffness a picture tells: priors learned from readings, with and without each feature."""
+    from benchmarks.artificial_plants.prior import measure
+
+    _report(measure(task, folder=dataset, progress=step), out)
+
+
+@app.command(name="plant-sheet")
+def plant_sheet(scene: Annotated[str, typer.Argument(help="Name of a scene with [arm], or the path of its .toml "
+                                                          "file.")] = "plants-v3",
+                picture: Annotated[Path | None, picture_option("Also draw them here, with their names.")] = None,
+                objects: Annotated[int | None, typer.Option(min=1,
+                                                            help="Plants; default: the scene's own number.")] = None,
+                seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 0, out: JsonFile = None) -> None:
+    """Sizes of the plants of a scene, and a sheet of their pictures."""
+    from benchmarks.artificial_plants.sheet import measure
+
+    _report(measure(scene, picture=picture, objects=objects, seed=seed, progress=step), out)
+
+
+@app.command(name="plant-yield")
+def plant_yield(scene: Annotated[str, typer.Option(help="Scene of artificial plants.")] = "plants-v3-mini",
+                objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
+                touches: Annotated[int, typer.Option(min=1, help="Touches of each plant.")] = 6,
+                out: JsonFile = None) -> None:
+    """How often the wires of artificial plants would yield, which the simulator bends elastically."""
+    from benchmarks.artificial_plants.wires import measure
+
+    _report(measure(scene=scene, objects=objects, touches=touches, progress=step), out)
 
 
 @app.command()

@@ -1,0 +1,1 @@
+"""Measurements of artificial plants and their touches."""
