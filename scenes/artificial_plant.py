@@ -90,7 +90,8 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
     return Plant(
         nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width), np.array(tree.normal),
         np.array(tree.modulus), np.full(len(nodes), _DENSITY), region, REGIONS, look=np.array(tree.axis),
-        appearance=_appearance(tree, kind, rng), pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]), name=name,
+        appearance=_appearance(tree, kind, rng), pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
+        wire=np.array(tree.wire), name=name,
         notes=(f"{name}: {count[TRUNK] + count[BRANCH]} segments of wood, {count[PETIOLE] + count[LEAF]} of "
                f"{tree.leaves} leaves (each stands for {tree.each:.1f}), {nodes[:, 2].max():.2f} m high.",))
 
@@ -125,7 +126,7 @@ class _Tree:
         self.wood, self.sheet = _drawn(rng, E_WOOD), _drawn(rng, E_SHEET)
         self.nodes = [np.array([0.0, 0.0, kind.pot[1] - _JOINT_LENGTH])]
         self.parent, self.radius, self.half_width, self.normal = [-1], [0.01], [0.0], [np.zeros(3)]
-        self.modulus, self.region, self.axis = [1e9], [JOINT], [0]
+        self.modulus, self.region, self.axis, self.wire = [1e9], [JOINT], [0], [0.0]
         self.axes: list[int] = [JOINT]  # region of each axis
         self.leaves, self.each = 0, 1.0
         self.step = self._step()
@@ -164,7 +165,7 @@ class _Tree:
         self._add_leaves(bearers, kind.leaves)
 
     def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int,
-              half_width: float = 0.0, normal: np.ndarray | None = None) -> int:
+              half_width: float = 0.0, normal: np.ndarray | None = None, wire: float = 0.0) -> int:
         self.nodes.append(place)
         self.parent.append(parent)
         self.radius.append(radius)
@@ -173,6 +174,7 @@ class _Tree:
         self.region.append(region)
         self.modulus.append(modulus)
         self.axis.append(axis)
+        self.wire.append(wire)
         return len(self.nodes) - 1
 
     def _new_axis(self, region: int) -> int:
@@ -194,7 +196,8 @@ class _Tree:
                 break
             outer = stalk.diameter * (1.0 - (1.0 - stalk.taper) * (k + 0.5) / count)
             several = self.each if region == PETIOLE else 1.0
-            at = self._node(at, place, 0.5 * outer, region, several * round_modulus(outer, wire, self.wood), axis)
+            at = self._node(at, place, 0.5 * outer, region, several * round_modulus(outer, wire, self.wood), axis,
+                            wire=wire if region != PETIOLE else 0.0)
             out.append(at)
         return out
 

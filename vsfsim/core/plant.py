@@ -55,6 +55,9 @@ class Plant:
     """None for none."""
     notes: tuple[str, ...] = field(default=())
     """One sentence each."""
+    wire: np.ndarray | None = None
+    """Diameter of the steel core of each segment, 0 where it has none or stands for several (n,) [m]; None for a plant
+    without wires."""
     name: str = ""
     """What a person would call it, e.g. "orange-tree"; "" for none."""
 
