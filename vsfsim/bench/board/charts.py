@@ -130,7 +130,7 @@ def stiffness_map(places: np.ndarray, values: np.ndarray, *, low: float, high: f
     scale = (size - 2 * margin) / max(float(spread[first]), float(spread[second]), 1e-9)
     x = margin + scale * (places[:, first] - places[:, first].min())
     y = margin + scale * (places[:, second].max() - places[:, second])
-    radius = min(6.0, max(2.0, 0.45 * size / math.sqrt(max(len(places), 1))))
+    radius = min(14.0, max(2.0, 0.4 * size / math.sqrt(max(len(places), 1))))
     span = math.log10(high) - math.log10(low)
     out = []
     for k in np.argsort(values, kind="stable"):

@@ -95,8 +95,8 @@ def _pair(task: str, table: str, zero_table: str, figures: Mapping[str, str]) ->
               ("imaml-vision", "0")),
         claim("imaml few", "after 10 touches the learned prior errs less than iMAML with vision", table,
               ("sbml", "10"), ("imaml-vision", "10")),
-        claim("vision", "before any touch iMAML with vision cannot be told from iMAML without", zero_table, ("imaml", "0"),
-              ("imaml-vision", "0"), equal=True),
+        claim("vision", "before any touch iMAML with vision cannot be told from iMAML without", zero_table,
+              ("imaml", "0"), ("imaml-vision", "0"), equal=True),
     ]
 
 
@@ -197,7 +197,8 @@ def text(verdicts: Sequence[Verdict]) -> str:
             for k, v in enumerate(verdicts, start=1)]
     counts = ", ".join(f"{sum(v.answer == word for v in verdicts)} {word}" for word in (HOLDS, FAILS, UNTOLD))
     head = ["#", "verdict", "claim", "source", "paper", "here, ± standard error over objects", "difference (objects)"]
-    lines = [text_table(head, rows), "", f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
+    lines = [text_table(head, rows), "",
+             f"{len(verdicts)} claims: {counts}. Told apart: paired difference over objects of more than "
              f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
              f"errors."]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]

@@ -14,14 +14,13 @@ STYLE = """
 @media (prefers-color-scheme: dark) {
   :root { --ink: #e6edf3; --soft: #9aa4af; --line: #30363d; --back: #0d1117; --band: #161b22; --link: #6cb2ff; } }
 * { box-sizing: border-box; }
-body { margin: 0 auto; max-width: 76rem; padding: 1.5rem 1rem 4rem; background: var(--back); color: var(--ink);
+body { margin: 0 auto; max-width: 92rem; padding: 1.5rem 1rem 4rem; background: var(--back); color: var(--ink);
   font: 15px/1.5 system-ui, -apple-system, "Segoe UI", "Helvetica Neue", Arial, sans-serif; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0.4rem 0 0.6rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.15rem; margin: 2.2rem 0 0.5rem; }
 p, li { max-width: 50rem; } a { color: var(--link); } nav { color: var(--soft); font-size: 0.9rem; }
-.note, caption, figcaption { color: var(--soft); font-size: 0.88rem; text-align: left; }
+.note, figcaption { color: var(--soft); font-size: 0.88rem; text-align: left; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
-caption { caption-side: bottom; padding-top: 0.4rem; }
 th, td { padding: 0.3rem 0.7rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
 th { font-weight: 600; background: var(--band); vertical-align: bottom; }
 th.text, td.text { text-align: left; } td.long { white-space: normal; min-width: 16rem; }
@@ -86,13 +85,12 @@ def table(head: Sequence[str], rows: Sequence[Sequence[Cell]], *, text: Sequence
         return ' class="' + " ".join(words) + '"' if words else ""
 
     lines = ["<div class=\"wide\"><table>"]
-    if caption:
-        lines.append(f"<caption>{escape(caption)}</caption>")
     lines.append("<thead><tr>" + "".join(f"<th{kind(k)} scope=\"col\">{escape(word)}</th>"
                                          for k, word in enumerate(head)) + "</tr></thead><tbody>")
     lines += ["<tr>" + "".join(f"<td{kind(k)}>{shown(cell)}</td>" for k, cell in enumerate(row)) + "</tr>"
               for row in rows]
-    return "\n".join([*lines, "</tbody></table></div>"])
+    below = [paragraph(caption, note=True)] if caption else []  # no <caption>, which a narrow window would cut
+    return "\n".join([*lines, "</tbody></table></div>", *below])
 
 
 def figure(picture: str, caption: str) -> str:
