@@ -85,8 +85,8 @@ def _index(boards: Sequence[Board]) -> str:
     return page("vsfsim leaderboard", [
         paragraph("Estimators of the stiffness of deformable objects from vision and touch, scored on simulated data. "
                   "Every number here is computed again from the rows of a result file."),
-        table(["task", "what is predicted", "reading", "rows", "first", "superseded by"], rows, text=(0, 2, 4, 5),
-              long=(1,))])
+        table(["task", "what is predicted", "reading", "rows", "first", "superseded by"], rows, text=(0, 2, 5),
+              long=(1, 4))])
 
 
 def _task_page(board: Board, names: Sequence[str]) -> str:
