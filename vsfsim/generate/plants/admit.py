@@ -1,7 +1,7 @@
 """Which plants a dataset takes: a plant whose touches would say nothing, or that the arm cannot reach, is drawn again.
 
 A few pilot touches are made on a candidate: straight lines past random points of its surface, in the orientation of
-every view, of the scene's own depth. The plant is drawn again if the arm reaches fewer than a twentieth of the points
+every view, of the scene's own depth. The plant is drawn again if the arm reaches fewer than a sixtieth of the points
 of a view, or if the largest norm of the joint torques in a pilot touch, in the median over these, is below
 ``[arm] reject_below``, the norm that the arm's sensors show when it meets nothing. The verdict depends on the seed and
 the object alone, so that all views of an object, and all workers, agree.
@@ -31,7 +31,7 @@ PILOTS = 4
 """Pilot touches of an object, divided among its views."""
 MOST_DRAWS = 12
 """Plants that are drawn for an object before the scene is refused."""
-REACHABLE = 0.05
+REACHABLE = 1.0 / 60.0
 """Least share of the points that the arm reaches."""
 _FRAMES = 12  # of a pilot touch
 _PILOT = 1_000_000  # number of an object's pilot touches in the streams of its aims, beyond those of its own touches

@@ -17,8 +17,8 @@ from vsfsim.robot import clearance
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, straight_touch
 
-# targets that are tried for one touch: an arm that reaches a twentieth of the points misses all with probability 2e-7
-DRAWS = 300
+# targets that are tried for one touch: an arm that reaches a sixtieth of the points misses all with probability 5e-8
+DRAWS = 1000
 TURN = 0.6  # largest angle about +z between the tool's axis and the line from shoulder to target [rad]
 LIFT = 0.35  # largest angle by which the tool's axis is raised or lowered from that line [rad]
 SHORTEST = 0.4  # the depth of a touch is drawn between this share of the scene's depth and all of it [-]
