@@ -32,7 +32,7 @@ class Sbml(PosteriorAnswers):
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
-        rate, epochs, patience, dropout, output: of the training, see `vsfsim.vsf.meta.prior`.
+        rate, epochs, patience, dropout, output, second: of the training, see `vsfsim.vsf.meta.prior`.
         validation: fraction of the training objects that are used for early stopping only (at least one of two or
             more).
         spacing: distance of the particles [m] (appendix B.2: 5 mm for shoes, 10 mm for plants).
@@ -52,9 +52,9 @@ class Sbml(PosteriorAnswers):
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
                  seed: int = 0, rate: float = 1e-4, epochs: int = 400, patience: int = 40, dropout: float = 0.1,
-                 output: str = "softplus", validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0,
-                 noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01,
-                 table_height: float = 0.0, band: float = 0.0, device: str = "cpu"):
+                 output: str = "softplus", second: str = "std", validation: float = 0.25, spacing: float = 0.005,
+                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0,
+                 margin: float = 0.01, table_height: float = 0.0, band: float = 0.0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -65,6 +65,7 @@ class Sbml(PosteriorAnswers):
             raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 "
                               f"or greater).")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
+        self.second = second
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
@@ -120,7 +121,7 @@ class Sbml(PosteriorAnswers):
         """Write the prior to a folder, which is made if missing: prior.json, and prior.npz with the weights."""
         if self._network is None or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
-        table = {"structure": self.structure, "features": self.features, "output": self.output,
+        table = {"structure": self.structure, "features": self.features, "output": self.output, "second": self.second,
                  "size": len(self._normaliser.mean), "unit": self._network.unit}
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
@@ -144,7 +145,8 @@ class Sbml(PosteriorAnswers):
         except (OSError, ValueError) as error:
             raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
                               f"`save` wrote.") from error
-        for key in ("structure", "features", "output"):
+        table.setdefault("second", "std")  # of a folder that is older than this parameter
+        for key in ("structure", "features", "output", "second"):
             if table.get(key) != getattr(self, key):
                 raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
                                   f"'{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
@@ -160,7 +162,7 @@ class Sbml(PosteriorAnswers):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
             return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
-                        output=self.output).to(self.device)
+                        output=self.output, second=self.second).to(self.device)
 
     def _features(self, model: ParticleModel, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"

@@ -97,3 +97,21 @@ def test_refusals():
         train(build(), [], [])
     with pytest.raises(VsfError, match="training spread 0"):
         MetaPrior(4, shared=False, spread=Spread(1.0, 0.0))
+
+
+def test_the_second_output_is_a_standard_deviation_or_a_variance():
+    """Before training both are the spread of the training stiffnesses; afterwards a variance is not squared."""
+    features, none = torch.zeros(4, 3), torch.zeros(0, 3)
+    spread = Spread(2.0, 5.0)
+    std, variance = (MetaPrior(3, shared=False, spread=spread, dropout=0.0, output="relu", second=word)
+                     for word in ("std", "variance"))
+    for prior in (std, variance):
+        with torch.no_grad():
+            prior.he[-1].weight.zero_()  # so that the outputs are the biases
+            assert prior(features, none)[1].numpy() == pytest.approx(np.full(4, 25.0), rel=3e-3)
+            prior.he[-1].bias[1] = 3.0
+    with torch.no_grad():
+        assert float(std(features, none)[1][0]) == pytest.approx(9.0 * 25.0, rel=0.1)
+        assert float(variance(features, none)[1][0]) == pytest.approx(3.0 * 25.0, rel=0.1)
+    with pytest.raises(VsfError, match="second is 'var'"):
+        MetaPrior(3, shared=False, spread=spread, second="var")

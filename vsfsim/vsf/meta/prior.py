@@ -30,6 +30,7 @@ from vsfsim.vsf.meta.composition import Composition, GaussianPrior
 _NON_NEGATIVE: dict[str, Callable[[torch.Tensor], torch.Tensor]] = {
     "softplus": functional.softplus, "relu": functional.relu}
 OUTPUTS = tuple(_NON_NEGATIVE)
+SECOND = ("std", "variance")
 _LEAST_STD = 1e-3
 """Floor under a standard deviation, in units of the training spread."""
 _SMALL = 500_000
@@ -72,16 +73,20 @@ class MetaPrior(nn.Module):
         hidden: widths of the hidden layers.
         dropout: probability, 0 to under 1.
         output: one of `OUTPUTS`.
+        second: what the perceptron's second output is, one of `SECOND`: section 4.1 says the standard deviation,
+            appendix B.3 the variance.
 
     Raises:
         VsfError: an unknown output, or a dropout or spread out of range.
     """
 
     def __init__(self, size: int, *, shared: bool, spread: Spread, hidden: Sequence[int] = (256, 128),
-                 dropout: float = 0.1, output: str = "softplus"):
+                 dropout: float = 0.1, output: str = "softplus", second: str = "std"):
         super().__init__()
         if output not in OUTPUTS:
             raise VsfError(f"vsf.meta_prior: output is '{output}'. {did_you_mean(output, OUTPUTS)}")
+        if second not in SECOND:
+            raise VsfError(f"vsf.meta_prior: second is '{second}'. {did_you_mean(second, SECOND)}")
         if not 0.0 <= dropout < 1.0 or not spread.std > 0.0:
             raise VsfError(f"vsf.meta_prior: dropout is {dropout!r} (0 to under 1) and the training spread "
                            f"{spread.std!r} (greater than 0).")
@@ -89,7 +94,7 @@ class MetaPrior(nn.Module):
         for a, b in itertools.pairwise(widths):
             layers += [nn.Linear(a, b), nn.ReLU(), nn.Dropout(dropout)]
         self.he = nn.Sequential(*layers, nn.Linear(widths[-1], 2))
-        self.output, self.unit = output, spread.std
+        self.output, self.second, self.unit = output, second, spread.std
         last = self.he[-1]
         with torch.no_grad():
             # The initial prior is the naive Gaussian one: the training mean and spread everywhere.
@@ -109,7 +114,8 @@ class MetaPrior(nn.Module):
         components with ``shared`` (s, F)."""
         raw = self.he(features)
         non_negative = _NON_NEGATIVE[self.output]
-        mean, var = non_negative(raw[:, 0]), (non_negative(raw[:, 1]) + _LEAST_STD) ** 2
+        mean, spread = non_negative(raw[:, 0]), non_negative(raw[:, 1])
+        var = (spread + _LEAST_STD) ** 2 if self.second == "std" else spread + _LEAST_STD**2
         if self.shared is None:
             none = torch.zeros(0, dtype=raw.dtype, device=raw.device)
             return mean * self.unit, var * self.unit**2, none, none
