@@ -13,11 +13,12 @@ from PIL import Image
 FOLDER = Path(__file__).parent / "pictures"
 WIDTH = 1000  # px: what a page shows
 PICTURES = {
-    "shoe": [["inspect", "shoes-mini", "--seed", "3", "--out", "OUT"]],
+    "shoe": [["inspect", "shoes-v2-mini", "--seed", "3", "--out", "OUT"]],
     "bubble": [["press", "punyo", "--picture", "OUT"]],
-    "plant": [["press", "plants-mini", "--seed", "1", "--picture", "OUT"]],
+    "plant": [["press", "plants-v3-mini", "--seed", "1", "--picture", "OUT"]],
     "plants-v3": [["measure", "plant-sheet", "plants-v3", "--picture", "OUT"]],
-    "contact-sheet": [["generate", "shoes-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out", "DATASET"],
+    "contact-sheet": [["generate", "shoes-v2-mini", "--objects", "3", "--touches", "4", "--seed", "3", "--out",
+                       "DATASET"],
                       ["inspect", "DATASET", "--out", "OUT"]],
 }
 """Words after `vsfsim` by picture; OUT and DATASET are places in a temporary folder."""
