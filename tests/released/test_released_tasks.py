@@ -26,15 +26,8 @@ METHOD = "point-vsf"
 TOLERANCE = 1e-3
 """Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard._SAME_READINGS)."""
 
-SLOW = {"fewshot-shoes-mini-v1", "fewshot-shoes-punyo-mini-v1", "fewshot-plants-mini-v2", "inclusion-mini-v2",
-        "localization-mini-v2"}
-"""Tasks whose view takes more than ten seconds of a core with all of its touches."""
-
-OLDER = {"fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1"}
-"""Tasks whose data were released with the earlier material law and contact. What is made today differs by 0.4 to 2 %,
-until a next version of the task replaces it."""
-
-
+SLOW = {"inclusion-mini-v2", "localization-mini-v2"}
+"""Tasks without cross-validation whose view takes more than ten seconds of a core with all of its touches."""
 
 def row_file(name):
     """The shipped row of a task, None if it has none yet; tasks with cross-validation ship it with a preset."""
@@ -63,8 +56,7 @@ def marks(name):
     """Of a task's tests."""
     if name in SLOW or load_task(name).protocol.folds:
         return pytest.mark.slow
-    return pytest.mark.xfail(reason="made with earlier physics", raises=AssertionError, strict=True) if (
-        name in OLDER) else ()
+    return ()
 
 
 @pytest.fixture(scope="module", params=[pytest.param(name, marks=marks(name)) for name in RELEASED])
@@ -78,7 +70,8 @@ def released(request, tmp_path_factory):
         return task, shipped, writer.finish()
 
 
-@pytest.mark.parametrize("name", ["fewshot-shoes-mini-v1", pytest.param("inclusion-mini-v2", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["fewshot-shoes-v2-mini-v1", *(
+    pytest.param(name, marks=pytest.mark.slow) for name in ("fewshot-plants-v3-mini-v1", "inclusion-mini-v2"))])
 def test_the_earliest_query_touch_is_made_again(name):
     """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and
     2e-13 on the linear slabs."""
