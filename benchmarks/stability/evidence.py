@@ -137,20 +137,21 @@ def _rod(cell: Cell, device: str) -> Evidence:
     one = np.ones(n + 1)
     plant = Plant(nodes, np.arange(-1, n), radius * one, 0.0 * one, np.zeros((n + 1, 3)), f["young"] * one,
                   500.0 * one, np.zeros(n + 1, int), ("stem",))
-    travel = STEM * f["depth"] * np.arange(1, frames + 1) / frames
-    poses = np.tile(np.eye(4), (frames, 1, 1, 1, 1))
+    # it begins where it touches: a path that began behind the stem would have passed it before
+    travel = STEM * f["depth"] * np.arange(frames + 1) / frames
+    poses = np.tile(np.eye(4), (frames + 1, 1, 1, 1, 1))
     poses[:, 0, 0, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]  # its axis lies along y
     poses[:, 0, 0, 0, 3], poses[:, 0, 0, 2, 3] = travel - radius - size, STEM * f["height"]
     out = RodSolver([build(plant)], [Capsule(size, 0.5 * STEM)], device=device, options=RodOptions()).run(
         np.zeros(1, int), poses, friction=f["friction"], keep_nodes=True)
     assert out.nodes is not None
-    line, centre = out.nodes[:, 0], poses[:, 0, 0, :3, 3]
+    line, centre = out.nodes[1:, 0], poses[1:, 0, 0, :3, 3]
+    force, reaction = out.force[1:, 0], out.reaction[1:, 0]
     return Evidence(
-        travel, -out.force[:, 0, 0, 0], out.force[:, 0, 0],
-        np.linalg.norm(out.reaction[:, 0] - out.force[:, 0].sum(axis=1), axis=1)
-        / np.maximum(np.linalg.norm(out.reaction[:, 0], axis=1), FLOOR),
-        out.energy[:, 0], out.penetration[:, 0], out.converged[:, 0],
-        tuple(Reason(r).text for r in out.reason[:, 0]), np.zeros(frames), frames, f["friction"] == 0.0, STEM / n,
+        travel[1:], -force[:, 0, 0], force[:, 0],
+        np.linalg.norm(reaction - force.sum(axis=1), axis=1) / np.maximum(np.linalg.norm(reaction, axis=1), FLOOR),
+        out.energy[1:, 0], out.penetration[1:, 0], out.converged[1:, 0],
+        tuple(Reason(r).text for r in out.reason[1:, 0]), np.zeros(frames), frames, f["friction"] == 0.0, STEM / n,
         jumped=np.array([_behind(x, c, size) for x, c in zip(line, centre, strict=True)]))
 
 

@@ -187,6 +187,11 @@ def test_many_bodies_in_one_struct(ball, device, tmp_path):
     assert sdf.support(shapes[2], np.array([0.0, 1.0, 0.0])) == pytest.approx(0.005, rel=1e-5)
 
 
+def test_a_single_point_has_a_distance(ball):
+    points = np.array([[0.0, 0.0, 0.001], [0.1, 0.0, 0.0]])
+    assert [float(sdf.distance(ball, p)) for p in points] == sdf.distance(ball, points).tolist()
+
+
 def test_edges_are_rounded_by_a_share_of_the_spacing():
     cube = trimesh.creation.box((0.03, 0.03, 0.03))
     errors = []

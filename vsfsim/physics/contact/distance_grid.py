@@ -72,8 +72,10 @@ class DistanceGrid:
         x = np.asarray(points, float)
         low, high = self.domain()
         inside = np.clip(x, low, high)
-        phi = ndimage.map_coordinates(self.coefficients, np.moveaxis((inside - self.origin) / self.spacing, -1, 0),
-                                      order=3, prefilter=False)
+        at = (inside - self.origin) / self.spacing
+        # SciPy refuses a single point without an axis of points
+        phi = ndimage.map_coordinates(self.coefficients, at.reshape(-1, 3).T, order=3,
+                                      prefilter=False).reshape(at.shape[:-1])
         away = np.linalg.norm(x - inside, axis=-1)
         box = np.linalg.norm(x - np.clip(x, self.lower, self.upper), axis=-1)
         return np.where(away > 0.0, np.maximum(phi - away, box), phi)
