@@ -30,7 +30,7 @@ def leaderboard(task: str) -> str:
     from vsfsim.bench.task import load_task
 
     lines = markdown(collect(load_task(task))).splitlines()
-    title = next(line for line in lines if "mean ± std" in line)
+    title = next(line for line in lines if "mean ± st" in line)
     title += "".join(f". {line[0].upper()}{line[1:]}." for line in lines if line.startswith("rank corr.: "))
     reasons: dict[str, list[str]] = {}
     for line in lines:
