@@ -21,7 +21,7 @@ from packaging.requirements import Requirement
 from vsfsim.core.extras import EXTRA_OF
 
 ROOT = Path(__file__).parents[1]
-FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py", "records/*.json"), "baselines": ("*.py",),
+FOLDERS = {"scenes": ("*.toml", "*.py"), "tasks": ("*.toml", "*.py", "records/*.json"), "baselines": ("*.toml", "*.py"),
            "leaderboard": ("**/*.json", "**/*.md", "*.py")}
 METHODS = {"gaussian", "gaussian-zero", "point-vsf"}
 
@@ -98,7 +98,7 @@ def test_the_wheel_holds_vsfsim_and_nothing_beside_it(wheel):
     want.add("vsfsim/leaderboard/made-up-v1/somebody.json")
     assert {name for name in names if name.startswith("vsfsim/")} == want
     for must in ("vsfsim/scenes/shoes-mini.toml", "vsfsim/scenes/shoe.py", "vsfsim/tasks/fewshot-shoes-mini-v1.toml",
-                 "vsfsim/baselines/gaussian.py"):
+                 "vsfsim/baselines/gaussian.py", "vsfsim/baselines/presets.toml"):
         assert must in names
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
