@@ -57,6 +57,8 @@ class Verdict:
     """Of the whole cell [s]."""
     slowest: float = 0.0
     """Of its slowest frame [s]."""
+    unchecked: str = ""
+    """Why the second press of a sampled cell was refused, which leaves the cell without that check; else ""."""
 
     def table(self) -> dict[str, Any]:
         """For JSON; `of` reads it back."""
@@ -66,7 +68,8 @@ class Verdict:
     def of(cls, table: dict[str, Any]) -> Verdict:
         """The verdict of `table`."""
         rest = {name: table[name] for name in ("frames", "converged", "reasons", "seconds", "slowest")}
-        return cls(Cell.of(table), Outcome(table["outcome"]), tuple(table["words"]), push=tuple(table["push"]), **rest)
+        return cls(Cell.of(table), Outcome(table["outcome"]), tuple(table["words"]), push=tuple(table["push"]),
+                   unchecked=table.get("unchecked", ""), **rest)
 
 
 def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
@@ -81,7 +84,11 @@ def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
     with tempfile.TemporaryDirectory() as folder:
         try:
             e = gather(cell, Path(folder), limit, device=device)
-            words = contradictions(e) + _other_ways(cell, e, Path(folder), limit, device)
+            words, unchecked = contradictions(e), ""
+            try:
+                words = words + second_press(cell, e, Path(folder), limit, device)
+            except VsfsimError as error:
+                unchecked = str(error)
         except VsfsimError as error:
             return Verdict(cell, Outcome.REFUSED, (str(error),), seconds=time.perf_counter() - began)
         except Exception:
@@ -95,20 +102,25 @@ def judge(cell: Cell, limit: float, device: str = "cpu") -> Verdict:
         outcome = Outcome.WRONG
     marked = Counter(reason for reason, good in zip(e.reasons, e.converged, strict=True) if not good)
     return Verdict(cell, outcome, tuple(words), len(e.converged), int(e.converged.sum()), dict(marked),
-                   tuple(float(p) if np.isfinite(p) else None for p in e.push), time.perf_counter() - began, slowest)
+                   tuple(float(p) if np.isfinite(p) else None for p in e.push), time.perf_counter() - began, slowest,
+                   unchecked)
 
 
-def _other_ways(cell: Cell, e: Evidence, folder: Path, limit: float, device: str) -> list[str]:
-    """A sample of the solids is pressed in twice the frames, another one at tier fem."""
+def second_press(cell: Cell, e: Evidence, folder: Path, limit: float, device: str) -> list[str]:
+    """Contradictions between ``e`` and a second press of the same cell.
+
+    A sample of the solids is pressed in twice the frames, another one at tier fem; for the others there is nothing to
+    compare.
+
+    Raises:
+        VsfsimError: the second press is refused, for its size, say.
+    """
     f = cell.factors
     draw = int(cell.key[:4], 16) % SAMPLE
     if cell.kind != "solid" or not e.conservative or not e.converged.all():
         return []
-    try:
-        if draw == 0 and e.large:
-            return compare(e, gather(cell, folder, limit, device=device, frames=2), PATH, "in twice the frames")
-        if draw == 1 and f["tier"] == "fem-coarse" and float(f["depth"]) >= 0.1:
-            return compare(e, gather(cell, folder, limit, device=device, tier="fem"), TIER, "at tier fem")
-    except VsfsimError:
-        pass  # the other way is refused, e.g. for its size
+    if draw == 0 and e.large:
+        return compare(e, gather(cell, folder, limit, device=device, frames=2), PATH, "in twice the frames")
+    if draw == 1 and f["tier"] == "fem-coarse" and float(f["depth"]) >= 0.1:
+        return compare(e, gather(cell, folder, limit, device=device, tier="fem"), TIER, "at tier fem")
     return []

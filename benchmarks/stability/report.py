@@ -66,6 +66,11 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measur
                              Column("words", "why")),
                             [{"key": v.cell.key, "outcome": v.outcome.value, "cell": v.cell.text,
                               "words": " | ".join(v.words[:2])} for v in worse], "worse"))
+    unchecked = Counter(v.unchecked for v in verdicts if v.unchecked)
+    if unchecked:
+        tables.append(Table("Sampled cells whose second press was refused, by reason",
+                            (Column("reason", "reason"), Column("number", "cells", "1", form="d")),
+                            [{"reason": reason, "number": n} for reason, n in unchecked.most_common()], "unchecked"))
     return Measurement.of("stability", settings, tables,
                           numbers={"cells": [v.table() for v in verdicts],
                                    "seconds": sum(v.seconds for v in verdicts)},

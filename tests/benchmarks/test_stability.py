@@ -12,7 +12,7 @@ import pytest
 from benchmarks.stability import campaign, checks, report
 from benchmarks.stability.design import KINDS, Cell, design
 from benchmarks.stability.evidence import Evidence
-from benchmarks.stability.judge import Outcome, Verdict, judge
+from benchmarks.stability.judge import SAMPLE, Outcome, Verdict, judge
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Sphere
 
@@ -85,6 +85,25 @@ def test_a_buried_body_is_seen():
 
 def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0)) -> Verdict:
     return Verdict(cell, outcome, frames=2, converged=2, push=push)
+
+
+@pytest.mark.parametrize("refused", [True, False])
+def test_a_refused_second_press_is_recorded(refused, monkeypatch):
+    """A cell that the sample presses at tier `fem` as well says so where that press is refused."""
+    cell = next(c for c in design() if c.kind == "solid" and int(c.key[:4], 16) % SAMPLE == 1
+                and c.factors["tier"] == "fem-coarse" and float(c.factors["depth"]) >= 0.1)
+
+    def gather(cell, folder, limit, *, device, tier=None):
+        if tier == "fem" and refused:
+            raise VsfsimError("the body has 99,999 nodes")
+        return ball_in_a_box()
+
+    monkeypatch.setattr("benchmarks.stability.judge.gather", gather)
+    found = judge(cell, 1.0)
+    assert (found.outcome, found.unchecked) == (Outcome.CONVERGED, "the body has 99,999 nodes" if refused else "")
+    assert Verdict.of(json.loads(json.dumps(found.table()))).unchecked == found.unchecked
+    rows = report.measurement([found], {}).record().get("unchecked", [])
+    assert rows == [{"reason": found.unchecked, "number": 1}] * refused
 
 
 def test_a_campaign_continues_and_refuses_other_circumstances(tmp_path, monkeypatch):
