@@ -99,13 +99,14 @@ def case(*, scale: float = 1.0, fresh: bool = False) -> tuple[list[DenseTouch], 
 
 
 def compare(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
-            points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
+            octaves: int = 6, points: Sequence[int] = (1000, 20_000), scale: float = 1.0, fresh: bool = False,
             grid_iterations: int = 250, progress: Progress = lambda _: None) -> list[FieldRow]:
     """Fit every method to the case.
 
     Args:
         device: of torch, for the fields.
         iterations, rate: of the neural VSF, see `neural_fitting`.
+        octaves: of its encoding.
         points: of the point VSFs.
         scale: of the case, 1 for the paper's.
         fresh: a rope that no setting was chosen on.
@@ -118,7 +119,7 @@ def compare(*, device: str = "cpu", iterations: int | None = None, rate: float =
     rows: list[FieldRow] = []
     for count in points:
         rows += _points(count, touches, pixels, progress)
-    for name, kind, settings, more in (("neural VSF", "nerf", neural, {}),
+    for name, kind, settings, more in (("neural VSF", "nerf", neural, {"octaves": octaves}),
                                        ("grid VSF (ours)", "grid",
                                         Fitting(iterations=grid_iterations, samples=24, rate=0.1), {"cell": 0.004})):
         progress(f"{name}, {settings.iterations} iterations on {device}")
@@ -173,10 +174,10 @@ def table(rows: Sequence[FieldRow], name: str, title: str) -> Table:
         name=name)
 
 
-def measure(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate,
+def measure(*, device: str = "cpu", iterations: int | None = None, rate: float = Fitting.rate, octaves: int = 6,
             progress: Progress = lambda _: None) -> Measurement:
     """Every method on two ropes: the one that the settings of our field were chosen on, and a fresh one."""
-    given = {"device": device, "iterations": iterations, "rate": rate}
+    given = {"device": device, "iterations": iterations, "rate": rate, "octaves": octaves}
     found = [table(compare(**given, fresh=fresh, progress=progress), name, title)
              for fresh, name, title in ((False, "fields", "a rope under a soft layer"),
                                         (True, "fields_fresh", "another rope, that no setting was chosen on"))]

@@ -18,6 +18,13 @@ if "PYTEST_XDIST_WORKER" in os.environ:
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device of the physics tests: cpu or cuda:0.")
+    parser.addoption("--seeds", type=int, default=1, help="Seeds of the tests that search at random (`trial_seed`): "
+                                                          "how their margins are measured, with -s for the figures.")
+
+
+def pytest_generate_tests(metafunc):
+    if "trial_seed" in metafunc.fixturenames:
+        metafunc.parametrize("trial_seed", range(metafunc.config.getoption("--seeds")), scope="module")
 
 
 @pytest.hookimpl(tryfirst=True)

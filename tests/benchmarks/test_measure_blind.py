@@ -20,16 +20,17 @@ def test_an_object_is_closed_and_lies_where_it_is_said_to(which):
     assert len(buried.touches) == 2
 
 
-def test_three_starts_tell_an_object_from_itself_turned_over():
+def test_three_starts_tell_an_object_from_itself_turned_over(trial_seed):
     """From a stiffness as it is, the search ends at the truth although a turned over object covers the sheet of stiff
     points nearly as well."""
-    buried = Buried.of(0, scale=0.04)
+    buried = Buried.of(len(OUTLINES) * trial_seed, scale=0.04)
     axes = [np.arange(-0.08, 0.08, 0.004), np.arange(-0.08, 0.08, 0.004), np.arange(-0.0115, 0.0, 0.002)]
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = buried.known.contains((points - buried.pose[:3, 3]) @ buried.pose[:3, :3])
     stiffness = np.where(inside, STIFF, SOFT)
-    found = stiffness_pose(buried.known, points, stiffness, threshold=4.0 * SOFT, tries=12)
+    found = stiffness_pose(buried.known, points, stiffness, threshold=4.0 * SOFT, tries=12, seed=trial_seed)
     shift, turn = pose_errors(found.transform, buried.pose)
+    print(f"errors: {1000 * shift:.2f} mm, {np.degrees(turn):.2f} degrees")
     assert shift < 0.004 and np.degrees(turn) < 10.0
 
 

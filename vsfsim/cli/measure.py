@@ -92,6 +92,8 @@ def methods(paper: Annotated[bool,
             rate: Annotated[float | None, typer.Option(min=1e-6, max=1.0,
                                                        help="Of the neural VSF's training; default: 2e-4, "
                                                             "the paper's.")] = None,
+            octaves: Annotated[int, typer.Option(min=1, max=12,
+                                                 help="Of the neural VSF's encoding, with --fields.")] = 6,
             export: Annotated[Path | None, typer.Option(metavar="FOLDER",
                                                         help="Also write the workload here: observation matrices, "
                                                              "readings, noise and prior, for estimators "
@@ -148,7 +150,7 @@ def methods(paper: Annotated[bool,
         load.export(export)
     found = estimators.measure(load, literal=literal, device=device, progress=step)
     if fields if fields is not None else device != "cpu":
-        more = buried_rope.measure(**learning, progress=step)
+        more = buried_rope.measure(**learning, octaves=octaves, progress=step)
         found = replace(found, tables=[*found.tables, *more.tables])
     _report(replace(found, notes=[*notes, *found.notes]), out)
 

@@ -17,9 +17,6 @@ import numpy as np
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.shape import ProbeShape
 
-REASON_OK = 0
-"""`Touch.reason` of a frame with nothing to complain about."""
-
 AUDIT_COLUMNS = ("force_balance", "min_det_f", "energy", "penetration")
 """Columns of `Touch.audit` that every simulated touch has; see there for the units."""
 CONTACT_COLUMNS = ("contact_points", "contact_radius")

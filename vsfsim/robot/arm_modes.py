@@ -11,8 +11,6 @@ from vsfsim.robot.arm import Arm
 from vsfsim.robot.dynamic import POSITION, Drive, Motion, series, simulate
 from vsfsim.robot.joint_torque import body_torque
 
-MODES = ("kinematic", "dynamic")
-
 
 @dataclass(frozen=True)
 class Difference:
