@@ -31,7 +31,8 @@ def scene(trial_seed):
         inside = known.contains((points - truth[:3, 3]) @ truth[:3, :3])
         return np.where(points[:, 2] > 0.0, 0.0, np.where(inside, STIFF, SOFT))
 
-    touches = palpate(field, touches=60, frames=10, extent=(0.16, 0.16), depth=0.012, noise=NOISE, rings=6, seed=3 + trial_seed)
+    touches = palpate(field, touches=60, frames=10, extent=(0.16, 0.16), depth=0.012, noise=NOISE, rings=6,
+                      seed=3 + trial_seed)
     axes = [np.arange(-0.1, 0.1, SPACING), np.arange(-0.1, 0.1, SPACING), np.arange(-0.0118, 0.0, 0.5 * SPACING)]
     particles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return known, truth, touches, particles, [stick(particles, t.vertices, t.triangles) for t in touches]
