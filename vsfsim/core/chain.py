@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from vsfsim.core.errors import SceneError, unknown_key
 
@@ -52,6 +51,8 @@ class Chain:
 
     def links(self, q: np.ndarray) -> np.ndarray:
         """Poses (T, L, 4, 4) [m] of the links at joint angles ``q`` (T, dof) [rad]."""
+        from scipy.spatial.transform import Rotation  # inside: see core/rotation.py
+
         q = np.asarray(q, float)
         if q.ndim != 2 or q.shape[1] != self.dof:
             raise SceneError(f"joint angles have the shape {q.shape}; give (frames, {self.dof}) in radians.")

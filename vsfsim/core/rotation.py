@@ -1,22 +1,26 @@
 """Rotations as rotation vectors: axis times angle [rad], right-handed; (0, 0, pi / 2) is a quarter turn about +z.
 
-A thin layer over scipy's `Rotation` for the arrays that the project uses.
+A thin layer over scipy's `Rotation` for the arrays that the project uses. It is imported inside the functions,
+because its import takes longer than that of all else that a command of the benchmark needs.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 
 def rotation_matrix(vector: np.ndarray | tuple[float, ...]) -> np.ndarray:
     """Matrices (..., 3, 3) of rotation vectors (..., 3) [rad]."""
+    from scipy.spatial.transform import Rotation
+
     vector = np.asarray(vector, float)
     return Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*vector.shape, 3)
 
 
 def rotation_vector(matrix: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) [rad] of matrices (..., 3, 3), with angles from 0 to pi."""
+    from scipy.spatial.transform import Rotation
+
     matrix = np.asarray(matrix, float)
     return Rotation.from_matrix(matrix.reshape(-1, 3, 3)).as_rotvec().reshape(matrix.shape[:-1])
 
