@@ -207,6 +207,12 @@ def score_table(result: Result, metric: str) -> str:
     return text_table(head, rows)
 
 
+def superseded(task: Task) -> str:
+    """What the rows of a superseded task are worth."""
+    return (f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, and compare "
+            f"with one another only; a dataset made today may differ")
+
+
 def unit_of(metric: str, of_reading: str) -> str:
     """Of a metric, "" for a pure number and for one that this version does not know."""
     unit = METRICS[metric].unit if metric in METRICS else ""
@@ -256,6 +262,8 @@ def labels_of(results: list[Result]) -> list[str]:
 
 def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     lines = [f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows if row.mark]
+    if board.task.superseded_by:
+        lines.append(superseded(board.task))
     if _over_objects(board.task) and board.rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")

@@ -15,7 +15,7 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
-from vsfsim.bench.leaderboard import Board, Row, labels_of, unit_of
+from vsfsim.bench.leaderboard import Board, Row, labels_of, superseded, unit_of
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
@@ -102,7 +102,7 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
                      *([_difference(row, best, task)] if over else []), *_other_scores(row, task), *_costs(row)])
     body = [paragraph(task.description)]
     if task.superseded_by:
-        body.append(paragraph(f"This task is superseded by {task.superseded_by}."))
+        body.append(paragraph(f"This task is {superseded(task)}."))
     body += [paragraph(_how(board), note=True),
              table(head, rows, text=(1,), caption=_COLUMNS)]
     body += [paragraph(f"{name} is not ranked: {row.mark}.", note=True)
