@@ -209,8 +209,8 @@ def score_table(result: Result, metric: str) -> str:
 
 def superseded(task: Task) -> str:
     """What the rows of a superseded task are worth."""
-    return (f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, and compare "
-            f"with one another only; a dataset made today may differ")
+    return (f"superseded by {task.superseded_by}: the rows that ship were made on data of an earlier vsfsim, and "
+            f"compare with one another only; a dataset made today may differ")
 
 
 def unit_of(metric: str, of_reading: str) -> str:
