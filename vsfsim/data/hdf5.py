@@ -213,10 +213,11 @@ def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:
                                    f"written by vsfsim.")
             values[field.name] = None
             continue
-        if not isinstance(group[field.name], h5py.Dataset):
+        item = group[field.name]
+        if not isinstance(item, h5py.Dataset):
             raise DatasetError(f"{where}/{field.name} is a group; the schema has a dataset there.")
-        check_shape(field, group[field.name].shape, f"{where}/{field.name}", lengths)
-        array = read_array(group[field.name], field)
+        check_shape(field, item.shape, f"{where}/{field.name}", lengths)
+        array = read_array(item, field)
         values[field.name] = check_array(field, array, f"{where}/{field.name}", lengths)
         if field.dtype == TEXT:
             values[field.name] = tuple(array)

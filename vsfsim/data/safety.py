@@ -65,6 +65,7 @@ def check_tree(file: h5py.File, path: Path) -> None:
         if where.count("/") > 8 or len(group) > 10_000:
             raise DatasetError(f"{path}{where} is nested too deep or has too many members; it was not written by "
                                f"vsfsim.")
+        _check_attributes(group, f"{path} {group.name}")
         for name in group:
             spot = f"{path} {where}/{plain(name, longest=100)}"
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
@@ -75,28 +76,31 @@ def check_tree(file: h5py.File, path: Path) -> None:
                 continue
             if not isinstance(item, h5py.Dataset):
                 raise DatasetError(f"{spot} is neither a group nor a dataset.")
+            _check_attributes(item, spot)
             total += _size(item, spot)
             if total > budget:
                 raise DatasetError(f"{path} announces more than {budget / 1e6:.0f} MB and has "
                                    f"{path.stat().st_size / 1e6:.1f} MB; it was not written by vsfsim.")
-        for item in (group, *(group[name] for name in group)):
-            _check_attributes(item, f"{path} {item.name}")
 
 
 def _size(item: h5py.Dataset, spot: str) -> int:
-    if item.is_virtual or item.external:
-        raise DatasetError(f"{spot} keeps its data in another file; an object file holds its data itself.")
-    if item.dtype.hasobject or item.dtype.kind not in "fiubS":
-        raise DatasetError(f"{spot} has dtype {plain(item.dtype)}; numbers and padded text are allowed.")
+    # by h5py's low level: its properties ask the file again each time, and a dataset has thousands of fields
     settings = item.id.get_create_plist()
+    layout = settings.get_layout()
+    if layout == h5py.h5d.VIRTUAL or settings.get_external_count():
+        raise DatasetError(f"{spot} keeps its data in another file; an object file holds its data itself.")
+    dtype, shape = item.dtype, item.shape
+    if dtype.hasobject or dtype.kind not in "fiubS":
+        raise DatasetError(f"{spot} has dtype {plain(dtype)}; numbers and padded text are allowed.")
     filters = {settings.get_filter(k)[0] for k in range(settings.get_nfilters())}
     if not filters <= _FILTERS:
         raise DatasetError(f"{spot} is packed with filter {min(filters - _FILTERS)}; gzip and shuffle are allowed.")
-    if item.shape is None:
+    if shape is None:
         raise DatasetError(f"{spot} is empty.")
-    size = item.dtype.itemsize * _product(item.shape)
-    if size > LARGEST_FIELD or item.dtype.itemsize * _product(item.chunks or ()) > LARGEST_CHUNK:
-        raise DatasetError(f"{spot} has shape {item.shape}, {size / 1e6:.0f} MB; a field has at most "
+    size = dtype.itemsize * _product(shape)
+    chunk = dtype.itemsize * _product(settings.get_chunk()) if layout == h5py.h5d.CHUNKED else 0
+    if size > LARGEST_FIELD or chunk > LARGEST_CHUNK:
+        raise DatasetError(f"{spot} has shape {shape}, {size / 1e6:.0f} MB; a field has at most "
                            f"{LARGEST_FIELD / 1e6:.0f} MB, and a chunk {LARGEST_CHUNK / 1e6:.0f} MB.")
     return size
 
@@ -109,10 +113,13 @@ def _product(shape: tuple[int, ...]) -> int:
 
 
 def _check_attributes(item: h5py.Group | h5py.Dataset, spot: str) -> None:
-    if len(item.attrs) > 100:
-        raise DatasetError(f"{spot} has {len(item.attrs)} attributes; it was not written by vsfsim.")
-    for name in item.attrs:
-        if item.attrs.get_id(name).get_storage_size() > LARGEST_ATTRIBUTE:
+    count = h5py.h5a.get_num_attrs(item.id)
+    if count > 100:
+        raise DatasetError(f"{spot} has {count} attributes; it was not written by vsfsim.")
+    for k in range(count):
+        attribute = h5py.h5a.open(item.id, index=k)
+        if attribute.get_storage_size() > LARGEST_ATTRIBUTE:
+            name = attribute.name.decode(errors="replace")
             raise DatasetError(f"{spot} has an attribute '{plain(name, longest=100)}' of more than "
                                f"{LARGEST_ATTRIBUTE / 1e6:.0f} MB.")
 
