@@ -58,6 +58,8 @@ def admit(result: Result, task: Task, record: fingerprint.Record | None) -> Admi
 def _other_task(result: Result, task: Task) -> str:
     if result.task_sha256 != task.sha256:
         return "other text of the task"
+    if result.study:
+        return "a study's, which learned from other objects than the task's"
     if (result.shots, result.observation) != (task.protocol.labels, task.observation.name):
         return "other shots or another observation than the task's"
     wanted = set(task.protocol.runs(seeded="seed" in result.parameters))

@@ -20,9 +20,9 @@ from vsfsim.bench.result import Result, machine, versions
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.answers import Answers
 from vsfsim.bench.trials.collect import Collector, Progress
-from vsfsim.bench.trials.folds import test_names
 from vsfsim.bench.trials.rows import Rows, as_columns, beside_zero, scores_of, stored
 from vsfsim.bench.trials.score import map_of, rows_of
+from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.provenance import made_by
 
@@ -32,7 +32,7 @@ DEFAULT = Isolation()
 def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str, Any] | None = None,
              seeds: int | None = None, progress: Progress | None = None, isolation: Isolation = DEFAULT,
              part: str | Path | None = None, log: str | Path | None = None, check: bool = True,
-             preset: str = "") -> Result:
+             preset: str = "", training: Training = PLAIN) -> Result:
     """Score a method.
 
     Args:
@@ -48,6 +48,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         log: file to which everything goes that the method prints; None for a temporary one.
         preset: name of the settings, for the leaderboard; they are in ``parameters`` already.
         check: test on mock objects first whether the method keeps its contract.
+        training: what the method learns from, where a study departs from the task (`vsfsim study`). Such a result is
+            never ranked.
 
     Raises:
         MethodError: the method is unknown, breaks its contract, raises, takes too long, or answers with something that
@@ -56,12 +58,13 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         Interrupted: the user has stopped it.
     """
     check_name(name)
-    data = fingerprint.beside_record(task, dataset)
+    data = {} if training.table() else fingerprint.beside_record(task, dataset)
     with tempfile.TemporaryDirectory() as folder:
         run = Collector(name, dict(parameters or {}), task, dataset,
                         seeds, isolation,
                         Path(folder) / "log" if log is None else Path(log).absolute(),
-                        None if part is None else Path(part).absolute(), progress or (lambda *_: None), check)
+                        None if part is None else Path(part).absolute(), progress or (lambda *_: None), check,
+                        training)
         answers = run.run()
     rows, readings = _rows(answers, task, dataset)
     said = run.description
@@ -83,7 +86,8 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
         queries=as_columns(Answer.READINGS, rows[Answer.READINGS]), timing=timing,
         peak_memory_mib=round(run.peak_memory_mib, 1), machine=machine(), made_by=made_by(), versions=versions(),
         notes=tuple(notes), readings=readings, package={"name": said.package, "version": said.version},
-        isolation=isolation.sandbox, data=data, preset=preset, maps=_maps(answers, task, dataset),
+        isolation=isolation.sandbox, data=data, preset=preset, study=training.table(),
+        maps={} if training.table() else _maps(answers, task, dataset),
         answers={answer.value: as_columns(answer, rows[answer]) for answer in Answer
                  if answer is not Answer.READINGS and rows[answer]})
 
@@ -102,7 +106,7 @@ def _rows(answers: list[Answers], task: Task, dataset: Dataset) -> tuple[Rows, d
     """The rows of all answers in their order, and `Result.readings`."""
     rows: Rows = {answer: [] for answer in Answer}
     readings: dict[str, list] = {}
-    for name in test_names(dataset, task.protocol):
+    for name in dict.fromkeys(a.trial.subject for a in answers):
         found, summary = rows_of(name, [a for a in answers if a.trial.subject == name], task, dataset)
         for answer in Answer:
             rows[answer] += found[answer]

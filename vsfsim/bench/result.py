@@ -93,6 +93,9 @@ class Result:
     """Of a task with cross-validation, the stiffness that the method gave in its first run at the shot that ranks,
     columns with one row a probed point: object, place x, y, z [0.1 mm from -3 m], truth [N/m], mean and std in the
     method's unit, std 0 where it gave none."""
+    study: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+    """What the method learned from where that is not what the task says (`vsfsim.bench.trials.training.Training`),
+    else {}. A result with it is a study's and is never ranked."""
     schema_version: int = SCHEMA_VERSION
     """Of the file that it was read from."""
 
@@ -178,8 +181,8 @@ class Result:
         optional = {"isolation", "preset",
                     *(name for name, f in fields.items() if f.default_factory is not dataclasses.MISSING)}
         given = {key: value for key, value in table.items() if key not in ("format", "objects")}
-        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps"},
-                  SCHEMA_VERSION: {"readings"}}
+        absent = {OLD_VERSION: optional, PLAIN_VERSION: {"readings", "preset", "maps", "study"},
+                  SCHEMA_VERSION: {"readings", "study"}}
         odd = (set(given) ^ set(fields)) - (absent[given["schema_version"]] - set(given))
         if odd:
             raise TaskError(f"result {path} is malformed: missing or unknown {plain(', '.join(sorted(odd)))}. Evaluate "

@@ -93,6 +93,8 @@ def evaluate(task: TaskName,
                               ] = None,
              parameters: Parameters = None,
              workers: Annotated[int, typer.Option(min=1, help="Trials that run at the same time.")] = 1,
+             processes: Annotated[int, typer.Option(min=1, help="Trainings that run at the same time, each in a "
+                                                                "process of its own; with --all, of all rows.")] = 1,
              timeout: Annotated[float | None, typer.Option(help="Seconds that one call of the method may take; "
                                                                 "default: no limit.")] = None,
              memory: Annotated[float | None, typer.Option(help="Memory that a process of the method may allocate "
@@ -123,18 +125,19 @@ def evaluate(task: TaskName,
         check_name(name)
     wanted = load_task(task)
     shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
-              "sandbox": sandbox}
+              "sandbox": sandbox, "processes": processes}
     if every:
         rows = [row for row in presets.choices(wanted.observation.name) if preset in ("", row.preset)]
         folder = out or Path("results") / wanted.name
         result_path(folder / "row.json", wanted.name, "row")
         show = str(json) != "-"
         made = []
-        for one in evaluate_all(wanted, rows, folder, before=lambda row: print(f"evaluate {row.stem}", flush=True)
-                                if show else None, **shared):
-            made.append(one)
-            if show:
-                print(f"{one.choice.stem:<28}{one.state}", flush=True)
+        with Progress("evaluate") as progress:
+            for one in evaluate_all(wanted, rows, folder, before=lambda row: print(f"evaluate {row.stem}", flush=True)
+                                    if show else None, progress=progress, **shared):
+                made.append(one)
+                if show:
+                    print(f"{one.choice.stem:<28}{one.state}", flush=True)
         write_json([{"method": m.choice.method, "preset": m.choice.preset, "state": m.state, "written": str(m.path)}
                     for m in made], json)
         failed = [one for one in made if one.result is None]

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.commands.presets import preset as chosen
+from vsfsim.bench.commands.side_by_side import Evaluation, gather, make
 from vsfsim.bench.evaluate import evaluate as run
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, load_task, open_dataset
+from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset
 
@@ -21,7 +23,7 @@ from vsfsim.data.dataset import Dataset
 def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | Dataset | None = None, *,
              parameters: Mapping[str, Any] | None = None, seeds: int | None = None, workers: int = 1,
              timeout: float | None = None, memory: float | None = None, sandbox: str = "process",
-             out: str | Path | None = None, preset: str = "",
+             out: str | Path | None = None, preset: str = "", processes: int = 1,
              progress: Callable[[int, int, str], None] | None = None) -> Result:
     """Score a method on a task; `vsfsim.evaluate` is this function.
 
@@ -39,6 +41,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
             are done, and what the method prints becomes a .log beside it.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
+        processes: trainings that run at the same time, each in a process of its own.
         progress: called with (trials done, of how many, what is going on).
 
     Raises:
@@ -53,18 +56,41 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         parameters = {**chosen(name, preset, wanted.observation.name).parameters, **(parameters or {})}
     options: dict[str, Any] = {"parameters": parameters, "preset": preset,
                                "seeds": seeds, "progress": progress, "isolation": isolation}
+    if processes > 1 and out is None:
+        with tempfile.TemporaryDirectory() as folder:
+            return evaluate(name, wanted, data, parameters=parameters, seeds=seeds, workers=workers, timeout=timeout,
+                            memory=memory, sandbox=sandbox, out=Path(folder) / "result.json", preset=preset,
+                            processes=processes, progress=progress)
     if out is None:
         return run(name, wanted, data, **options)
     path = Path(out)
+    if processes > 1:
+        one = Evaluation(path, name, wanted, data, lambda: finish(name, wanted, data, path, **options),
+                         parameters or {}, seeds, Training(), isolation)
+        for _, message in make([one], processes, progress=progress or (lambda *_: None)):
+            if message:
+                raise MethodError(message)
+        return Result.load(path)
+    return finish(name, wanted, data, path, **options)
+
+
+def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) -> Result:
+    """Evaluate with what was kept beside the result, write it, and remove what was kept.
+
+    Args:
+        name, task, dataset: as of `vsfsim.bench.evaluate.evaluate`. path: of the result. options: further ones.
+    """
     part, log = path.with_suffix(".part"), log_of(path)
     log.unlink(missing_ok=True)
+    before = gather(path)
     with tempfile.TemporaryDirectory() as folder:
         printed = Path(folder) / "log"
-        result = run(name, wanted, data, part=part, log=printed, **options)
+        result = run(name, task, dataset, part=part, log=printed, **options)
         result.save(path)
         shutil.rmtree(part, ignore_errors=True)
-        if printed.is_file() and printed.stat().st_size:
-            shutil.copyfile(printed, log)
+        text = before + (printed.read_text(errors="replace") if printed.is_file() else "")
+        if text:
+            log.write_text(text)
     return result
 
 

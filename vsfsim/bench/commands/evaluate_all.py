@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.evaluate import evaluate, finish
 from vsfsim.bench.commands.presets import Choice
+from vsfsim.bench.commands.side_by_side import Evaluation, make
+from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task, open_dataset
+from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import Interrupted, TaskError, VsfsimError
 
 
@@ -29,7 +33,8 @@ class Made:
 
 
 def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path | None = None, seeds: int | None = None,
-                 before: Callable[[Choice], Any] = lambda _: None, **options: Any) -> Iterator[Made]:
+                 before: Callable[[Choice], Any] = lambda _: None, processes: int = 1,
+                 progress: Callable[[int, int, str], None] = lambda *_: None, **options: Any) -> Iterator[Made]:
     """Make the results that are missing in a folder.
 
     A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete. An
@@ -37,20 +42,25 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
 
     Args:
         task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
-        `evaluate`. before: called before a row is made. options: further ones of `evaluate`.
+        `evaluate`. before: called before a row is made. processes: trainings of all rows that run at the same time.
+        progress: of them, called with (done, of how many, what). options: further ones of `evaluate`.
 
     Yields:
-        Every row in its order.
+        Every row in its order; with several processes those that are there already, then the others as they are ready.
 
     Raises:
         VsfsimError: the dataset is missing or does not fit the task.
     """
     data = open_dataset(task, dataset)
+    to_do: dict[Path, Choice] = {}
     for choice in rows:
         path = folder / f"{choice.stem}.json"
         known = _kept(path, task, data.sha256, choice, seeds)
         if known is not None:
             yield Made(choice, path, known, "kept")
+            continue
+        if processes > 1:
+            to_do[path] = choice
             continue
         before(choice)
         try:
@@ -62,6 +72,15 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
             yield Made(choice, path, None, str(error))
         else:
             yield Made(choice, path, result, "made")
+    if to_do:
+        isolation = Isolation(options.get("sandbox", "process"), options.get("timeout"), options.get("memory"),
+                              options.get("workers", 1))
+        jobs = [Evaluation(path, c.method, task, data,
+                           partial(finish, c.method, task, data, path, parameters=c.parameters, seeds=seeds,
+                                   preset=c.preset, isolation=isolation), c.parameters, seeds, Training(), isolation)
+                for path, c in to_do.items()]
+        for one, message in make(jobs, processes, check=False, progress=progress):
+            yield Made(to_do[one.path], one.path, None if message else Result.load(one.path), message or "made")
 
 
 def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: int | None) -> Result | None:

@@ -12,19 +12,19 @@ from typing import Any
 
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import Description, MethodProcess
-from vsfsim.bench.method import Specimen
-from vsfsim.bench.protocol import specimen, support
+from vsfsim.bench.protocol import support
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials import answers as kept
 from vsfsim.bench.trials.answers import Answers, run_trial
-from vsfsim.bench.trials.folds import folds_of
 from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial
+from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 
-_NOTE = "evaluation.json"
+NOTE = "evaluation.json"
+"""File in the folder of kept stages that says of what they are."""
 
 Progress = Callable[[int, int, str], None]
 
@@ -56,6 +56,10 @@ class Collector:
     """Called with (trials done, of how many, what is going on)."""
     conforms: bool = True
     """Test the contract first."""
+    training: Training = PLAIN
+    """What the method learns from, and which objects are scored."""
+    only: str | None = None
+    """Name of the one stage that is made and kept in `part`, or None for all of them."""
     meta_fit_s: float = 0.0
     """Seconds of all calls of `meta_fit`."""
     fits: int = 0
@@ -70,6 +74,7 @@ class Collector:
     """By stage."""
     _key: bytes = b""  # what the kept stages are of
     _stages: tuple[Stage, ...] = ()
+    _told: tuple[float, int] = (0.0, 0)  # seconds and number of trainings that kept stages hold
 
     @property
     def _unit(self) -> str:
@@ -77,21 +82,24 @@ class Collector:
 
     def run(self) -> list[Answers]:
         """The answers of all trials, in the task's order; those of shots that are the same for every seed are repeated.
+        Empty with `only`.
 
         Raises:
             MethodError: the method does not conform, raises, or answers with something that cannot be scored.
             TaskError: the dataset has too few touches.
             Interrupted: the user has stopped it.
         """
-        folds = folds_of(self.dataset, self.task.protocol)
-        subjects = {name: Subject.of(name, self.task, self.dataset) for fold in folds for name in fold.test}
+        folds = self.training.folds(self.dataset, self.task.protocol)
         hidden = [self.dataset.path.resolve(), self.task.dataset.path().parent.resolve(), Path("results").resolve()]
         process: MethodProcess | None = None
         try:
             process = self._process(hidden)
             self.description = process.description
             self.seeds = self._runs()
-            self._stages = stages(self.task.protocol, folds, self.seeds, seeded=self.description.seeded)
+            self._stages = tuple(s for s in stages(self.task.protocol, folds, self.seeds,
+                                                   seeded=self.description.seeded) if self.only in (None, s.name))
+            subjects = {name: Subject.of(name, self.task, self.dataset)
+                        for name in dict.fromkeys(n for stage in self._stages for n in stage.test)}
             self._take_up(process.description)
             if self.conforms and not self.done:
                 self.progress(0, 1, "contract")
@@ -100,10 +108,6 @@ class Collector:
                     raise MethodError(f"{self.name} does not keep the contract of a method: "
                                       + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
                                       + f" `vsfsim check {self.name}` tests all of it.")
-            blind = self.dataset.blind()
-            needed = dict.fromkeys(name for stage in self._stages if stage.name not in self.done
-                                   for name in stage.train)
-            specimens = {name: specimen(blind.load(name), self.task) for name in needed}
             fitted: tuple[int, int | None] | None = None
             for stage in self._stages:
                 if stage.name in self.done:
@@ -112,7 +116,7 @@ class Collector:
                     self._end(process)
                     process, fitted = self._process(hidden), None
                 if fitted is None:
-                    self._learn(process, [specimens[name] for name in stage.train], stage.seed)
+                    self._learn(process, stage)
                     fitted = stage.fold, stage.seed
                 self._run_stage(process, [subjects[name] for name in stage.test], stage)
         except KeyboardInterrupt as stop:
@@ -120,7 +124,7 @@ class Collector:
         finally:
             if process is not None:
                 self._end(process)
-        return self._in_order(list(subjects.values()))
+        return self._in_order(list(subjects.values())) if self.only is None else []
 
     # ------------------------------------------------------------------ one stage
 
@@ -141,9 +145,10 @@ class Collector:
         process.close()
         self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
 
-    def _learn(self, process: MethodProcess, specimens: list[Specimen], seed: int | None) -> None:
+    def _learn(self, process: MethodProcess, stage: Stage) -> None:
         self.progress(self._finished(), self._total(), "meta-fit")
-        self.meta_fit_s += process.meta_fit(specimens, seed=seed)
+        specimens = self.training.specimens(self.task, self.dataset, stage.fold, stage.train, stage.seed or 0)
+        self.meta_fit_s += process.meta_fit(specimens, seed=stage.seed)
         self.fits += 1
 
     def _finished(self) -> int:
@@ -179,6 +184,7 @@ class Collector:
                 process.close()  # ends what still runs, so that the threads end as well
                 raise
         self.done[stage.name] = [future.result() for future in futures]
+        self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
         self._keep(stage.name)
 
     def _in_order(self, subjects: Sequence[Subject]) -> list[Answers]:
@@ -208,13 +214,16 @@ class Collector:
         made = {"task": self.task.sha256, "dataset": self.dataset.sha256, "method": self.name,
                 "entry": description.entry, "parameters": dict(description.parameters),
                 "package": [description.package, description.version], "sandbox": self.isolation.sandbox,
+                **({"training": self.training.table()} if self.training.table() else {}),
+                "shots": list(self.task.protocol.labels),
                 **({"runs": len(self.seeds)} if self.task.protocol.folds else {})}
         self._key = json.dumps(made, sort_keys=True).encode()
-        if (self.part / _NOTE).is_file() and (self.part / _NOTE).read_bytes() == self._key:
+        if (self.part / NOTE).is_file() and (self.part / NOTE).read_bytes() == self._key:
             for stage in self._stages:
                 found = kept.load(self.part / f"{stage.name}.npz")
                 if found is not None:
                     self.done[stage.name] = found
+                    self._recall(stage.name)
             if self.done and not self.task.protocol.folds and self._stages[0].name not in self.done:
                 self.done.clear()  # the shots that are the same for every seed are in the first
 
@@ -223,13 +232,29 @@ class Collector:
         if self.part is None:
             return
         try:
-            if not self.part.is_dir() or (self.part / _NOTE).read_bytes() != self._key:
+            if not self.part.is_dir() or (self.part / NOTE).read_bytes() != self._key:
                 shutil.rmtree(self.part, ignore_errors=True)
                 self.part.mkdir(parents=True)
-                write_atomic(self.part / _NOTE, self._key, error=MethodError)
+                write_atomic(self.part / NOTE, self._key, error=MethodError)
         except OSError as error:
             raise MethodError(f"folder {self.part} cannot be made: {error.strerror}. Choose another --out.") from error
+        cost = {"meta_fit_s": self.meta_fit_s - self._told[0], "fits": self.fits - self._told[1],
+                "peak_memory_mib": self.peak_memory_mib}
+        self._told = self.meta_fit_s, self.fits
+        write_atomic(self.part / f"{stage}.json", json.dumps(cost).encode(), error=MethodError)
         kept.save(self.part / f"{stage}.npz", self.done[stage])
+
+    def _recall(self, stage: str) -> None:
+        """Add what a kept stage has cost."""
+        assert self.part is not None
+        try:
+            cost = json.loads((self.part / f"{stage}.json").read_text())
+            self.meta_fit_s += float(cost["meta_fit_s"])
+            self.fits += int(cost["fits"])
+            self.peak_memory_mib = max(self.peak_memory_mib, float(cost["peak_memory_mib"]))
+        except (OSError, ValueError, KeyError, TypeError):
+            return  # of an older version, which kept no costs
+        self._told = self.meta_fit_s, self.fits
 
     def _how_to_go_on(self) -> str:
         if self.part is None or not self.done:

@@ -1,0 +1,146 @@
+"""What a method learns from in a study, and trainings that run side by side."""
+
+import dataclasses
+import json
+
+import pytest
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.commands.evaluate import evaluate as by_name
+from vsfsim.bench.evaluate import evaluate
+from vsfsim.bench.mock import mock_view
+from vsfsim.bench.result import Result
+from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials.training import Extra, Training
+from vsfsim.core.errors import TaskError
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
+
+MODELS = ("clog", "boot", "moccasin", "wader")
+CLASSES = {"clog": "slipper", "boot": "boot", "moccasin": "slipper", "wader": "boot"}
+SCENE = '[object.shape]\nmodel = { each = ["' + '", "'.join(MODELS) + '"] }\n'
+
+
+@pytest.fixture(scope="module")
+def task(task_text):
+    for old, new in {'train = "train", test = "test", ': "folds = 2, draws = 2, trainings = 2, ", "seeds = 3, ": "",
+                     "objects = 3": "objects = 4", '"rmse"': '"rmse_ratio"'}.items():
+        task_text = task_text.replace(old, new)
+    return parse_task(task_text, "toy-v1.toml")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """Four mock objects, the first two in two views."""
+    views = [mock_view(i, split="train", touches=12) for i in range(4)]
+    views += [dataclasses.replace(v, name=v.name.replace("v0", "v1"), view_index=1) for v in views[:2]]
+    recipe = Recipe(scene="mock", scene_text=SCENE, seed=0, objects=4, views=1, touches=12, splits={"train": 4},
+                    device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(tmp_path_factory.mktemp("data") / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        return writer.finish()
+
+
+def learned(training, dataset, task):
+    """By the test view, the objects that a method learns from."""
+    return {name: sorted({int(n[5:9]) for n in fold.train}) for fold in training.folds(dataset, task.protocol)
+            for name in fold.test}
+
+
+def test_the_default_is_the_task(dataset, task):
+    from vsfsim.bench.trials.folds import folds_of
+
+    assert Training().folds(dataset, task.protocol) == folds_of(dataset, task.protocol)
+    assert Training().table() == {} and Training(classes=CLASSES).is_plain and not Training(touches=0.5).is_plain
+
+
+def test_classes_divide_the_objects(dataset, task):
+    same = learned(Training("same-class", classes=CLASSES), dataset, task)
+    other = learned(Training("other-classes", classes=CLASSES), dataset, task)
+    assert same["mock-0000-v0"] == [2] and same["mock-0003-v0"] == [1]
+    assert other["mock-0000-v0"] == [1, 3] and other["mock-0001-v0"] == [0, 2]
+    assert set(same) == set(other) == set(dataset.names())
+
+
+def test_views_divide_the_objects(dataset, task):
+    own = Training("same-object", test_views=(1,))
+    assert learned(own, dataset, task) == {"mock-0000-v1": [0], "mock-0001-v1": [1]}
+    seen = Training(train_views=(0,), test_views=(1,)).folds(dataset, task.protocol)
+    assert {n for f in seen for n in f.test} == {"mock-0000-v1", "mock-0001-v1"}
+    assert all(n.endswith("v0") for f in seen for n in f.train)
+
+
+def test_a_share_is_a_part_of_a_larger_one(dataset, task):
+    def of(**given):
+        fold = Training(**given).folds(dataset, task.protocol)[0]
+        return Training(**given).specimens(task, dataset, fold.number, fold.train, training=1)
+
+    every, some, few = of(), of(touches=0.5), of(touches=0.1)
+    assert [len(s.touches) for s in every] == [12] * len(every)
+    assert {len(s.touches) for s in some} == {6} and {len(s.touches) for s in few} == {1}
+    for a, b, c in zip(every, some, few, strict=True):
+        paths = [{t.action.poses.tobytes() for t in s.touches} for s in (a, b, c)]
+        assert paths[2] < paths[1] < paths[0]
+    names = {s.name[:9] for s in of(objects=0.5)}
+    assert len(names) == 1 and names < {s.name[:9] for s in every}
+    assert {tuple(s.name for s in Training(objects=0.5).specimens(task, dataset, 0, [n for n in dataset.names()], k))
+            for k in range(8)} != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
+
+
+def test_objects_of_another_dataset_are_added(dataset, task):
+    extra = Training(extra=(Extra(task, dataset, 2),))
+    fold = extra.folds(dataset, task.protocol)[0]
+    found = extra.specimens(task, dataset, fold.number, fold.train, training=0)
+    assert len(found) == len(fold.train) + 4 and extra.table()["extra"][0]["objects"] == 2
+
+
+@pytest.mark.parametrize(("given", "message"), [
+    ({"rule": "same"}, "train is 'same'"), ({"objects": 0.0}, "share_of_objects is 0.0"),
+    ({"touches": 1.5}, "share_of_touches is 1.5")])
+def test_what_cannot_be_is_refused(given, message):
+    with pytest.raises(TaskError, match=message):
+        Training(**given)
+
+
+@pytest.mark.parametrize(("training", "message"), [
+    (Training("same-class", classes={"clog": "slipper"}), "'boot' of the dataset in .* has no class"),
+    (Training(test_views=(7,)), "has none of the views"),
+    (Training("same-class", classes={m: m for m in MODELS}), "no training view for mock-0000-v0")])
+def test_what_the_dataset_lacks_is_said(dataset, task, training, message):
+    with pytest.raises(TaskError, match=message):
+        training.folds(dataset, task.protocol)
+
+
+def test_such_a_result_is_never_ranked(dataset, task, tmp_path):
+    plain = evaluate("toy_methods:FoldMean", task, dataset, check=False)
+    other = evaluate("toy_methods:FoldMean", task, dataset, check=False, training=Training(touches=0.5))
+    assert other.study["share_of_touches"] == 0.5 and plain.study == {}
+    for name, result in (("plain", plain), ("other", other)):
+        result.save(tmp_path / f"{name}.json")
+    assert Result.load(tmp_path / "other.json") == other
+    board = leaderboard.collect(task, [tmp_path])
+    assert [row.rank for row in board.rows] == [1, None] and "a study's" in board.rows[1].mark
+
+
+def test_processes_change_nothing(dataset, task, tmp_path):
+    plain = by_name("toy_methods:FoldMean", task, dataset, out=tmp_path / "one.json")
+    several = by_name("toy_methods:FoldMean", task, dataset, out=tmp_path / "two.json", processes=3)
+    assert several.queries == plain.queries and several.scores == plain.scores
+    assert several.timing["fits"] == plain.timing["fits"] == 4
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["one.json", "two.json"]
+
+
+def test_a_failure_in_a_process_is_a_message_and_the_rest_goes_on(dataset, task, tmp_path):
+    from vsfsim.bench.commands.side_by_side import Evaluation, make
+
+    done = []
+    jobs = [Evaluation(tmp_path / f"{name}.json", f"toy_methods:{name}", task, dataset,
+                       lambda name=name: (tmp_path / f"{name}.txt").write_text("scored"))
+            for name in ("Crashes", "Constant")]
+    for one, message in make(jobs, 2, check=False):
+        done.append((one.path.stem, message))
+    assert dict(done)["Constant"] == "" and "toe" in dict(done)["Crashes"] and len(done) == 2
+    assert (tmp_path / "Constant.txt").is_file() and not (tmp_path / "Crashes.txt").exists()
+    note = json.loads((tmp_path / "Constant.parts" / "fold-00-training-00" / "evaluation.json").read_text())
+    assert note["method"] == "toy_methods:Constant"

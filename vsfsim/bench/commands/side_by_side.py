@@ -1,0 +1,224 @@
+"""Evaluations whose trainings run side by side: every training of every evaluation is a job in a process of its own.
+
+A job keeps its answers in a folder beside the result, and the last job of an evaluation scores them all. A second call
+with the same operands makes only what is missing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+from vsfsim.bench.isolation.limits import Isolation
+from vsfsim.bench.isolation.process import MethodProcess
+from vsfsim.bench.task import Task
+from vsfsim.bench.trials.collect import NOTE, Collector
+from vsfsim.bench.trials.stages import stages
+from vsfsim.bench.trials.training import Training
+from vsfsim.core.errors import Interrupted, MethodError, VsfsimError
+from vsfsim.data.dataset import Dataset
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """One method on one task, to be made."""
+
+    path: Path
+    """Result file."""
+    method: str
+    """Name of an installed method, or module:attribute."""
+    task: Task
+    """The task."""
+    dataset: Dataset
+    """Its dataset."""
+    finish: Callable[[], Any]
+    """Scores the kept answers and writes the result."""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    """Of the method's constructor, over its defaults."""
+    seeds: int | None = None
+    """Draws of the support set, None for the task's own number; with cross-validation, of one training."""
+    training: Training = field(default_factory=Training)
+    """What the method learns from."""
+    isolation: Isolation = field(default_factory=Isolation)
+    """How the method is run."""
+
+    @property
+    def parts(self) -> Path:
+        """Folder of the answers of its jobs, beside the result."""
+        return self.path.with_suffix(".parts")
+
+    def stage_names(self, *, seeded: bool) -> list[str]:
+        """Of all its trainings.
+
+        Args:
+            seeded: the method takes a ``seed``.
+
+        Raises:
+            TaskError: the dataset does not fit the task or the training.
+        """
+        protocol = self.task.protocol
+        runs = protocol.runs(seeded=seeded) if self.seeds is None else tuple(range(self.seeds))
+        folds = self.training.folds(self.dataset, protocol)
+        return list(dict.fromkeys(s.name for s in stages(protocol, folds, runs, seeded=seeded)))
+
+    def make_stage(self, name: str) -> None:
+        """One training and its trials; the answers go into `parts`."""
+        Collector(self.method, dict(self.parameters), self.task, self.dataset, self.seeds, self.isolation,
+                  self.parts / f"{name}.log", self.parts / name, lambda *_: None, False, self.training, name).run()
+
+
+def gather(path: Path) -> str:
+    """Move the answers that jobs kept beside a result into the folder where an evaluation takes them up.
+
+    Args:
+        path: of the result.
+
+    Returns:
+        What the methods printed in these jobs.
+    """
+    parts, part = path.with_suffix(".parts"), path.with_suffix(".part")
+    if not parts.is_dir():
+        return ""
+    printed = []
+    for log in sorted(parts.glob("*.log")):
+        text = log.read_text(errors="replace")
+        printed += [text] if text.strip() else []
+    for note in sorted(parts.glob(f"*/{NOTE}")):
+        if (part / NOTE).is_file() and (part / NOTE).read_bytes() != note.read_bytes():
+            shutil.rmtree(part)  # of other operands; the evaluation decides which are its own
+        part.mkdir(parents=True, exist_ok=True)
+        for file in sorted(note.parent.iterdir()):
+            shutil.move(file, part / file.name)
+    shutil.rmtree(parts, ignore_errors=True)
+    return "".join(printed)
+
+
+@dataclass
+class _Job:
+    """One process's work."""
+
+    of: Evaluation
+    stage: str | None
+    """None for the last one, which scores."""
+
+
+def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = True,
+         progress: Callable[[int, int, str], None] = lambda *_: None) -> Iterator[tuple[Evaluation, str]]:
+    """Make results side by side.
+
+    Args:
+        evaluations: what to make; their results must have different paths.
+        processes: jobs that run at the same time, each with one thread unless the environment says otherwise.
+        check: test each method's contract on mock objects first.
+        progress: called with (jobs done, of how many, what is going on).
+
+    Yields:
+        Each evaluation when it is finished, with "" or the message of its failure.
+
+    Raises:
+        Interrupted: the user has stopped it; finished trainings are kept.
+    """
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")
+    queue: list[_Job] = []
+    left: dict[Path, int] = {}
+    seeded: dict[str, bool] = {}
+    for one in evaluations:
+        try:
+            if one.method not in seeded or check:
+                seeded[one.method] = _looked_at(one, check)
+            names = [n for n in one.stage_names(seeded=seeded[one.method]) if not (one.parts / n / f"{n}.npz").is_file()
+                     and not (one.path.with_suffix(".part") / f"{n}.npz").is_file()]
+        except VsfsimError as error:
+            yield one, str(error)
+            continue
+        left[one.path] = len(names)
+        queue += [_Job(one, name) for name in names] or [_Job(one, None)]
+    yield from _run(queue, left, processes, progress)
+
+
+def _looked_at(one: Evaluation, check: bool) -> bool:
+    """Whether the method takes a ``seed``.
+
+    Raises:
+        MethodError: it is unknown, or breaks its contract.
+    """
+    one.parts.mkdir(parents=True, exist_ok=True)
+    with MethodProcess(one.method, one.parameters, one.isolation, one.parts / "check.log") as process:
+        failed = process.check() if check else []
+        if failed:
+            raise MethodError(f"{one.method} does not keep the contract of a method: "
+                              + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
+                              + f" `vsfsim check {one.method}` tests all of it.")
+        return process.description.seeded
+
+
+def _run(queue: list[_Job], left: dict[Path, int], processes: int,
+         progress: Callable[[int, int, str], None]) -> Iterator[tuple[Evaluation, str]]:
+    context = multiprocessing.get_context("fork")
+    running: dict[Connection, tuple[_Job, BaseProcess]] = {}
+    failed: set[Path] = set()
+    total, done = len(queue) + sum(n > 0 for n in left.values()), 0
+    try:
+        while queue or running:
+            while queue and len(running) < processes:
+                job = queue.pop(0)
+                if job.of.path in failed:
+                    done += 1
+                    continue
+                mine, theirs = context.Pipe(duplex=False)
+                child: BaseProcess = context.Process(target=_work, args=(job, theirs))
+                child.start()
+                theirs.close()
+                running[mine] = job, child
+            for ready in wait(list(running)):
+                assert isinstance(ready, Connection)
+                job, child = running.pop(ready)
+                try:
+                    message = ready.recv()
+                except EOFError:
+                    message = f"a process of {job.of.path.name} ended without a word (exit code {child.exitcode})."
+                ready.close()
+                child.join()
+                done += 1
+                progress(done, total, f"{job.of.path.stem} {job.stage or 'scored'}")
+                left[job.of.path] -= job.stage is not None
+                if job.of.path in failed:
+                    continue
+                if message or job.stage is None:
+                    failed |= {job.of.path} if message else set()
+                    yield job.of, message
+                elif left[job.of.path] == 0:
+                    queue.insert(0, _Job(job.of, None))
+    except KeyboardInterrupt:
+        raise Interrupted("interrupted; finished trainings are kept. Run the same command again to go on.") from None
+    finally:
+        for _, child in running.values():
+            child.terminate()
+        for _, child in running.values():
+            child.join()
+
+
+def _work(job: _Job, answer: Connection) -> None:
+    """In the child: do the job and send "" or what went wrong."""
+    with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
+        try:
+            if job.stage is None:
+                job.of.finish()
+            else:
+                job.of.parts.mkdir(parents=True, exist_ok=True)
+                job.of.make_stage(job.stage)
+            answer.send("")
+        except VsfsimError as error:
+            answer.send(str(error))
+    answer.close()
