@@ -24,7 +24,7 @@ METHOD = "point-vsf"
 """The row that is scored again. It learns nothing from training objects, so one test object is all that it needs."""
 
 TOLERANCE = 1e-3
-"""Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard._SAME_READINGS)."""
+"""Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard.SAME_READINGS)."""
 
 SLOW = {"inclusion-mini-v2", "localization-mini-v2"}
 """Tasks without cross-validation whose view takes more than ten seconds of a core with all of its touches."""

@@ -23,7 +23,7 @@ from vsfsim.core.plain_text import plain
 from vsfsim.core.shelf import folder
 from vsfsim.core.text_table import text_table
 
-_SAME_READINGS = 1e-3
+SAME_READINGS = 1e-3
 """Datasets whose readings differ by less, by `result.readings_apart`, count as the same dataset made on a machine with
 other rounding: an error changes by about that fraction of the readings at most. Rounding alone gives 1e-8 where a touch
 has a unique equilibrium; other seeds, scenes or physics differ by tens of per cent."""
@@ -74,7 +74,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     Scores are computed again from the rows of a result (`vsfsim.bench.admission`). A result that may not be ranked is
     shown with the reason. The board's dataset is that of the task's record; without one, it is the one that the task
     names, else that of most shipped results (of most results, if none ships), and one with other bits is the same if
-    its readings are (`_SAME_READINGS`). Equal results are one row.
+    its readings are (`SAME_READINGS`). Equal results are one row.
 
     Raises:
         TaskError: a file is not a result, or is a result of another task.
@@ -124,7 +124,7 @@ def _over_objects(task: Task) -> bool:
 def _far_apart(result: Result, known: Mapping[str, list]) -> str:
     """Why a result on other bits is not ranked where the task has no record, or ""."""
     apart = readings_apart(result.readings, known)
-    if apart is not None and apart < _SAME_READINGS:
+    if apart is not None and apart < SAME_READINGS:
         return ""
     difference = "" if apart is None else f", its readings are {100.0 * apart:.2g} % off"
     return f"other dataset ({result.dataset_sha256[:12]}{difference})"
@@ -147,7 +147,7 @@ def _is_same(result: Result, before: Result) -> bool:
     if result.dataset_sha256 == before.dataset_sha256:
         return repr(result.scores) == repr(before.scores)
     apart = readings_apart(result.readings, before.readings)
-    if apart is None or not apart < _SAME_READINGS or result.scores.keys() != before.scores.keys():
+    if apart is None or not apart < SAME_READINGS or result.scores.keys() != before.scores.keys():
         return False
     names = [metric.name for metric in metrics_of(Answer.READINGS) if metric.name in result.scores]
     pairs = [pair for name in names for shot, score in result.scores[name].items()

@@ -15,7 +15,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from vsfsim.cli import bench, data, info, measure, simulate, stability
+from vsfsim.cli import bench, data, info, measure, simulate, stability, study
 from vsfsim.core.errors import Interrupted, VsfsimError, did_you_mean
 from vsfsim.core.extras import missing
 
@@ -43,7 +43,7 @@ What this machine has, and what is missing:
 """, epilog="Exit codes: 0 success, 1 a bug in vsfsim, 2 a mistake in the input, 3 a press that did not converge, "
                          "130 interrupted.")
 
-for group in (simulate, data, bench, info, stability):
+for group in (simulate, data, bench, study, info, stability):
     app.add_typer(group.app)  # without a name: its commands are the app's own
 app.add_typer(measure.app, name="measure")
 app.add_typer(measure.app, name=measure.OLD_NAME, hidden=True)

@@ -12,11 +12,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from vsfsim.bench.board.compare import TOLD_APART, ByObject, Paired, interval, paired, ratios
+from vsfsim.bench.board.compare import TOLD_APART, ByObject, Paired, by_object, interval, paired
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.metrics import METRICS
-from vsfsim.bench.reading_metrics import object_of
-from vsfsim.bench.trials.rows import as_rows
 from vsfsim.core.text_table import text_table
 
 HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
@@ -148,7 +146,8 @@ def _judge(claim: Claim, board: Board | None, preset: str) -> Verdict:
     missing = [command_for(side.method, claim.task, preset) for side, row in sides if row is None]
     if missing:
         return Verdict(claim, UNTOLD, "no result", None, tuple(dict.fromkeys(missing)))
-    values = [_by_object(row, claim.metric, side.shot) for side, row in sides if row is not None]
+    values = [(row.objects.get(side.shot) if claim.metric == "rmse_ratio" else None)
+              or by_object(row.result, claim.metric, side.shot) for side, row in sides if row is not None]
     commands = tuple(dict.fromkeys(f"{command_for(row.result.method, claim.task, row.result.preset)} ({row.path.name})"
                                    for _, row in sides if row is not None))
     if not all(values):
@@ -167,18 +166,6 @@ def _row(board: Board | None, method: str, preset: str) -> Row | None:
     """The ranked row of a method with a preset, else without one."""
     rows = [row for row in board.rows if row.rank and row.result.method == method] if board is not None else []
     return next((row for wanted in (preset, "") for row in rows if row.result.preset == wanted), None)
-
-
-def _by_object(row: Row, metric: str, shot: str) -> ByObject:
-    """A metric of each object, mean over runs."""
-    if metric == "rmse_ratio":
-        return row.objects.get(shot) or ratios(row.result, shot)
-    answer = METRICS[metric].answer.value
-    found: dict[str, list[float]] = {}
-    for one in as_rows(row.result.answers.get(answer, {})) if answer in row.result.answers else ():
-        if one["shot"] == shot and one.get(metric) is not None:
-            found.setdefault(object_of(one["object"]), []).append(one[metric])
-    return {name: sum(v) / len(v) for name, v in found.items()}
 
 
 def _written(values: ByObject) -> str:

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.reading_metrics import object_of, object_ratios
 
 TOLD_APART = 2.0
@@ -29,6 +30,14 @@ class Scored(Protocol):
 
     def rows(self) -> list[dict[str, Any]]:
         """The same as rows, each beside what predicting zero errs."""
+
+
+class Answered(Scored, Protocol):
+    """The same with what else was answered."""
+
+    @property
+    def answers(self) -> Mapping[str, Mapping[str, list]]:
+        """Columns by the name of the answer."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +86,24 @@ def absolute(result: Scored, shot: str, *, scale: float = 1.0) -> dict[str, floa
         if at == shot:
             sums.setdefault(object_of(name), []).append(math.sqrt(sse / n))
     return {name: scale * math.fsum(values) / len(values) for name, values in sums.items()}
+
+
+def by_object(result: Answered, metric: str, shot: str) -> dict[str, float]:
+    """A metric of each object, mean over runs, by the object's name; {} where the result does not hold it.
+
+    Args:
+        result: of any task. metric: a key of `vsfsim.bench.metrics.METRICS`. shot: label.
+    """
+    if metric == "rmse_ratio":
+        return ratios(result, shot)
+    if metric == "rmse":
+        return absolute(result, shot)
+    rows = result.answers.get(METRICS[metric].answer.value, {})
+    found: dict[str, list[float]] = {}
+    for name, at, value in zip(*(rows.get(key, ()) for key in ("object", "shot", metric)), strict=True):
+        if at == shot and value is not None:
+            found.setdefault(object_of(name), []).append(value)
+    return {name: math.fsum(v) / len(v) for name, v in found.items()}
 
 
 def paired(one: ByObject, other: ByObject) -> Paired:

@@ -126,9 +126,7 @@ class Training:
         Raises:
             TaskError: it names none, or one without a class.
         """
-        tree: Any = tomllib.loads(dataset.recipe.scene_text)
-        for key in ("object", "shape", "model", "each"):
-            tree = tree.get(key, {}) if isinstance(tree, dict) else {}
+        tree = models_of(dataset.recipe.scene_text)
         if not tree:
             raise TaskError(f"the scene of the dataset in {dataset.path} names no models ([object.shape] model = "
                             f"{{ each = [...] }}), so its objects have no classes.")
@@ -168,6 +166,14 @@ class Training:
 
 PLAIN = Training()
 """What the task says."""
+
+
+def models_of(scene_text: str) -> list[str]:
+    """The models that a scene names one after the other for its objects; [] if it names none."""
+    tree: Any = tomllib.loads(scene_text)
+    for key in ("object", "shape", "model", "each"):
+        tree = tree.get(key, {}) if isinstance(tree, dict) else {}
+    return [str(model) for model in tree]
 
 
 def _order(count: int, seed: int, key: tuple[int, ...]) -> list[int]:

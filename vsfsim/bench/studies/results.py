@@ -1,0 +1,168 @@
+"""The results of a study's variants: where they lie, whether they are what is asked, and how they are made."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from vsfsim.bench import leaderboard
+from vsfsim.bench.board.compare import ByObject, by_object
+from vsfsim.bench.commands.evaluate import finish
+from vsfsim.bench.commands.side_by_side import Evaluation, make
+from vsfsim.bench.metrics import Answer
+from vsfsim.bench.result import Result
+from vsfsim.bench.studies.study import Study, Variant
+from vsfsim.bench.task import Task
+from vsfsim.bench.trials.training import models_of
+from vsfsim.core.errors import TaskError, VsfsimError
+from vsfsim.core.shelf import folder, scenes
+
+MADE = Path("results")
+
+
+@dataclass(frozen=True)
+class Found:
+    """The result of a variant."""
+
+    variant: Variant
+    """The variant."""
+    result: Result
+    """Its result."""
+    path: Path
+    """Its file."""
+    objects: frozenset[str] | None
+    """Names of the objects that count, None for all."""
+
+    def values(self, metric: str, shot: str) -> ByObject:
+        """A metric of each object that counts, mean over runs; {} where the result does not hold it."""
+        found = by_object(self.result, metric, shot)
+        return {name: v for name, v in found.items() if self.objects is None or name in self.objects}
+
+
+def stored(study: Study, size: str, variants: Sequence[Variant] | None = None) -> dict[str, Found]:
+    """The variants that have a result, made here or shipped, by name.
+
+    A row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of other
+    settings, does not count.
+
+    Args:
+        study: the study. size: of its tasks. variants: of it, None for all.
+    """
+    out = {}
+    for variant in variants if variants is not None else study.variants:
+        try:
+            task = study.task_of(variant, size)
+            found = _row(study, variant, task) if study.is_row(variant) else _file(study, variant, task)
+            if found is not None:
+                out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
+        except TaskError:
+            continue  # the study has no such size, or a file is damaged
+    return out
+
+
+def _file(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | None:
+    name = f"{study.stem(variant)}.json"
+    for root in (MADE / "studies", folder("leaderboard") / "studies"):
+        path = root / task.name / name
+        if path.is_file():
+            result = Result.load(path)
+            if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels:
+                return path, result
+    return None
+
+
+def _row(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | None:
+    made = MADE / task.name
+    board = leaderboard.collect(task_of_board(task), [made] if made.is_dir() else [])
+    return next(((row.path, row.result) for row in board.rows if row.rank is not None and (
+        row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
+
+
+def task_of_board(task: Task) -> Task:
+    """The task as its file says, without the study's shots and runs."""
+    from vsfsim.bench.task import load_task
+
+    return load_task(task.name)
+
+
+def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | None:
+    """Names of the objects of the variant's class."""
+    if not variant.only:
+        return None
+    models = models_of(scenes()[task.dataset.scene].read_text(encoding="utf-8"))
+    return frozenset(f"{task.dataset.scene}-{k:04d}" for k in range(task.dataset.objects)
+                     if models and study.classes.get(models[k % len(models)]) == variant.only)
+
+
+def evaluation(study: Study, variant: Variant, size: str) -> Evaluation:
+    """What makes the result of a variant.
+
+    Raises:
+        VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
+    """
+    task = study.task_of(variant, size)
+    row = study.is_row(variant)
+    if row:
+        task = task_of_board(task)
+    dataset, choice = study.dataset_of(variant, task), study.choice(variant, task)
+    training = study.training(variant, task, size)
+    if row:
+        path = MADE / task.name / f"{choice.stem}.json"
+    else:
+        path = MADE / "studies" / task.name / f"{study.stem(variant)}.json"
+    work = partial(_finish, choice.method, task, dataset, path, not row, parameters=choice.parameters,
+                   preset=choice.preset, training=training, check=False)
+    return Evaluation(path, choice.method, task, dataset, work, choice.parameters, None, training)
+
+
+def _finish(method: str, task: Task, dataset, path: Path, slim: bool, **options) -> None:
+    result = finish(method, task, dataset, path, **options)
+    if slim:  # tables and claims need no calibration and no maps
+        answers = {name: rows for name, rows in result.answers.items() if name != Answer.READING_STD.value}
+        slimmer = dataclasses.replace(result, answers=answers, maps={})
+        dataclasses.replace(slimmer, scores=slimmer.computed()).save(path)
+
+
+def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
+                 progress: Callable[[int, int, str], None] = lambda *_: None) -> Iterator[tuple[str, str]]:
+    """Make the results of some variants that are not there, several trainings at a time.
+
+    Args:
+        wanted: variants with their studies. size: of the tasks. processes: trainings at a time. progress: called with
+        (done, of how many, what is going on).
+
+    Yields:
+        "study, variant" and "" or the message of a failure, as they are ready.
+
+    Raises:
+        Interrupted: the user has stopped it.
+    """
+    jobs: dict[Path, tuple[str, Evaluation]] = {}
+    for study, variant in wanted:
+        if variant.name in stored(study, size, [variant]):
+            continue
+        name = f"{study.name}, {variant.name}"
+        try:
+            one = evaluation(study, variant, size)
+        except VsfsimError as error:
+            yield name, str(error)
+            continue
+        jobs.setdefault(one.path, (name, one))
+    for one, message in make([one for _, one in jobs.values()], processes, check=False, progress=progress):
+        yield jobs[one.path][0], message
+
+
+def differences(found: Mapping[str, Found], metric: str) -> list[str]:
+    """Names of variants whose query readings are not those of the first one, which is no paired comparison."""
+    from vsfsim.bench.result import readings_apart
+
+    names = list(found)
+    out = []
+    for name in names[1:]:
+        apart = readings_apart(found[name].result.readings, found[names[0]].result.readings)
+        if apart is not None and apart > leaderboard.SAME_READINGS:
+            out.append(name)
+    return out

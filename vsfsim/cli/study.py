@@ -1,0 +1,72 @@
+"""`vsfsim study`: the papers' tables that compare training sets, settings, views and objects."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from vsfsim.cli.console import Progress, report
+from vsfsim.cli.options import JsonFile, check_choice
+
+app = typer.Typer()
+
+
+def _complete(incomplete: str) -> list[str]:
+    from vsfsim.bench.studies.study import studies
+
+    return [name for name in studies() if name.startswith(incomplete)]
+
+
+@app.command()
+def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", autocompletion=_complete,
+                                                            help="Of a study, or the path of its .toml file; may be "
+                                                                 "given again. Without it, the studies are listed.")
+                           ] = None,
+          every: Annotated[bool, typer.Option("--all", help="All studies that ship.")] = False,
+          size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size.")
+                          ] = "mini",
+          workers: Annotated[int, typer.Option(min=1, help="Trainings that run at the same time, of all variants.")
+                             ] = 1,
+          variant: Annotated[list[str] | None, typer.Option(help="Make this variant only; may be given again.")
+                             ] = None,
+          show: Annotated[bool, typer.Option("--show", help="Print what is stored and make nothing.")] = False,
+          json: JsonFile = None) -> None:
+    """Make a table of the papers: the variants of one evaluation, compared object by object.
+
+    What is there already is kept, and the same command goes on after an interruption. Results go to results/studies.
+    """
+    from vsfsim.bench.studies import report as tables
+    from vsfsim.bench.studies.results import make_missing, stored
+    from vsfsim.bench.studies.study import SIZES, load_study, studies
+    from vsfsim.core.errors import TaskError
+
+    check_choice("--size", size, SIZES)
+    known = [load_study(name) for name in (studies() if every else names or [])]
+    if not known:
+        listed = [load_study(name) for name in studies()]
+        width = 2 + max(len(one.name) for one in listed)
+        report("\n".join(f"{one.name:<{width}}{one.title} ({one.source})" for one in listed),
+               [{"study": one.name, "title": one.title, "source": one.source,
+                 "variants": [v.name for v in one.variants], "tasks": dict(one.tasks)} for one in listed], json)
+        return
+    wanted = [(one, v) for one in known if not one.command and (size in one.tasks or not one.tasks)
+              for v in ([one.variant(name) for name in variant] if variant else one.variants)]
+    failed = []
+    if not show:
+        quiet = str(json) == "-"
+        with Progress("study") as progress:
+            for name, message in make_missing(wanted, size, workers, progress):
+                failed += [(name, message)] if message else []
+                if not quiet:
+                    print(f"{name}: {message or 'made'}", flush=True)
+    pages, numbers = [], []
+    for one in known:
+        found = stored(one, size)
+        pages.append(tables.text(one, size, found))
+        numbers.append(tables.table(one, size, found))
+    report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)
+    if failed:
+        first, message = failed[0]
+        more = f" {len(failed) - 1} more could not be made, either." if len(failed) > 1 else ""
+        raise TaskError(f"{first}: {message}{more}")
