@@ -7,6 +7,12 @@ shell), so the wall of thickness w has the modulus E t^2 / w^2 of a load-bearing
 indentations is then that of the sheet; its membrane stiffness E t is too small by the factor t / w, which shows where a
 wall is indented by more than its thickness.
 
+A lined wall bends less than its sheet alone, because a lining of E_l t_l = 3 kN/m (cotton or polyester of 0.3 mm) lies
+at a distance h behind it, with padding between them. Its bending stiffness is that of a sandwich,
+D = E t^3 / 12 + s h^2 / (1 / (E t) + 1 / (E_l t_l)), where s = 0.7 is left of the second term by the shear of the
+padding (G h of 0.1 kN/m, panels of 60 mm). By the formula for a curved wall, which is 8 sqrt(D E t) / R, the modulus of
+the wall is then sqrt(12 D E t) / w^2.
+
 Moduli, thicknesses and densities marked [S] have a source that states them. The others are estimates for the kind of
 material; no public measurement of them was found.
 """
@@ -49,6 +55,8 @@ class Material:
     """Bounds of the texture's wavelength [m]."""
     contrast: tuple[float, float]
     """Bounds of the texture's relative amplitude [-]."""
+    lining: float = 0.0
+    """Distance h of the lining behind the sheet [m]; 0 for none."""
 
 
 _BROWNS = ((0.24, 0.09, 0.03), (0.34, 0.16, 0.06), (0.12, 0.05, 0.03), (0.05, 0.04, 0.04))
@@ -59,19 +67,26 @@ _BLACKS = ((0.035, 0.035, 0.04), (0.07, 0.065, 0.06))
 
 MATERIALS: dict[str, Material] = {
     # knits of 1.0 to 1.8 mm
-    "knit": Material((2e6, 6e6), (0.0010, 0.0018), 0.30, 350.0, None, _BRIGHT, "weave", (0.007, 0.011), (0.55, 0.85)),
+    "knit": Material((2e6, 6e6), (0.0010, 0.0018), 0.30, 350.0, None, _BRIGHT, "weave", (0.007, 0.011), (0.55, 0.85),
+                     lining=0.003),
     # a sandwich mesh of 2 to 4 mm, of which 0.6 to 1 mm bears load
-    "mesh": Material((15e6, 30e6), (0.0007, 0.0010), 0.30, 400.0, None, _GREYS, "weave", (0.004, 0.006), (0.40, 0.65)),
+    "mesh": Material((15e6, 30e6), (0.0007, 0.0010), 0.30, 400.0, None, _GREYS, "weave", (0.004, 0.006), (0.40, 0.65),
+                     lining=0.002),
     "nylon": Material((150e6, 350e6), (0.0003, 0.0005), 0.35, 600.0, None, _GREYS, "stripes", (0.005, 0.009),
-                      (0.15, 0.30)),
-    "felt": Material((1e6, 4e6), (0.0020, 0.0030), 0.20, 250.0, None, _GREYS, "noise", (0.006, 0.012), (0.30, 0.50)),
+                      (0.15, 0.30),
+                     lining=0.002),
+    "felt": Material((1e6, 4e6), (0.0020, 0.0030), 0.20, 250.0, None, _GREYS, "noise", (0.006, 0.012), (0.30, 0.50),
+                     lining=0.003),
     "suede": Material((12e6, 35e6), (0.0012, 0.0016), 0.40, 700.0, None, ((0.36, 0.24, 0.13), *_GREYS), "noise",
-                      (0.014, 0.024), (0.15, 0.30)),
+                      (0.014, 0.024), (0.15, 0.30),
+                     lining=0.0025),
     # the low modulus of the first strains, 5 to 20 MPa, is documented (Upstone and Ward) [S]; 30 to 100 MPa after them
     "leather": Material((30e6, 80e6), (0.0012, 0.0016), 0.40, 850.0, None, (*_WHITES, *_BLACKS), "grain",
-                        (0.006, 0.010), (0.12, 0.25)),
+                        (0.006, 0.010), (0.12, 0.25),
+                     lining=0.002),
     "boot-leather": Material((40e6, 90e6), (0.0018, 0.0024), 0.40, 900.0, None, _BROWNS, "grain", (0.009, 0.014),
-                             (0.25, 0.45)),
+                             (0.25, 0.45),
+                     lining=0.002),
     # toe puff and heel counter: thermoplastic of 0.8 to 1.8 mm
     "thermoplastic": Material((150e6, 500e6), (0.0010, 0.0016), 0.40, 1000.0, None, (*_BLACKS, *_GREYS), "seams",
                               (0.012, 0.018), (0.35, 0.60)),
@@ -99,13 +114,20 @@ MATERIALS: dict[str, Material] = {
 """Materials by name."""
 
 
-def modulus_of(name: str, wall: float, share: Sequence[float] | np.ndarray) -> float:
+LINING = 3e3
+"""Young's modulus times thickness of a lining [N/m]; an estimate, as are the distances."""
+SANDWICH = 0.7
+"""Fraction of a sandwich's bending stiffness that the shear of the padding leaves [-]."""
+
+
+def modulus_of(name: str, wall: float, share: Sequence[float] | np.ndarray, *, lined: bool = False) -> float:
     """Modulus [Pa] of a wall of thickness ``wall`` [m] of material ``name``, see the head of this file.
 
     Args:
         name: key of `MATERIALS`.
         wall: thickness of the wall [m].
         share: where modulus and sheet thickness lie within their bounds (2,), 0 to 1.
+        lined: with the lining that the material has; False: the sheet alone.
     """
     own = MATERIALS[name]
     low, high = np.log(own.young_modulus)
@@ -113,7 +135,11 @@ def modulus_of(name: str, wall: float, share: Sequence[float] | np.ndarray) -> f
     if own.sheet is None:
         return modulus
     sheet = own.sheet[0] + share[1] * (own.sheet[1] - own.sheet[0])
-    return modulus * float(sheet / wall)**2
+    if not lined or not own.lining:
+        return modulus * float(sheet / wall)**2
+    tension = modulus * sheet
+    bending = tension * sheet**2 / 12.0 + SANDWICH * own.lining**2 / (1.0 / tension + 1.0 / LINING)
+    return float(np.sqrt(12.0 * bending * tension)) / wall**2
 
 
 def law_of(name: str) -> Law:

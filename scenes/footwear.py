@@ -23,7 +23,7 @@ WALL = 0.006
 """Thickness of an upper with its padding and lining [m]."""
 OUTSOLE = 0.005
 """Thickness of the outsole [m]."""
-_OWN = ("model", "style", "side", "variation", "appearance_informative")
+_OWN = ("model", "style", "side", "variation", "appearance_informative", "lined")
 
 
 def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution: float, where: str) -> Solid:
@@ -32,7 +32,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     Args:
         parameters: `model`, the lengths of `vsfsim.scenes._shoe_styles.RANGES`, and `style`, `side`, `variation` and
             `appearance_informative` as of the family `shoe`. `style` counts for a random shoe only. The last is 1 for a
-            named shoe and 0.9 for a random one where it is not given.
+            named shoe and 0.9 for a random one where it is not given. `lined` true gives walls the bending stiffness of
+            sheet and lining; false, which is the default, that of the sheet alone.
         rng: random stream of form, materials, moduli and appearance, in this order.
         resolution: size of a cell along the surface [m], limited to 3 walls; walls are one cell thick, the sole two.
         where: file and section, for error messages.
@@ -53,7 +54,10 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
                          f"model = \"random\".")
     own = MODELS.get(name)
     style = own.style if own else parameters.get("style", "sneaker")
-    given = {key: value for key, value in parameters.items() if key != "model"}
+    given = {key: value for key, value in parameters.items() if key not in ("model", "lined")}
+    lined = parameters.get("lined", False)
+    if not isinstance(lined, bool):
+        raise SceneError(f"{where}: lined is {lined!r}; it is true or false.")
     # A named shoe looks as its model says; a random one has a part in ten that looks like another material.
     usual = {"wall": WALL, "appearance_informative": 1.0 if own else 0.9, **(own.form if own else {})}
     form, options = read_parameters({**usual, **given, "style": style}, rng, where)
@@ -65,7 +69,8 @@ def build(parameters: Mapping[str, Any], rng: np.random.Generator, *, resolution
     shares: dict[str, np.ndarray] = {}
     for part in PARTS:
         shares.setdefault(materials[part], rng.uniform(size=2))
-    modulus = np.array([modulus_of(materials[part], walls[part], shares[materials[part]]) for part in PARTS])
+    modulus = np.array([modulus_of(materials[part], walls[part], shares[materials[part]], lined=lined)
+                        for part in PARTS])
     every = tuple(MATERIALS)
     looks = []
     for part in PARTS:

@@ -71,6 +71,26 @@ def test_a_wall_has_the_point_stiffness_of_its_sheet() -> None:
     assert 10e3 < stiffness("thermoplastic", 0.0) < stiffness("thermoplastic", 1.0) < 93e3
 
 
+def test_a_lined_wall_has_the_bending_stiffness_of_a_sandwich() -> None:
+    wall, share = 0.006, (0.5, 0.5)
+    for name, material in MATERIALS.items():
+        bare, lined = modulus_of(name, wall, share), modulus_of(name, wall, share, lined=True)
+        assert (lined > bare) == (material.lining > 0.0) and lined >= bare
+    # a knit of 3.46 MPa and 1.4 mm: D = E t^3 / 12 + 0.7 h^2 / (1 / E t + 1 / 3000), and the wall has sqrt(12 D E t)
+    tension = math.sqrt(2e6 * 6e6) * 0.0014
+    bending = tension * 0.0014**2 / 12.0 + 0.7 * 0.003**2 / (1.0 / tension + 1.0 / 3000.0)
+    assert modulus_of("knit", wall, share, lined=True) == pytest.approx(math.sqrt(12.0 * bending * tension) / wall**2)
+    # a lining far stiffer than the sheet cannot bend less than both faces of a sandwich do without shear
+    assert modulus_of("knit", wall, share, lined=True) < math.sqrt(12.0 * tension**2 * (0.0014**2 / 12 + 0.003**2)) / (
+        wall**2)
+    soft, firm = make(2, model="knit-runner"), make(2, model="knit-runner", lined=True)
+    assert np.array_equal(soft.vertices, firm.vertices)
+    ratio = firm.young_modulus / soft.young_modulus
+    for part in ("sole", "tongue", "heel_counter", "outsole"):
+        assert ratio[PARTS.index(part)] == 1.0
+    assert 2.5 < ratio[PARTS.index("upper")] < 7.0, "thin soft knits gain most"
+
+
 def test_parts_of_one_material_are_of_one_sheet_and_the_seed_decides() -> None:
     felt = make(3, model="felt-slipper")
     own = [felt.young_modulus[PARTS.index(part)] for part in ("toe_cap", "upper", "heel_counter")]
@@ -138,6 +158,8 @@ def test_refusals() -> None:
         make(modl="work-boot")
     with pytest.raises(SceneError, match=r"cells of 0.004 to 0.03 m"):
         make(resolution=0.1)
+    with pytest.raises(SceneError, match="lined is 1; it is true or false"):
+        make(lined=1)
 
 
 def test_an_entry_of_each_follows_the_number_of_the_object() -> None:
