@@ -10,7 +10,7 @@ from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import load_task
 
-TASK = "fewshot-shoes-v2-mini-v1"
+TASK = "fewshot-shoes-v2-mini-v2"
 
 
 def row(method, values, preset="tuned"):
