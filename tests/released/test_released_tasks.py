@@ -70,8 +70,9 @@ def released(request, tmp_path_factory):
         return task, shipped, writer.finish()
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name.startswith("fewshot-shoes") else pytest.mark.slow)
-                                  for name in RELEASED if name.endswith("-mini-v2") and "localization" not in name])
+@pytest.mark.parametrize("name", [
+    pytest.param(name, marks=() if name.startswith("fewshot-shoes") else pytest.mark.slow)
+    for name in RELEASED if name.endswith("-mini-v2") and "localization" not in name])
 def test_the_earliest_query_touch_is_made_again(name):
     """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and
     2e-13 on the linear slabs."""
