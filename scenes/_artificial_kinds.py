@@ -215,6 +215,8 @@ class Options:
     """Largest number of segments of petioles and blades; the plant has only as many leaves as this allows."""
     segment: float
     """Least length of the segments of stems and branches [m]."""
+    yields: bool
+    """Whether wires yield; they are elastic otherwise."""
 
 
 def read_options(parameters: Mapping[str, Any], where: str) -> Options:
@@ -234,8 +236,11 @@ def read_options(parameters: Mapping[str, Any], where: str) -> Options:
     number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
         ("variation", 0.1, 0.0, 0.5), ("wood_segments", 160, 10, 1000), ("leaf_segments", 260, 0, 2000),
         ("segment", 0.025, 0.002, 0.1))}
+    yields = parameters.get("yields", False)
+    if not isinstance(yields, bool):
+        raise SceneError(f"{where}: yields is {yields!r}; it must be true or false.")
     return Options(plant, number["variation"], int(number["wood_segments"]), int(number["leaf_segments"]),
-                   number["segment"])
+                   number["segment"], yields)
 
 
 def name_of(options: Options, pick: int, number: int) -> str:

@@ -12,6 +12,9 @@ ratio d / D varies by a few percent from part to part: thickness tells most of t
 Where the budget of segments has no room for all leaves, each leaf that grows stands for several that move together: its
 petiole and its blade have their bending stiffness, so the foliage as a whole pushes back as all leaves would.
 
+A wire of diameter d yields at the plastic moment s_y d^3 / 6 of a round section, and the sheath stays elastic. Wood and
+the pot's filling do not yield.
+
 Every stem stands in the pot on a joint, a segment of 10 mm whose bending stiffness E I / L is the rotational stiffness
 of the pot's filling. Stems and branches, and petioles and blades, have a budget of segments each.
 """
@@ -55,6 +58,8 @@ E_SHEET = (2.0e8, 6.0e8)
 """Bounds of Young's modulus of a leaf's sheet, polyethylene, log-uniform for each plant [Pa]."""
 E_WOOD = (6.0e9, 1.0e10)
 """Bounds of Young's modulus of a dry natural-wood trunk, log-uniform for each plant [Pa]."""
+YIELD_STRESS = 3.0e8
+"""At which the wire yields, soft steel of 250 to 400 MPa [Pa]."""
 _WIRE_SPREAD = 0.05
 """Standard deviation of ln of the wire's diameter over the outer one, from part to part [-]."""
 _GOLDEN = 2.399963
@@ -91,7 +96,7 @@ def grow(parameters: Mapping[str, Any], rng: np.random.Generator, *, where: str,
         nodes, np.array(tree.parent), np.array(tree.radius), np.array(tree.half_width), np.array(tree.normal),
         np.array(tree.modulus), np.full(len(nodes), _DENSITY), region, REGIONS, look=np.array(tree.axis),
         appearance=_appearance(tree, kind, rng), pot=Pot(kind.pot[0], 0.75 * kind.pot[0], kind.pot[1]),
-        wire=np.array(tree.wire), name=name,
+        wire=np.array(tree.wire), yielding=np.array(tree.core) if options.yields else None, name=name,
         notes=(f"{name}: {count[TRUNK] + count[BRANCH]} segments of wood, {count[PETIOLE] + count[LEAF]} of "
                f"{tree.leaves} leaves (each stands for {tree.each:.1f}), {nodes[:, 2].max():.2f} m high.",))
 
@@ -127,6 +132,7 @@ class _Tree:
         self.nodes = [np.array([0.0, 0.0, kind.pot[1] - _JOINT_LENGTH])]
         self.parent, self.radius, self.half_width, self.normal = [-1], [0.01], [0.0], [np.zeros(3)]
         self.modulus, self.region, self.axis, self.wire = [1e9], [JOINT], [0], [0.0]
+        self.core = [(0.0, 0.0)]  # E I of the wires of each segment, and the moment at which they yield
         self.axes: list[int] = [JOINT]  # region of each axis
         self.leaves, self.each = 0, 1.0
         self.step = self._step()
@@ -165,7 +171,8 @@ class _Tree:
         self._add_leaves(bearers, kind.leaves)
 
     def _node(self, parent: int, place: np.ndarray, radius: float, region: int, modulus: float, axis: int,
-              half_width: float = 0.0, normal: np.ndarray | None = None, wire: float = 0.0) -> int:
+              half_width: float = 0.0, normal: np.ndarray | None = None, wire: float = 0.0,
+              core: tuple[float, float] = (0.0, 0.0)) -> int:
         self.nodes.append(place)
         self.parent.append(parent)
         self.radius.append(radius)
@@ -175,6 +182,7 @@ class _Tree:
         self.modulus.append(modulus)
         self.axis.append(axis)
         self.wire.append(wire)
+        self.core.append(core)
         return len(self.nodes) - 1
 
     def _new_axis(self, region: int) -> int:
@@ -197,7 +205,7 @@ class _Tree:
             outer = stalk.diameter * (1.0 - (1.0 - stalk.taper) * (k + 0.5) / count)
             several = self.each if region == PETIOLE else 1.0
             at = self._node(at, place, 0.5 * outer, region, several * round_modulus(outer, wire, self.wood), axis,
-                            wire=wire if region != PETIOLE else 0.0)
+                            wire=wire if region != PETIOLE else 0.0, core=wire_core(min(wire, outer), several))
             out.append(at)
         return out
 
@@ -256,7 +264,8 @@ class _Tree:
             normal /= np.linalg.norm(normal)
             local = width * math.sin(math.pi * (0.12 + 0.76 * (k + 0.5) / parts))
             modulus = self.each * blade_modulus(local, thickness, wire, self.sheet)
-            at = self._node(at, place, 0.5 * thickness, LEAF, modulus, axis, 0.5 * local, normal)
+            at = self._node(at, place, 0.5 * thickness, LEAF, modulus, axis, 0.5 * local, normal,
+                            core=wire_core(wire, self.each))
 
 
 def round_modulus(outer: float, wire: float, wood: float) -> float:
@@ -266,6 +275,12 @@ def round_modulus(outer: float, wire: float, wood: float) -> float:
         return wood
     share = (min(wire, outer) / outer) ** 4
     return E_STEEL * share + E_SHEATH * (1.0 - share)
+
+
+def wire_core(diameter: float, count: float) -> tuple[float, float]:
+    """Bending stiffness [N m^2] of ``count`` steel wires of a ``diameter`` [m] that bend side by side, and the moment
+    at which they yield, their plastic moment [N m]; zeros where there is no wire."""
+    return count * E_STEEL * math.pi * diameter**4 / 64.0, count * YIELD_STRESS * diameter**3 / 6.0
 
 
 def blade_modulus(width: float, thickness: float, wire: float, sheet: float) -> float:

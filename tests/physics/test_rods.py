@@ -295,11 +295,12 @@ def _derivatives(place: wp.array(dtype=wp.vec3d), turn: wp.array(dtype=wp.quatd)
     s = strain(place[2 * b], turn[2 * b], place[2 * b + 1], turn[2 * b + 1], turn[2 * place.shape[0] // 2],
                wp.float64(0.1))
     energy_out[b] = energy(s, kd, kphi)
-    f, mc, mp = gradient(s, kd, kphi)
+    mu = wp.cw_mul(kphi, s.phi)
+    f, mc, mp = gradient(s, kd, mu)
     first_out[b, 0] = f
     first_out[b, 1] = mc
     first_out[b, 2] = mp
-    h = hessian(s, kd, kphi, wp.float64(1.0))
+    h = hessian(s, kd, mu, wp.diag(kphi), wp.float64(1.0))
     second_out[b, 0] = h.parent
     second_out[b, 1] = h.mixed
     second_out[b, 2] = h.child

@@ -10,7 +10,15 @@ import pytest
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.rods.model import build, sections
 from vsfsim.scenes._artificial_kinds import BRANCH, JOINT, KINDS, LEAF, PETIOLE, PLANTS, TRUNK
-from vsfsim.scenes.artificial_plant import E_SHEATH, E_STEEL, blade_modulus, grow, round_modulus
+from vsfsim.scenes.artificial_plant import (
+    E_SHEATH,
+    E_STEEL,
+    YIELD_STRESS,
+    blade_modulus,
+    grow,
+    round_modulus,
+    wire_core,
+)
 
 BUDGET = {"wood_segments": 120, "leaf_segments": 300}
 
@@ -112,3 +120,22 @@ def test_wrong_parameters_are_refused(options, words):
 def test_all_pairs_of_named_plants_differ_in_form(all_plants):
     span = {name: (len(p.nodes), round(float(p.nodes[:, 2].max()), 3)) for name, p in all_plants.items()}
     assert all(span[a] != span[b] for a, b in itertools.combinations(span, 2))
+
+
+def test_wires_yield_at_their_plastic_moment_where_the_scene_says_so():
+    """docs/plants.md: s_y d^3 / 6, 0.15 N m for a wire of 1.44 mm and 300 MPa; the figure of a leaf or petiole that
+    stands for several is theirs together. Wood and the pot's filling do not yield."""
+    assert wire_core(0.0014422496, 2.0)[1] == pytest.approx(2 * 0.15, rel=1e-6)
+    assert planted("monstera").yielding is None
+    for name in ("monstera", "orange-tree"):
+        p = planted(name, yields=True)
+        core, bend = p.yielding, sections(p)[1][:, 1] * p.lengths()
+        wired = np.isin(p.region, (BRANCH, PETIOLE, LEAF))
+        wired[0] = False
+        assert (core[wired] > 0.0).all() and (core[p.region == JOINT] == 0.0).all()
+        assert (core[p.region == TRUNK, 1] > 0.0).all() == (name == "monstera")  # its short trunk has a core
+        assert (core[1:, 0] <= bend[1:] * (1 + 1e-9)).all() and np.median(core[wired, 0] / bend[wired]) > 0.8
+        branch = p.region == BRANCH
+        assert core[branch, 1] == pytest.approx(YIELD_STRESS * p.wire[branch] ** 3 / 6.0)
+    with pytest.raises(SceneError, match="yields is 1; it must be true or false"):
+        planted("monstera", yields=1)

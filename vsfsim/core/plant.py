@@ -58,6 +58,9 @@ class Plant:
     wire: np.ndarray | None = None
     """Diameter of the steel core of each segment, 0 where it has none or stands for several (n,) [m]; None for a plant
     without wires."""
+    yielding: np.ndarray | None = None
+    """Bending stiffness E I of the core of each segment [N m^2] and the moment at which it yields [N m], both 0 for a
+    segment that does not (n, 2); part of the segment's own E I. None for a plant that does not yield."""
     name: str = ""
     """What a person would call it, e.g. "orange-tree"; "" for none."""
 
@@ -87,12 +90,26 @@ class Plant:
             or not 0.0 <= self.poisson_ratio < 0.5):
             raise SceneError("plant: half widths and densities must be 0 or more, and Poisson's ratio from 0 "
                              "to under 0.5.")
+        if self.yielding is not None:
+            self._check_yielding(self.yielding)
         along = (self.nodes[1:] - self.nodes[self.parent[1:]]) / self.lengths()[1:, None]
         blade = self.half_width[1:] > 0.0
         tilt = np.abs(np.einsum("ij,ij->i", along, self.blade_normal[1:]))[blade]
         size = np.linalg.norm(self.blade_normal[1:], axis=1)[blade]
         if blade.any() and not ((tilt < 1e-6) & (np.abs(size - 1.0) < 1e-6)).all():
             raise SceneError("plant: the normal of a blade must be a unit vector across its segment.")
+
+    def _check_yielding(self, core: np.ndarray) -> None:
+        if core.shape != (len(self.nodes), 2) or not (core[1:] >= 0.0).all() or not np.isfinite(core[1:]).all():
+            raise SceneError(f"plant: yielding has the shape {core.shape}; give the bending stiffness of each core and "
+                             f"its yield moment, ({len(self.nodes)}, 2) numbers of 0 or more.")
+        second = np.where(self.half_width > 0.0, 4.0 / 3.0 * self.half_width * self.radius**3,
+                          0.25 * np.pi * self.radius**4)
+        over = np.flatnonzero(core[1:, 0] > (1.0 + 1e-9) * (self.young_modulus * second)[1:]) + 1
+        if len(over):
+            i = over[0]
+            raise SceneError(f"plant: the core of segment {i} has a bending stiffness of {core[i, 0]:g} N m^2, more "
+                             f"than the whole segment with {self.young_modulus[i] * second[i]:g}.")
 
     def lengths(self) -> np.ndarray:
         """Length of each segment (n,) [m]; 0 for entry 0."""

@@ -42,6 +42,7 @@ def make_trees(m: Sequence[RodModel], device: str) -> Trees:
         tree.frame = one([quaternions(x.frame) for x in m], wp.quatd)
         tree.length = one([x.plant.lengths() for x in m], wp.float64)
         tree.kd, tree.kphi = one([x.kd for x in m], wp.vec3d), one([x.kphi for x in m], wp.vec3d)
+        tree.wire = one([x.wire for x in m], wp.vec2d)
         tree.load, tree.reach = one([x.weight for x in m], wp.vec3d), one([x.reach for x in m], wp.float64)
         tree.bound = one([x.plant.radius + x.plant.half_width for x in m], wp.float64)
         tree.fibre = one([*(x.first[:-1] + f for x, f in zip(m, fibres)), fibres[-1:]], wp.int32)
@@ -96,7 +97,7 @@ def make_results(b: int, t: int, k: int, n: int) -> Results:
     """Results of B touches of T frames by K capsules, with the states of N nodes unless ``n`` is 0."""
     nodes = (b, t if n else 0, n)
     out = _allocate(Results, {2: (b, t), 3: (b, t, k)}, x=nodes, q=nodes)
-    for array in (out.residual, out.energy, out.penetration, out.slipping, out.where):
+    for array in (out.residual, out.energy, out.heat, out.penetration, out.slipping, out.where):
         array.fill_(np.nan)
     return out
 
@@ -121,6 +122,8 @@ def enter(
         w.nodes.q[b, i] = wp.quatd(wp.float64(0.0), wp.float64(0.0), wp.float64(0.0), wp.float64(1.0))
     w.nodes.active[b, i] = 0
     w.nodes.strained[b, i] = 0
+    w.nodes.plastic[b, i] = wp.vec3d()
+    w.nodes.heat[b, i] = wp.float64(0.0)
     w.system.stale[b, i] = Stale.NO
     if i == 0:
         w.contacts.count[0, b] = 0

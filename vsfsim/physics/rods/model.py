@@ -38,6 +38,9 @@ class RodModel:
     """Axial and shear stiffnesses, see `kernels.segment` (n, 3) [N/m]."""
     kphi: np.ndarray
     """Torsional and bending stiffnesses, see `kernels.segment` (n, 3) [N m]."""
+    wire: np.ndarray
+    """Bending stiffness of the core of each segment and the moment at which it yields, 0 for a segment that does not
+    (n, 2) [N m]."""
     reach: np.ndarray
     """Longest way along segments from a node to a descendant (n,) [m]."""
     first: np.ndarray
@@ -107,8 +110,11 @@ def build(plant: Plant, *, gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
         reach[plant.parent[i]] = max(reach[plant.parent[i]], length[i] + reach[i])
     compliance = _compliance(plant, frame, kd, kphi)
     segment, offset, radius, tip = _fibres(plant, frame)
-    model = RodModel(plant, frame, kd, kphi, reach, np.searchsorted(segment, np.arange(n + 1)), offset, radius, tip,
-                     np.zeros((0, 2)), compliance, np.zeros((n, 3)))
+    wire = np.zeros((n, 2))
+    if plant.yielding is not None:
+        wire[1:] = plant.yielding[1:] / np.stack([length[1:], np.ones(n - 1)], axis=1)
+    model = RodModel(plant, frame, kd, kphi, wire, reach, np.searchsorted(segment, np.arange(n + 1)), offset, radius,
+                     tip, np.zeros((0, 2)), compliance, np.zeros((n, 3)))
     softest = np.stack([np.linalg.eigvalsh(model._point_compliance(segment, np.full(len(segment), end), offset))[:, -1]
                         for end in (0.0, 1.0)], axis=1)
     penalty = np.clip(STIFFER / np.maximum(softest, 1e-30), *PENALTY)

@@ -28,6 +28,9 @@ class Trees:
     """Axial and shear stiffnesses of the segment (S,) [N/m]."""
     kphi: wp.array(dtype=wp.vec3d)
     """Torsional and bending stiffnesses of the segment (S,) [N m]."""
+    wire: wp.array(dtype=wp.vec2d)
+    """Bending stiffness of the segment's core and the moment at which it yields, 0 for a segment that does not (S,)
+    [N m]."""
     load: wp.array(dtype=wp.vec3d)
     """Dead force on the node (S,) [N]."""
     reach: wp.array(dtype=wp.float64)
@@ -119,6 +122,8 @@ class Results:
     """Unbalanced force over contact force (B, T) [-]."""
     energy: wp.array2d(dtype=wp.float64)
     """Elastic energy (B, T) [J]."""
+    heat: wp.array2d(dtype=wp.float64)
+    """Work that yielding has turned into heat since the touch began (B, T) [J]."""
     penetration: wp.array2d(dtype=wp.float64)
     """Depth of the deepest point inside a capsule (B, T) [m]."""
     slipping: wp.array2d(dtype=wp.float64)

@@ -103,6 +103,8 @@ class RodFrames:
     """Newton iterations (T, B)."""
     energy: np.ndarray
     """Elastic energy (T, B) [J]."""
+    heat: np.ndarray
+    """Work that yielding wires have turned into heat since the touch began (T, B) [J]."""
     penetration: np.ndarray
     """Depth of the deepest point inside a capsule (T, B) [m]."""
     contacts: np.ndarray
@@ -355,11 +357,11 @@ class RodBatch:
         gap = np.linalg.norm(whole - root - weight, axis=-1)
         size = np.maximum(np.maximum(np.linalg.norm(whole, axis=-1), np.linalg.norm(root, axis=-1)), SMALL_FORCE)
         floats = [np.where(solved, of(a), np.nan)
-                  for a in (out.residual, out.energy, out.penetration, out.slipping, out.where)]
+                  for a in (out.residual, out.energy, out.heat, out.penetration, out.slipping, out.where)]
         for array in (force, moment, root, root_moment):
             array[~solved] = np.nan
         self._taken[some] = False
         return RodFrames(done, why, force, moment, root, root_moment, solved & (reason == 0), reason, floats[0],
-                         np.where(solved, of(out.iterations), 0), floats[1], floats[2],
-                         np.where(solved, of(out.contacts), 0), floats[3], np.where(solved, gap / size, np.nan),
-                         floats[4], of(out.x) if self.keep_nodes else None, of(out.q) if self.keep_nodes else None)
+                         np.where(solved, of(out.iterations), 0), floats[1], floats[2], floats[3],
+                         np.where(solved, of(out.contacts), 0), floats[4], np.where(solved, gap / size, np.nan),
+                         floats[5], of(out.x) if self.keep_nodes else None, of(out.q) if self.keep_nodes else None)

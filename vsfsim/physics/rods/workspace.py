@@ -64,6 +64,10 @@ class Nodes:
     """1 where the node is an unknown, 0 where it moves rigidly with its parent (B, N)."""
     strained: wp.array2d(dtype=wp.int32)
     """1 where the segment was strained at the last equilibrium (B, N)."""
+    plastic: wp.array2d(dtype=wp.vec3d)
+    """Plastic bending of the segment's core, in the axes of the middle frame, the first 0 (B, N) [rad]."""
+    heat: wp.array2d(dtype=wp.float64)
+    """Work that the segment's yielding has turned into heat (B, N) [J]."""
     order: wp.array2d(dtype=wp.int32)
     """The active nodes, level by level (B, N)."""
     level: wp.array2d(dtype=wp.int32)
@@ -278,6 +282,10 @@ class Guard:
     """Their rotations (B, N)."""
     strained: wp.array2d(dtype=wp.int32)
     """`Nodes.strained` (B, N)."""
+    plastic: wp.array2d(dtype=wp.vec3d)
+    """`Nodes.plastic` (B, N) [rad]."""
+    heat: wp.array2d(dtype=wp.float64)
+    """`Nodes.heat` (B, N) [J]."""
     count: wp.array(dtype=wp.int32)
     """Number of its contacts (B,)."""
     key: wp.array2d(dtype=wp.int32)

@@ -16,7 +16,8 @@ from vsfsim.physics.rods.kernels.geometry import fibre_patch, segment_strain, su
 from vsfsim.physics.rods.kernels.guard import HOPELESS, copy_nodes, frame_target, guard_frame, place_capsules
 from vsfsim.physics.rods.kernels.lanes import LANES, lane_count, lane_max, lane_sum, sync, time_is_up
 from vsfsim.physics.rods.kernels.newton import equilibrate
-from vsfsim.physics.rods.kernels.segment import ONE, ZERO, energy, gradient, real, spatial, vec3
+from vsfsim.physics.rods.kernels.segment import ONE, ZERO, gradient, real, spatial, vec3
+from vsfsim.physics.rods.kernels.yielding import has_yielded, segment_energy, segment_moment, yield_segment
 from vsfsim.physics.rods.problem import Results, Touches, Trees
 from vsfsim.physics.rods.workspace import Stick, Thread, Work
 from vsfsim.physics.solve.frames import Reason
@@ -35,7 +36,8 @@ WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # a frame, up to rounding
 
 @wp.func
 def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, count: int, weighs: int, found: int):
-    """Ends a stride: stores what friction has stretched, and which segments are strained.
+    """Ends a stride: stores what friction has stretched, how far wires have yielded in an equilibrium, and which
+    segments are strained.
 
     Args:
         side: list of the contacts. count: of active nodes. weighs: whether the plants have weight. found: whether an
@@ -60,15 +62,21 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
             u = slip(w.contacts.normal[side, b, c], ys, w.contacts.anchor[side, b, c])
             kn = w.contacts.stiffness[side, b, c]
             w.contacts.stretch[side, b, c] = wp.quat_rotate_inv(cq, friction_force(u, kn, tau) / kn)
+    if found == 1:
+        for a in range(1 + me.lane, count, me.lanes):
+            i = w.nodes.order[b, a]
+            strains = segment_strain(tree, b, o, tree.parent[o + i], i, w.nodes.x, w.nodes.q)
+            yield_segment(tree, w, b, o, i, strains)
     sync()
     kept = int(1)  # 0: the unloaded parts returned to their shape at rest
     if found == 1 and weighs == 0:
-        # a part of the tree without contacts is unloaded: it moves rigidly with its joint, to the last bit
+        # a part of the tree without contacts is unloaded: it moves rigidly with its joint, to the last bit; a segment
+        # that has yielded has another shape at rest, and its bending remains an unknown
         for back in range(me.high):
             d = me.high - 1 - back
             for r in range(tree.level[me.low + d] + me.lane, tree.level[me.low + d + 1], me.lanes):
                 i = tree.rank[r]
-                on = int(0)
+                on = has_yielded(w, b, i)
                 first = w.segments.first_contact[b, i]
                 for c in range(first, first + w.segments.contact_count[b, i]):
                     if w.contacts.stuck[side, b, c] == Stick.STUCK:
@@ -169,13 +177,15 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         w.contacts.force[b, c] = force
         w.contacts.moment[b, c] = moment
     stored = ZERO
+    heat = ZERO
     for a in range(1 + me.lane, count, me.lanes):
         i = w.nodes.order[b, a]
         p = tree.parent[o + i]
         strains = segment_strain(tree, b, o, p, i, w.nodes.x, w.nodes.q)
-        stored = stored + energy(strains, tree.kd[o + i], tree.kphi[o + i])
+        stored = stored + segment_energy(tree, w, b, o, i, strains)
+        heat = heat + w.nodes.heat[b, i]
         if p == 0:
-            f, _mc, mp = gradient(strains, tree.kd[o + i], tree.kphi[o + i])
+            f, _mc, mp = gradient(strains, tree.kd[o + i], segment_moment(tree, w, b, o, i, strains))
             root_f = root_f - f
             root_m = root_m + mp
     sync()
@@ -190,6 +200,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         out.moment[b, t, k] = moment
     pressed = lane_sum(pressed)
     stored = lane_sum(stored)
+    heat = lane_sum(heat)
     deepest = lane_max(deepest)
     touching = lane_count(touching)
     slipping = lane_count(slipping)
@@ -199,6 +210,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     if me.lane == 0:
         out.reaction[b, t] = root
         out.energy[b, t] = stored
+        out.heat[b, t] = heat
         out.penetration[b, t] = deepest
         out.contacts[b, t] = touching
         out.slipping[b, t] = real(slipping) / real(wp.max(pressing, 1))

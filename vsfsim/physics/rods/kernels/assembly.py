@@ -45,6 +45,7 @@ from vsfsim.physics.rods.kernels.segment import (
     spatial,
     vec3,
 )
+from vsfsim.physics.rods.kernels.yielding import segment_moment, segment_tangent
 from vsfsim.physics.rods.problem import Touches, Trees
 from vsfsim.physics.rods.workspace import Stale, Stick, Thread, Work
 
@@ -173,13 +174,14 @@ def assemble(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, side:
         i = w.nodes.order[b, a]
         p = tree.parent[o + i]
         s = segment_strain(tree, b, o, p, i, w.nodes.x, w.nodes.q)
-        f, mc, mp = gradient(s, tree.kd[o + i], tree.kphi[o + i])
+        mu = segment_moment(tree, w, b, o, i, s)
+        f, mc, mp = gradient(s, tree.kd[o + i], mu)
         w.system.elastic_gradient[b, i] = spatial(f - tree.load[o + i], mc)
         w.system.elastic_gradient_parent[b, i] = spatial(-f, mp)
         w.segments.frame[b, i] = s.turn
         w.segments.span[b, i] = s.D
         w.segments.half_rotation[b, i] = s.g
-        h = hessian(s, tree.kd[o + i], tree.kphi[o + i], geometric)
+        h = hessian(s, tree.kd[o + i], mu, segment_tangent(tree, w, b, o, i, s), geometric)
         w.system.elastic_block[b, i] = h.child
         w.system.elastic_block_parent[b, i] = h.parent
         w.system.elastic_coupling[b, i] = h.mixed

@@ -137,6 +137,8 @@ def save_equilibrium(w: Work, me: Thread, side: int):
     copy_nodes(me, w.nodes.x, w.nodes.q, w.guard.x, w.guard.q)
     for i in range(me.lane, me.n, me.lanes):
         w.guard.strained[b, i] = w.nodes.strained[b, i]
+        w.guard.plastic[b, i] = w.nodes.plastic[b, i]
+        w.guard.heat[b, i] = w.nodes.heat[b, i]
     for c in range(me.lane, w.contacts.count[side, b], me.lanes):
         w.guard.key[b, c] = w.contacts.key[side, b, c]
         w.guard.stuck[b, c] = w.contacts.stuck[side, b, c]
@@ -148,11 +150,13 @@ def save_equilibrium(w: Work, me: Thread, side: int):
 
 @wp.func
 def restore_equilibrium(w: Work, me: Thread, side: int):
-    """Returns to the stored equilibrium: nodes, strained segments and contacts."""
+    """Returns to the stored equilibrium: nodes, strained and yielded segments, and contacts."""
     b = me.b
     copy_nodes(me, w.guard.x, w.guard.q, w.nodes.x, w.nodes.q)
     for i in range(me.lane, me.n, me.lanes):
         w.nodes.strained[b, i] = w.guard.strained[b, i]
+        w.nodes.plastic[b, i] = w.guard.plastic[b, i]
+        w.nodes.heat[b, i] = w.guard.heat[b, i]
         w.nodes.active[b, i] = wp.where(i == 0, 1, w.guard.strained[b, i])
     for c in range(me.lane, w.guard.count[b], me.lanes):
         w.contacts.key[side, b, c] = w.guard.key[b, c]

@@ -15,7 +15,8 @@ from vsfsim.physics.rods.kernels.assembly import (
 from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, list_contacts
 from vsfsim.physics.rods.kernels.elimination import solve
 from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
-from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, energy, quat, real, spatial, strain, vec3
+from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, spatial, strain, vec3
+from vsfsim.physics.rods.kernels.yielding import segment_energy
 from vsfsim.physics.rods.problem import Touches, Trees
 from vsfsim.physics.rods.workspace import Thread, Work
 from vsfsim.physics.solve.frames import Reason
@@ -117,8 +118,8 @@ def step_extent(w: Work, me: Thread, count: int):
 
 @wp.func
 def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha: real, weighs: int):
-    """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy less the work of the
-    loads [J].
+    """The trial state at ``alpha`` times the step. Returns this lane's share of its elastic energy and of what yields,
+    less the work of the loads [J].
 
     Nodes turn by ``alpha`` times their spins, the D of a segment changes by ``alpha`` D', and positions follow from the
     root. So a rotation does not stretch a slender segment, as it would if positions moved along straight lines. The
@@ -141,7 +142,7 @@ def trial_state(tree: Trees, w: Work, me: Thread, count: int, levels: int, alpha
         s = strain(vec3(), qp, vec3(), w.nodes.q_trial[b, i], tree.frame[o + i], ZERO)
         w.nodes.x_trial[b, i] = wp.quat_rotate(s.turn, span)
         s.d = span - vec3(tree.length[o + i], ZERO, ZERO)
-        out = out + energy(s, tree.kd[o + i], tree.kphi[o + i])
+        out = out + segment_energy(tree, w, b, o, i, s)
     sync()
     for d in range(1, levels):
         for a in range(w.nodes.level[b, d] + me.lane, w.nodes.level[b, d + 1], me.lanes):

@@ -118,11 +118,11 @@ def times_c(s: Strain, mu: vec3):
 
 
 @wp.func(inline=False)
-def gradient(s: Strain, kd: vec3, kphi: vec3):
+def gradient(s: Strain, kd: vec3, mu: vec3):
     """Derivatives by the child's position, the child's spin and the parent's spin, in the world; that by the parent's
-    position is minus the first."""
+    position is minus the first. ``mu`` is the moment, Kphi phi of an elastic segment."""
     q = wp.cw_mul(kd, s.d)
-    cmu = times_c(s, wp.cw_mul(kphi, s.phi))
+    cmu = times_c(s, mu)
     m = wp.cross(q, s.D)
     gm = wp.cross(s.g, m)
     on_child = HALF * (m + gm) + cmu
@@ -156,11 +156,10 @@ def spatial(force: vec3, moment: vec3):
 
 
 @wp.func(inline=False)
-def hessian(s: Strain, kd: vec3, kphi: vec3, geometric: real):
+def hessian(s: Strain, kd: vec3, mu: vec3, stiffness: mat33, geometric: real):
     """The second derivative; with ``geometric`` 0 without the geometric stiffness, which makes it positive
-    semidefinite."""
+    semidefinite. ``mu`` is the moment and ``stiffness`` its derivative by phi, Kphi of an elastic segment."""
     q = wp.cw_mul(kd, s.d)
-    mu = wp.cw_mul(kphi, s.phi)
     m = wp.cross(q, s.D)
     cmu = times_c(s, mu)
     t = s.angle * s.angle
@@ -187,7 +186,7 @@ def hessian(s: Strain, kd: vec3, kphi: vec3, geometric: real):
     mp = wp.dot(mu, s.psi)
     pp = HALF * (c1 * symmetric(s.psi, mu) + k1 * mp * wp.outer(s.psi, s.psi) + k * symmetric(cmu, s.psi) + k * mp * cc)
     pp = pp - (real(0.25) * (tau * k + tau1)) * symmetric(s.psi, wp.cross(m, s.psi))
-    hee = cc * wp.diag(kphi) * cc + geometric * pp
+    hee = cc * stiffness * cc + geometric * pp
     wa = HALF * (eye + wp.skew(s.g))
     wb = wp.transpose(wa)
     turn = wp.quat_to_matrix(s.turn)
