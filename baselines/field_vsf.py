@@ -40,13 +40,16 @@ class NeuralVsf:
         skin: fit the forces on a sensor's vertices where there are readings of them; False: the total only, the
             pressure-only baseline.
         device: torch device.
+        pose: how `locate` finds a known object: "outline", or "registration", the papers' procedure in six degrees of
+            freedom (section III-E).
     """
 
     _kind = "nerf"
 
     def __init__(self, *, iterations: int = 1000, batch: int = 1000, samples: int = 100, rate: float = 2e-4,
                  free_space: float = 1e-2, octaves: int = 6, margin: float = 0.01, table_height: float = 0.0,
-                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
+                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu",
+                 pose: str = "outline"):
         from vsfsim.vsf.fields.neural import Fitting
 
         if min(iterations, batch, samples, octaves) < 1 or not rate > 0.0:
@@ -56,6 +59,7 @@ class NeuralVsf:
                                 seed=seed)
         self.margin, self.table_height, self.depth = margin, table_height, depth
         self.seed, self.skin, self.device = seed, skin, device
+        self._search = PoseSearch(seed=seed, pose=pose)
         self._field: dict[str, float] = {"octaves": octaves}
         self._model = None
 
@@ -116,7 +120,7 @@ class NeuralVsf:
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
         points = touched_points(self._view, self._support, depth=self.depth)
-        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, PoseSearch(seed=self.seed))
+        return locate(vertices, triangles, points, self.stiffness(points).mean, self._view, self._search)
 
 
 class GridVsf(NeuralVsf):
@@ -130,11 +134,13 @@ class GridVsf(NeuralVsf):
 
     def __init__(self, *, iterations: int = 250, batch: int = 1000, samples: int = 16, rate: float = 0.1,
                  free_space: float = 1e-2, cell: float = 0.004, margin: float = 0.01, table_height: float = 0.0,
-                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu"):
+                 depth: float = 0.012, seed: int = 0, skin: bool = True, device: str = "cpu",
+                 pose: str = "outline"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
-                         margin=margin, table_height=table_height, depth=depth, seed=seed, skin=skin, device=device)
+                         margin=margin, table_height=table_height, depth=depth, seed=seed, skin=skin, device=device,
+                         pose=pose)
         self._field = {"cell": cell}
 
 

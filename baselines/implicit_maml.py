@@ -25,7 +25,7 @@ from dataclasses import dataclass
 import torch
 
 Parameters = list[torch.Tensor]
-_CG_TOLERANCE = 1e-10  # of the residual norm, relative to the right side
+_CG_TOLERANCE = {torch.float64: 1e-10, torch.float32: 1e-5}  # of the residual norm, relative to the right side
 
 
 @dataclass(frozen=True)
@@ -61,12 +61,13 @@ class Network:
             self.shapes += list(itertools.pairwise(sizes))
         self.split = max(len(self.encoder) - 1, 0)
 
-    def start(self, generator: torch.Generator) -> Parameters:
-        """Initial parameters, uniform within 1 / sqrt(fan in)."""
+    def start(self, generator: torch.Generator, *, dtype: torch.dtype = torch.float64) -> Parameters:
+        """Initial parameters, uniform within 1 / sqrt(fan in); the draws do not depend on ``dtype``."""
         out: Parameters = []
         for a, b in self.shapes:
             for shape in ((a, b), (1, b)):
-                out.append((2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0) / a**0.5)
+                drawn = (2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0) / a**0.5
+                out.append(drawn.to(dtype))
         return out
 
     def __call__(self, parameters: Parameters, x: torch.Tensor, token: torch.Tensor) -> torch.Tensor:
@@ -244,7 +245,7 @@ def implicit_gradient(network: Network, phi: Parameters, support: Batch, query: 
 
 def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
     """Solve A x = right for every task by itself, in at most ``steps`` steps. With the papers' damping four steps reach
-    a relative residual of 1e-10."""
+    a relative residual of 1e-10 in float64."""
 
     def dot(a: Parameters, b: Parameters) -> torch.Tensor:
         return sum((x * y).flatten(1).sum(dim=1) for x, y in zip(a, b))
@@ -255,18 +256,19 @@ def _conjugate_gradients(apply, right: Parameters, steps: int) -> Parameters:
     x = [torch.zeros_like(r) for r in right]
     residual, direction = [r.clone() for r in right], [r.clone() for r in right]
     size = dot(residual, residual)
-    small_enough = _CG_TOLERANCE**2 * size
+    tiny = torch.finfo(size.dtype).tiny
+    small_enough = _CG_TOLERANCE[size.dtype] ** 2 * size
     for _ in range(steps):
         if bool((size <= small_enough).all()):
             break
         image = apply(direction)
         curvature = dot(direction, image)
         # A task that is solved, or whose curvature is negative, keeps its solution.
-        step = torch.where((curvature > 0.0) & (size > 0.0), size / curvature.clamp_min(1e-300), torch.zeros_like(size))
+        step = torch.where((curvature > 0.0) & (size > 0.0), size / curvature.clamp_min(tiny), torch.zeros_like(size))
         x = [a + along(step, d) for a, d in zip(x, direction)]
         residual = [r - along(step, i) for r, i in zip(residual, image)]
         after = dot(residual, residual)
-        turn = after / size.clamp_min(1e-300)
+        turn = after / size.clamp_min(tiny)
         direction = [r + along(turn, d) for r, d in zip(residual, direction)]
         size = after
     return x

@@ -1,6 +1,7 @@
 """The pose of a known stiff object, for methods that estimate stiffness (Neural VSF section III-E).
 
-The papers register the object's surface to the stiff points (`vsfsim.vsf.pose.localise`). On the training objects of
+The papers register the object's surface to the stiff points, in all six degrees of freedom
+(`vsfsim.vsf.pose.localise`; ``pose="registration"`` of a method). On the training objects of
 localization-mini-v1 that turns most objects upside down, while the outline of the stiff columns
 (`vsfsim.vsf.pose.outline`) finds the angle within a few degrees. docs/methods.md has both figures.
 """
@@ -17,10 +18,20 @@ from scipy.spatial import cKDTree
 from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Reading
 from vsfsim.bench.reached_points import reached
-from vsfsim.core.errors import VsfError
+from vsfsim.core.errors import MethodError, VsfError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.pose.localise import KnownObject
+from vsfsim.vsf.pose.localise import KnownObject, stiffness_pose
 from vsfsim.vsf.pose.outline import outline_pose
+
+POSES = ("outline", "registration")
+"""How a known object is found: by the outline of the stiff columns, or by the papers' procedure."""
+
+COVER_FACTOR = 2.0
+"""The papers' threshold is "greater than the cover stiffness": this many times the median of the touched points, most
+of which are in the cover [-]."""
+
+TRIES = 10
+"""Registrations of the papers' procedure, of which the one with the least loss is kept."""
 
 STEP = 0.003
 """Edge of a column, and distance of the points at which a continuous field is evaluated [m]."""
@@ -38,6 +49,12 @@ class PoseSearch:
     """Steps of the random search."""
     seed: int = 0
     """Of the search."""
+    pose: str = "outline"
+    """One of `POSES`."""
+
+    def __post_init__(self) -> None:
+        if self.pose not in POSES:
+            raise MethodError(f"pose is '{self.pose}'. {did_you_mean(self.pose, POSES)}")
 
 
 def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stiffness: np.ndarray, view: View,
@@ -50,20 +67,28 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
         MethodError: the view shows no object.
     """
     cloud = visible_cloud(view)
+    upright = np.eye(4)
+    upright[:3, 3] = cloud.mean(axis=0)
+    stiffness = np.asarray(stiffness, float)
+    if settings.pose == "registration":
+        try:
+            return stiffness_pose(_known(_hashable(vertices, float), _hashable(triangles, np.int64)), points, stiffness,
+                                  threshold=COVER_FACTOR * float(np.median(stiffness)) if len(stiffness) else 0.0,
+                                  tries=TRIES, refine=0, outside=False, seed=settings.seed).transform
+        except VsfError:
+            return upright
     top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover
     cell = np.floor(points[:, :2] / STEP).astype(int).reshape(-1, 2)
     columns, index = np.unique(cell, axis=0, return_inverse=True)
     stiffest = np.zeros(len(columns))
-    np.maximum.at(stiffest, index.ravel(), np.asarray(stiffness, float))
+    np.maximum.at(stiffest, index.ravel(), stiffness)
     area = len(np.unique(np.floor(cloud[:, :2] / STEP).astype(int), axis=0)) * STEP**2
     try:
         known = _known(_hashable(vertices, float), _hashable(triangles, np.int64))
         return outline_pose(known, (columns + 0.5) * STEP, stiffest, area=area, top=top, turned=settings.turned,
                           refine=settings.refine, seed=settings.seed).transform
     except VsfError:
-        out = np.eye(4)
-        out[:3, 3] = cloud.mean(axis=0)
-        return out
+        return upright
 
 
 @functools.lru_cache(maxsize=16)

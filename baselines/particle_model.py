@@ -50,8 +50,14 @@ class VsfSettings:
     band: float = 0.0
     """Particles further from every visible point are left out [m]; 0 keeps the whole hidden volume, as SBML appendix
     B.2 does. Behind thin branches that volume is mostly air."""
+    max_particles: int = 0
+    """The most particles, drawn at random from those in the volume; 0 for all. SBML appendix B.2 takes 10,000 to 30,000
+    by the size of the object."""
 
     def __post_init__(self) -> None:
+        if self.max_particles < 0:
+            raise MethodError(f"max_particles is {self.max_particles!r}; it must be a number of particles, or 0 "
+                              f"for all.")
         for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres")):
             if not 0.0 <= value < np.inf:
                 raise MethodError(f"{name} is {value!r}; it must be 0 or greater, {unit}.")
@@ -65,6 +71,8 @@ class ParticleModel:
     """Rest positions, world (n, 3) [m]."""
     settings: VsfSettings
     """Of the model."""
+    cell: float
+    """Volume for which one particle stands [m^3]."""
     rows: dict[bytes, sparse.csr_matrix] = field(default_factory=dict)
     """Observation rows (T d, n) by action."""
     surfaces: dict[bytes, tuple[sparse.csr_matrix, np.ndarray]] = field(default_factory=dict)
@@ -89,13 +97,17 @@ class ParticleModel:
         if settings.band and len(particles):
             near = cKDTree(cloud).query(particles, distance_upper_bound=settings.band)[0]
             particles = particles[near <= settings.band]
+        volume = len(particles) * settings.spacing**3
+        if 0 < settings.max_particles < len(particles):
+            rng = np.random.default_rng(np.random.SeedSequence(0))
+            particles = particles[np.sort(rng.choice(len(particles), settings.max_particles, replace=False))]
         if not len(particles):
             wider = ", or a wider band" if settings.band else ""
             raise MethodError(f"no particle lies in or behind what the camera sees: the {len(cloud)} visible points "
                               f"span {' x '.join(f'{1e3 * x:.0f}' for x in np.ptp(cloud, axis=0))} mm, "
                               f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller "
                               f"spacing{wider}.")
-        return cls(particles, settings)
+        return cls(particles, settings, volume / len(particles))
 
     def observe(self, action: Action) -> sparse.csr_matrix:
         """W (T d, n) of a touch, frame by frame: readings = W K.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, VsfSettings
 from vsfsim.baselines.posterior import Filtered, Posterior, PosteriorAnswers
 from vsfsim.bench.method import Reading, Specimen
@@ -33,19 +34,29 @@ class PointVsf(PosteriorAnswers):
         table_height: z of the table the object stands on [m].
         noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
+        max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: Warp device.
         estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which assimilates one frame
             after the other (Neural VSF section III-B).
+        replay: of the filter: earlier frames that are replayed after each new one, drawn at random; the authors'
+            published package (uiuc-iml/openvsf) replays 10.
+        pose: how `locate` finds a known object, see `vsfsim.baselines.known_object`: "outline", or "registration", the
+            papers' procedure in six degrees of freedom (Neural VSF section III-E).
     """
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
-                 band: float = 0.0, device: str = "cpu", estimator: str = "batch"):
+                 band: float = 0.0, max_particles: int = 0, device: str = "cpu", estimator: str = "batch",
+                 replay: int = 0, pose: str = "outline"):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
-        self.prior_std, self.estimator = prior_std, estimator
+        if replay < 0 or (replay and estimator != "filter"):
+            raise MethodError(f"point-vsf: replay is {replay!r} with estimator '{estimator}'; it must be 0 or greater, "
+                              f"and belongs to the filter. Give --set estimator=filter, or leave replay away.")
+        self.prior_std, self.estimator, self.replay = prior_std, estimator, replay
+        self._search = PoseSearch(pose=pose)
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band))
+                                             noise_share=noise_share, band=band, max_particles=max_particles))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Nothing to learn."""
@@ -53,8 +64,11 @@ class PointVsf(PosteriorAnswers):
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Fit the springs to the support touches."""
         self._view = view
-        estimate = Filtered.online if self.estimator == "filter" else Posterior.of
-        self.posterior = estimate(self.shelf.get(view), support, prior_mean=0.0, prior_var=self.prior_std**2)
+        model, prior = self.shelf.get(view), {"prior_mean": 0.0, "prior_var": self.prior_std**2}
+        if self.estimator == "filter":
+            self.posterior = Filtered.online(model, support, replay=self.replay, **prior)
+        else:
+            self.posterior = Posterior.of(model, support, **prior)
 
 
 class DenseVsf(PointVsf):
@@ -70,10 +84,10 @@ class DenseVsf(PointVsf):
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0, skin_std: float = 0.05,
                  prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
-                 band: float = 0.0, device: str = "cpu"):
+                 band: float = 0.0, max_particles: int = 0, device: str = "cpu", pose: str = "outline"):
         if not skin_std > 0.0:
             raise MethodError(f"dense-vsf: skin_std is {skin_std!r}; it must be greater than 0, in newtons.")
         super().__init__(spacing=spacing, friction=friction, noise_std=noise_std, prior_std=prior_std, margin=margin,
-                         table_height=table_height, noise_share=noise_share, band=band, device=device)
+                         table_height=table_height, noise_share=noise_share, band=band, device=device, pose=pose)
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device, skin_std,
-                                             noise_share, band))
+                                             noise_share, band, max_particles))

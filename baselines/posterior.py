@@ -80,9 +80,9 @@ class Posterior:
         nearest = tree.query(points)[1]
         near = tree.query_ball_point(points, 2.0 * spacing, return_sorted=True)
         groups = [np.asarray(group if group else [n]) for group, n in zip(near, nearest)]
-        volume = spacing**3
-        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / volume,
-                        np.array([std[g].mean() for g in groups]) / volume)
+        cell = self.model.cell
+        return Estimate(np.array([self.stiffness[g].mean() for g in groups]) / cell,
+                        np.array([std[g].mean() for g in groups]) / cell)
 
     def _reading_std(self, rows: sparse.csr_matrix) -> np.ndarray:
         """Of readings to come, rows (q, n), without their own noise (q,)."""
@@ -93,11 +93,10 @@ class Posterior:
         return structured_std(self.rows, noise_std=self.model.settings.noise_std,
                               prior=self.prior) if self.rows.shape[0] else self.prior.total_std()
 
-    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, *, seed: int = 0) -> np.ndarray:
+    def locate(self, vertices: np.ndarray, triangles: np.ndarray, view: View, search: PoseSearch) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape, from the touched particles."""
         touched = self.touched()
-        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view,
-                      PoseSearch(seed=seed))
+        return locate(vertices, triangles, self.model.particles[touched], self.stiffness[touched], view, search)
 
 
 @dataclass
@@ -110,14 +109,15 @@ class Filtered(Posterior):
 
     @classmethod
     def online(cls, model: ParticleModel, support: Sequence[Reading], *, prior_mean: float,
-               prior_var: float) -> Filtered:
-        """From one mean [N/m] and variance for all particles, touch after touch in the order given."""
+               prior_var: float, replay: int = 0) -> Filtered:
+        """From one mean [N/m] and variance for all particles, touch after touch in the order given; after each frame
+        ``replay`` earlier ones are replayed."""
         check_support(support)
         state = DiagonalFilter.start(len(model.particles), mean=prior_mean, var=prior_var)
         blocks = [sparse.csr_matrix((0, len(model.particles)))]
         for reading in support:
             rows, z = model.stack([reading])
-            state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size)
+            state.run(rows, z, noise_std=model.settings.noise_std, size=reading.action.size, replay=replay)
             blocks.append(rows)
         return cls(model, np.maximum(state.mean, 0.0), sparse.csr_matrix(sparse.vstack(blocks)),
                    GaussianPrior.plain(prior_mean, prior_var, len(model.particles)), state.var)
@@ -134,7 +134,7 @@ class PosteriorAnswers:
 
     _view: View
     posterior: Posterior
-    _search_seed = 0
+    _search = PoseSearch()
 
     def predict(self, touches: Sequence[Action]) -> list[np.ndarray]:
         """Readings (T, d) of touches not made yet."""
@@ -150,4 +150,4 @@ class PosteriorAnswers:
 
     def locate(self, vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         """Object-to-world transform (4, 4) of a stiff object of known shape."""
-        return self.posterior.locate(vertices, triangles, self._view, seed=self._search_seed)
+        return self.posterior.locate(vertices, triangles, self._view, self._search)

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
 from vsfsim.bench.method import Reading, Specimen
@@ -21,6 +24,10 @@ from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
+from vsfsim.vsf.meta.level import Held, Level, blended
+
+if TYPE_CHECKING:  # torch is imported where it is used
+    from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
 
 
 class Sbml(PosteriorAnswers):
@@ -32,6 +39,9 @@ class Sbml(PosteriorAnswers):
         weights: file of pretrained weights for the DINOv2 features; "" looks in the usual caches.
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
+        networks: number of networks in the prior. One is the paper's. Several are each stopped on another part of the
+            training objects, and their level is found on objects that they did not learn from
+            (`vsfsim.vsf.meta.level`); ``validation`` is then one part of that many.
         rate, epochs, patience, dropout, output, second: of the training, see `vsfsim.vsf.meta.prior`.
         validation: fraction of the training objects that are used for early stopping only (at least one of two or
             more).
@@ -47,14 +57,16 @@ class Sbml(PosteriorAnswers):
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
+        max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: "cpu" or "cuda:0", for Warp and torch.
     """
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
-                 seed: int = 0, rate: float = 1e-4, epochs: int = 400, patience: int = 40, dropout: float = 0.1,
-                 output: str = "softplus", second: str = "std", validation: float = 0.25, spacing: float = 0.005,
-                 friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0, fit_std: float = 1000.0,
-                 margin: float = 0.01, table_height: float = 0.0, band: float = 0.0, device: str = "cpu"):
+                 seed: int = 0, networks: int = 1, rate: float = 1e-4, epochs: int = 400, patience: int = 40,
+                 dropout: float = 0.1, output: str = "softplus", second: str = "std", validation: float = 0.25,
+                 spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0,
+                 fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, band: float = 0.0,
+                 max_particles: int = 0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -65,15 +77,20 @@ class Sbml(PosteriorAnswers):
             raise MethodError(f"sbml: noise_std is {noise_std!r} (greater than 0) and noise_share {noise_share!r} (0 "
                               f"or greater).")
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
-        self.second = second
+        if networks < 1:
+            raise MethodError(f"sbml: networks is {networks!r}; it must be at least 1.")
+        self.second, self.networks = second, networks
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band))
-        self._search_seed = seed
+                                             noise_share=noise_share, band=band, max_particles=max_particles))
+        self._search = PoseSearch(seed=seed)
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None
-        self._network = None
+        self._learned: list[MetaPrior] = []
+        self._level, self._naive = Level(), (0.0, 1.0)  # weights; naive mean [N/m] and variance [(N/m)^2]
+        self.training: list[Training] = []
+        """How the training of each network went."""
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the prior from the training objects (eq. 15).
@@ -85,7 +102,7 @@ class Sbml(PosteriorAnswers):
         if self.prior:
             self.load(Path(self.prior))
             return
-        from vsfsim.vsf.meta.prior import MetaPrior, train
+        from vsfsim.vsf.meta.prior import train
 
         if not specimens:
             raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the "
@@ -94,22 +111,38 @@ class Sbml(PosteriorAnswers):
         raw = [self._features(model, s.view) for model, s in zip(models, specimens)]
         self._normaliser = Normaliser.of(raw)
         parts = [Composition.of(self.structure, self._normaliser(f)) for f in raw]
-        spread = self._spread(models, specimens, parts)
+        fits = [self._fit(model, specimen) for model, specimen in zip(models, specimens)]
+        spread = _spread(fits, parts)
         tasks = [self._task(*row) for row in zip(models, specimens, raw, parts)]
-        held = self._held_out(len(tasks))
-        self._network = self._build(MetaPrior, raw[0].shape[1], spread)
-        self.training = train(self._network, [t for i, t in enumerate(tasks) if i not in held],
-                              [t for i, t in enumerate(tasks) if i in held],
-                              rate=self.rate, epochs=self.epochs, patience=self.patience, seed=self.seed)
+        self._learned, self.training, held_out = [], [], []
+        for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
+            seed = self.seed if number == 0 else int(np.random.SeedSequence(
+                self.seed, spawn_key=(2, number)).generate_state(1)[0])
+            network = self._build(raw[0].shape[1], spread, seed)
+            self.training.append(train(network, [t for i, t in enumerate(tasks) if i not in held],
+                                       [t for i, t in enumerate(tasks) if i in held], rate=self.rate,
+                                       epochs=self.epochs, patience=self.patience, seed=seed))
+            self._learned.append(network)
+            if self.networks > 1 and held:
+                rest = _pooled([fit for i, fit in enumerate(fits) if i not in held])
+                for i in sorted(held):
+                    prior = network.of(self._normaliser(raw[i]), parts[i])
+                    rows, z = models[i].stack(specimens[i].touches)
+                    held_out.append(Held(z, rows @ prior.total_mean(), rows @ np.full(rows.shape[1], rest.mean())))
+        self._level = Level.of(held_out) if held_out else Level()
+        self._naive = spread.mean, spread.std**2
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Prior from the view, then the support touches (eq. 16)."""
-        if self._network is None or self._normaliser is None:
+        if not self._learned or self._normaliser is None:
             raise MethodError("sbml has no prior yet; call meta_fit or load first.")
         model = self.shelf.get(view)
         if id(model) not in self._priors:
             features = self._normaliser(self._features(model, view))
-            self._priors[id(model)] = self._network.of(features, Composition.of(self.structure, features))
+            part = Composition.of(self.structure, features)
+            found = [network.of(features, part) for network in self._learned]
+            self._priors[id(model)] = found[0] if self.networks == 1 else blended(
+                found, self._level, naive_mean=self._naive[0], naive_var=self._naive[1])
         self._view = view
         self.posterior = Posterior.under(model, support, self._priors[id(model)])
 
@@ -119,14 +152,16 @@ class Sbml(PosteriorAnswers):
 
     def save(self, folder: Path) -> None:
         """Write the prior to a folder, which is made if missing: prior.json, and prior.npz with the weights."""
-        if self._network is None or self._normaliser is None:
+        if not self._learned or self._normaliser is None:
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
         table = {"structure": self.structure, "features": self.features, "output": self.output, "second": self.second,
-                 "size": len(self._normaliser.mean), "unit": self._network.unit}
+                 "networks": self.networks, "size": len(self._normaliser.mean), "unit": self._learned[0].unit,
+                 "level": asdict(self._level), "naive": list(self._naive), "count": len(self._learned)}
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
-        np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std,
-                 **{f"net.{name}": value.cpu().numpy() for name, value in self._network.state_dict().items()})
+        weights = {f"net{number}.{name}": value.cpu().numpy() for number, network in enumerate(self._learned)
+                   for name, value in network.state_dict().items()}
+        np.savez(folder / "prior.npz", mean=self._normaliser.mean, std=self._normaliser.std, **weights)
 
     def load(self, folder: Path) -> None:
         """Read a prior that `save` wrote.
@@ -136,7 +171,7 @@ class Sbml(PosteriorAnswers):
         """
         import torch
 
-        from vsfsim.vsf.meta.prior import MetaPrior, Spread
+        from vsfsim.vsf.meta.prior import Spread
 
         try:
             table = json.loads((folder / "prior.json").read_text())
@@ -145,24 +180,32 @@ class Sbml(PosteriorAnswers):
         except (OSError, ValueError) as error:
             raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
                               f"`save` wrote.") from error
-        table.setdefault("second", "std")  # of a folder that is older than this parameter
-        for key in ("structure", "features", "output", "second"):
+        # A folder that is older than a parameter was written with the only choice of its time.
+        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], **table}
+        for key in ("structure", "features", "output", "second", "networks"):
             if table.get(key) != getattr(self, key):
                 raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
                                   f"'{getattr(self, key)}'. Give --set {key}={table.get(key)}.")
         self._priors.clear()
         self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
-        self._network = self._build(MetaPrior, table["size"], Spread(table["unit"], table["unit"]))
-        self._network.load_state_dict({name.removeprefix("net."): torch.as_tensor(value) for name,
-                                       value in arrays.items()})
+        self._level, self._naive = Level(**table["level"]), tuple(table["naive"])
+        self._learned = []
+        for number in range(table["count"]):
+            network = self._build(table["size"], Spread(table["unit"], table["unit"]), self.seed)
+            marks = (f"net{number}.", "net.")
+            network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in arrays.items()
+                                     if name.startswith(marks)})
+            self._learned.append(network)
 
-    def _build(self, kind: type, size: int, spread):
+    def _build(self, size: int, spread: Spread, seed: int) -> MetaPrior:
         import torch
 
+        from vsfsim.vsf.meta.prior import MetaPrior
+
         with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.seed)
-            return kind(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
-                        output=self.output, second=self.second).to(self.device)
+            torch.manual_seed(seed)
+            return MetaPrior(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
+                             output=self.output, second=self.second).to(self.device)
 
     def _features(self, model: ParticleModel, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"
@@ -186,27 +229,45 @@ class Sbml(PosteriorAnswers):
         return MetaTask(*(torch.as_tensor(np.asarray(x, np.float32), device=self.device)
                           for x in (features, part.features)), evidence)
 
-    def _spread(self, models: Sequence[ParticleModel], specimens: Sequence[Specimen], parts: Sequence[Composition]):
-        """Spread of the spring constants fitted to each training object, as in the naive Gaussian prior (section 3.3,
-        "initialisation")."""
-        from vsfsim.vsf.meta.prior import Spread
+    def _fit(self, model: ParticleModel, specimen: Specimen) -> tuple[np.ndarray, np.ndarray]:
+        """Particles that an object's touches moved (k,) int, and the spring constants fitted to them (k,) [N/m], as
+        for the naive Gaussian prior (section 3.3, "initialisation")."""
+        fit = Posterior.of(model, specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
+        touched = np.flatnonzero(fit.touched())
+        return touched, fit.stiffness[touched]
 
-        pooled, means = [np.zeros(0)], []
-        for model, specimen, part in zip(models, specimens, parts):
-            fit = Posterior.of(model, specimen.touches, prior_mean=0.0, prior_var=self.fit_std**2)
-            touched = fit.touched()
-            pooled.append(fit.stiffness[touched])
-            share = part.membership[np.flatnonzero(touched)]
-            count = np.asarray(share.sum(axis=0)).ravel()
-            means += list((share.T @ fit.stiffness[touched])[count > 0] / count[count > 0])
-        values = np.concatenate(pooled)
-        if values.size == 0 or values.std() == 0.0:
-            raise MethodError(f"sbml cannot learn a prior: {len(specimens)} training objects with {values.size} "
-                              f"touched particles. Give a train split whose touches meet the objects.")
-        return Spread(float(values.mean()), float(values.std()), float(np.std(means)) if len(means) > 1 else 0.0)
+    def _held_out(self, objects: Sequence[str]) -> list[set[int]]:
+        """Which training views each network does not learn from; views of one object stay together."""
+        names = list(dict.fromkeys(objects))
+        if len(names) < 2 or self.validation == 0.0:
+            return [set()]
+        order = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1,))).permutation(len(names))
+        if self.networks > 1:
+            parts = [order[start::min(self.networks, len(names))] for start in range(min(self.networks, len(names)))]
+        else:
+            parts = [order[:max(1, round(self.validation * len(names)))]]
+        return [{i for i, name in enumerate(objects) if name in {names[k] for k in part}} for part in parts]
 
-    def _held_out(self, count: int) -> set[int]:
-        if count < 2 or self.validation == 0.0:
-            return set()
-        order = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(1,))).permutation(count)
-        return {int(i) for i in order[:max(1, round(self.validation * count))]}
+
+def object_of(specimen: Specimen) -> str:
+    """The object of a view: its name without the number of the view."""
+    return specimen.name.rpartition("-v")[0] or specimen.name
+
+
+def _pooled(fits: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *(values for _, values in fits)])
+
+
+def _spread(fits: Sequence[tuple[np.ndarray, np.ndarray]], parts: Sequence[Composition]) -> Spread:
+    """Statistics of the spring constants fitted to each training object."""
+    from vsfsim.vsf.meta.prior import Spread
+
+    values, means = _pooled(fits), []
+    if values.size == 0 or values.std() == 0.0:
+        raise MethodError(f"sbml cannot learn a prior: {len(fits)} training objects with {values.size} "
+                          f"touched particles. Give a train split whose touches meet the objects.")
+    for (touched, stiffness), part in zip(fits, parts):
+        share = part.membership[touched]
+        count = np.asarray(share.sum(axis=0)).ravel()
+        means += list((share.T @ stiffness)[count > 0] / count[count > 0])
+    return Spread(float(values.mean()), float(values.std()), float(np.std(means)) if len(means) > 1 else 0.0)

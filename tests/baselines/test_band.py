@@ -45,6 +45,18 @@ def test_a_band_leaves_out_the_air_behind_a_twig(twig):
         ParticleModel.behind(from_above, VsfSettings(**SETTINGS, band=1e-7))
 
 
+def test_a_sample_of_the_particles_stands_for_all_of_them(twig):
+    whole = ParticleModel.behind(twig, VsfSettings(**SETTINGS))
+    few = ParticleModel.behind(twig, VsfSettings(**SETTINGS, max_particles=100))
+    assert len(few.particles) == 100 < len(whole.particles)
+    assert {tuple(p) for p in few.particles} <= {tuple(p) for p in whole.particles}
+    assert few.cell * 100 == pytest.approx(whole.cell * len(whole.particles)) and whole.cell == pytest.approx(5e-3**3)
+    many = ParticleModel.behind(twig, VsfSettings(**SETTINGS, max_particles=10**6))
+    np.testing.assert_array_equal(many.particles, whole.particles)
+    with pytest.raises(MethodError, match="max_particles is -1"):
+        VsfSettings(**SETTINGS, max_particles=-1)
+
+
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf, DenseVsf, Sbml])
 def test_every_particle_method_takes_both_and_refuses_what_is_none(method):
     assert {"noise_share", "band"} <= set(inspect.signature(method).parameters)

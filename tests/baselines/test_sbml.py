@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from vsfsim.baselines.gaussian import GaussianAverage
-from vsfsim.baselines.sbml import Sbml
+from vsfsim.baselines.sbml import Sbml, object_of
 from vsfsim.bench.check import MOCK_TASK, check, report
+from vsfsim.bench.method import Specimen
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
 from vsfsim.bench.task import parse_task
@@ -97,6 +98,37 @@ def test_touches_reduce_the_error_and_the_std(fitted, task):
         assert std[1] < std[0]
 
 
+def test_several_networks_find_the_level_that_no_picture_shows(train, task, tmp_path):
+    # The level of a mock object is between half and twice that of the others. One touch tells it, but only a component
+    # common to all particles carries it to what was not touched.
+    one, several = (Sbml(**{**FAST, "epochs": 60, "patience": 20}, networks=n) for n in (1, 3))
+    errors = []
+    for method in (one, several):
+        method.meta_fit(train)
+        errors.append([[error(method, task, range(k), index) for k in (0, 1)] for index in TEST])
+    assert 0.2 < several._level.std < 0.8 and several._level.network > several._level.naive
+    single, blend = (np.log(np.array(e)).mean(axis=0) for e in errors)
+    assert blend[1] - single[1] < np.log(0.75), (single, blend)
+    several.save(tmp_path)
+    other = Sbml(**FAST, networks=3, prior=str(tmp_path))
+    other.meta_fit([])
+    assert error(other, task, range(2)) == error(several, task, range(2))
+    with pytest.raises(VsfsimError, match="learned with networks '3', not '1'"):
+        Sbml(prior=str(tmp_path)).meta_fit([])
+
+
+def test_views_of_one_object_are_learned_from_or_held_out_together():
+    names = [f"plants-{k:04d}" for k in range(6) for _ in range(4)]
+    for networks, parts in ((1, 1), (3, 3), (9, 6)):
+        held = Sbml(networks=networks)._held_out(names)
+        assert len(held) == parts and all({names[i] for i in part}.isdisjoint({names[i] for i in range(24)
+                                                                              if i not in part}) for part in held)
+        if networks > 1:
+            assert sorted(i for part in held for i in part) == list(range(24))
+    assert object_of(Specimen("plants-v3-0003-v2", None, ())) == "plants-v3-0003"
+    assert Sbml(networks=3)._held_out(["alone"]) == [set()]
+
+
 def test_one_prior_over_two_families(train, task):
     # The second family reads another quantity, and its blocks are ten times as stiff and brighter.
     other = parse_task(MOCK_TASK.replace("normal-force", "force-magnitude"), "mock")
@@ -132,6 +164,8 @@ def test_refusals(fitted, train, task):
         Sbml(structure="HEE")
     with pytest.raises(VsfsimError, match="Did you mean 'xyzrgb'"):
         Sbml(features="xyzrgbd")
+    with pytest.raises(VsfsimError, match="networks is 0"):
+        Sbml(networks=0)
     with pytest.raises(VsfsimError, match="fraction"):
         Sbml(validation=1.0)
     with pytest.raises(VsfsimError, match="no training object"):

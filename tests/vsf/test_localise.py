@@ -79,6 +79,21 @@ def test_a_buried_object_is_found(angle, trial_seed):
     assert found.loss < 0.5 * float(np.maximum(100.0 - stiffness, 0.0)[inside].sum() + 100.0 * missed)
 
 
+def test_the_literal_loss_is_that_of_equation_7():
+    known = KnownObject.of(*wedge())
+    truth = pose(0.3, [0.01, -0.015, 0.0])
+    points, stiffness = buried(known, truth, noise=0.3)
+    found = stiffness_pose(known, points, stiffness, threshold=100.0, tries=4, refine=0, outside=False)
+    at = found.transform
+    inside = known.contains((points - at[:3, 3]) @ at[:3, :3])
+    assert 0 < inside.sum() and found.loss == pytest.approx(np.maximum(100.0 - stiffness, 0.0)[inside].sum())
+    ours = stiffness_pose(known, points, stiffness, threshold=100.0, tries=4, refine=0)
+    at = ours.transform
+    inside = known.contains((points - at[:3, 3]) @ at[:3, :3])
+    missed = np.count_nonzero((stiffness > 100.0) & ~inside)
+    assert missed and ours.loss == pytest.approx(np.maximum(100.0 - stiffness, 0.0)[inside].sum() + 100.0 * missed)
+
+
 def test_contact_points_alone_place_it_roughly(trial_seed):
     known = KnownObject.of(*wedge())
     truth = pose(0.8 + 2.4 * trial_seed, [0.0, 0.02, 0.0])

@@ -5,6 +5,9 @@ that this introduces are then dropped:
 
     M = W V W^T + S,   K += V W^T M^-1 (z - W K),   v_i -= v_i^2 w_i^T M^-1 w_i,   K = max(K, 0)
 
+A replay of an earlier frame repeats the update of K alone, with the variances as they are: the reading was counted
+before, but K no longer fits it once later frames have moved the same particles.
+
 w_i is column i of W. Only the particles that a frame moves change. Readings on the vertices of a sensor are coupled
 between neighbours only, and M^-1 is needed between such neighbours only, so both are computed along a band (`banded`).
 Otherwise M is factorised once, or, with fewer particles than readings, the particles' precision matrix is.
@@ -34,6 +37,8 @@ class DiagonalFilter:
     """Variances, > 0 (n,) [(N/m)^2]."""
     _bands: dict[int, Band] = field(default_factory=dict, repr=False)
     """Orders of the readings, by the number of readings in a frame."""
+    _frames: list[tuple[sparse.csr_matrix, np.ndarray, np.ndarray]] = field(default_factory=list, repr=False)
+    """Frames that may be replayed: rows, readings and their noise."""
 
     @classmethod
     def start(cls, particles: int, *, mean: np.ndarray | float, var: np.ndarray | float) -> DiagonalFilter:
@@ -57,13 +62,15 @@ class DiagonalFilter:
             raise VsfError("vsf.kalman: the prior's mean must be finite and its variance finite and greater than 0.")
         return out
 
-    def update(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float) -> None:
+    def update(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float,
+               replayed: bool = False) -> None:
         """Update by the readings of one frame.
 
         Args:
             w: observation matrix (m, n).
             z: readings (m,).
             noise_std: standard deviation of the readings, > 0 (m,) or one number, in the unit of z.
+            replayed: the frame was assimilated before; the variances stay as they are.
 
         Raises:
             VsfError: shapes that do not fit, a reading that is not finite, a noise that is not positive.
@@ -99,18 +106,34 @@ class DiagonalFilter:
         else:
             shift, left = _by_particles(a, surprise, var) if len(moved) < len(rows) else _by_readings(a, surprise, var)
         self.mean[moved] = np.maximum(self.mean[moved] + shift, 0.0)
-        # A variance that falls by fourteen orders of magnitude may be negative by rounding.
-        self.var[moved] = np.maximum(left, 1e-14 * var)
+        if not replayed:
+            # A variance that falls by fourteen orders of magnitude may be negative by rounding.
+            self.var[moved] = np.maximum(left, 1e-14 * var)
 
-    def run(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, size: int = 1) -> None:
+    def run(self, w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray | float, size: int = 1,
+            replay: int = 0, seed: int = 0) -> None:
         """`update` frame by frame: frame t has rows ``size`` t to ``size`` (t + 1) of ``w`` (T size, n) and ``z`` (T
-        size,)."""
+        size,).
+
+        Args:
+            w, z, noise_std: as of `update`, of all frames.
+            size: readings of a frame.
+            replay: frames that are drawn with replacement from those assimilated by any call of `run`, the newest
+                among them, and replayed after each new one.
+            seed: of that draw, >= 0.
+        """
         w = sparse.csr_matrix(w)
         noise = np.broadcast_to(np.asarray(noise_std, np.float64), np.shape(z))
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(len(self._frames),)))
         for start in range(0, w.shape[0], size):
             if w.indptr[start] < w.indptr[min(start + size, w.shape[0])]:
                 part = slice(start, start + size)
                 self.update(w[part], z[part], noise_std=noise[part])
+                if replay:
+                    self._frames.append((w[part], np.asarray(z, np.float64)[part], noise[part]))
+                    for index in rng.integers(len(self._frames), size=replay):
+                        rows, values, std = self._frames[index]
+                        self.update(rows, values, noise_std=std, replayed=True)
 
 
 def _by_sparse_readings(a: sparse.csr_matrix, surprise: np.ndarray, var: np.ndarray, rows: np.ndarray,

@@ -6,7 +6,8 @@ iterative closest points (Besl and McKay 1992). The pose with the stiffest insid
 
     L = sum over touched points inside the object of max(threshold - K, 0)
 
-This loss alone favours a pose that contains few points, so every stiff point outside the object adds the threshold.
+This loss alone favours a pose that contains few points, so every stiff point outside the object adds the threshold
+(``outside=False`` is the papers' way).
 The cloud fills the touched part of the object while the registration fits a surface, which tilts poses by some ten
 degrees; the best poses are therefore refined on the loss itself, by a random search of shrinking steps (``refine=0`` is
 the papers' way). `contact_pose` is the papers' baseline without stiffness: it registers contact points.
@@ -102,7 +103,7 @@ class Pose:
 
 
 def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray, *, threshold: float, tries: int = 10,
-                   refine: int = 400, seed: int = 0) -> Pose:
+                   refine: int = 400, outside: bool = True, seed: int = 0) -> Pose:
     """The pose that best explains an estimate of stiffness.
 
     Args:
@@ -113,6 +114,7 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
         tries: registrations.
         refine: steps of the random search, from each of the best three poses that differ by a rotation; 0 keeps the
             best registration.
+        outside: whether a stiff point outside the object adds to the loss; False is eq. 7 alone.
         seed: of the draws.
 
     Raises:
@@ -126,7 +128,8 @@ def stiffness_pose(known: KnownObject, points: np.ndarray, stiffness: np.ndarray
 
     def evaluate(transform: np.ndarray) -> Pose:
         inside = known.contains((points - transform[:3, 3]) @ transform[:3, :3])
-        return Pose(transform, float(lack[inside].sum() + threshold * np.count_nonzero(stiff & ~inside)))
+        missed = np.count_nonzero(stiff & ~inside) if outside else 0
+        return Pose(transform, float(lack[inside].sum() + threshold * missed))
 
     found = sorted((evaluate(register(known.surface, points[stiff], seed=seed * 1000 + attempt)[0])
                     for attempt in range(tries)), key=lambda p: p.loss)

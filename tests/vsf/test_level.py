@@ -1,0 +1,71 @@
+"""The level of a learned prior, from objects that it was not learned on: in cases with a closed form."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from vsfsim.core.errors import VsfError
+from vsfsim.vsf.estimate.structured import structured_map
+from vsfsim.vsf.meta.composition import GaussianPrior
+from vsfsim.vsf.meta.level import Held, Level, blended
+
+
+def held(rng, scale=1.0, *, a=0.7, b=0.2, m=40):
+    network, naive = rng.uniform(0, 1, m), rng.uniform(0, 1, m)
+    return Held(scale * (a * network + b * naive), scale * network, scale * naive)
+
+
+def test_a_blend_that_explains_all_objects_is_found_and_leaves_no_spread():
+    rng = np.random.default_rng(0)
+    level = Level.of([held(rng, scale) for scale in (1.0, 30.0, 1e-3)])
+    assert (level.network, level.naive) == (pytest.approx(0.7), pytest.approx(0.2)) and level.std < 1e-12
+
+
+def test_a_network_that_knows_nothing_loses_its_weight_to_the_naive_prior():
+    rng = np.random.default_rng(1)
+    objects = []
+    for _ in range(9):
+        naive = rng.uniform(0, 1, 200)
+        objects.append(Held(naive, rng.uniform(0, 5, 200), naive))
+    level = Level.of(objects)
+    assert level.naive == pytest.approx(1.0) and level.network == pytest.approx(0.0, abs=1e-12)
+
+
+def test_objects_count_alike_whatever_their_forces():
+    # Half of the objects are ten times as stiff in all: absolute residuals would follow the stiff ones to 2.0.
+    one, none = np.ones(5), np.zeros(5)
+    level = Level.of([Held(10.0 * 2.0 * one, 10.0 * one, none), Held(1.0 * one, one, none)])
+    # |2 - a|^2 / 2^2 + |1 - a|^2 / 1^2 is least at a = (1 / 2 + 1) / (1 / 4 + 1)
+    assert level.network == pytest.approx(1.2)
+    assert level.std == pytest.approx(np.sqrt(((2.0 / 1.2 - 1.0) ** 2 + (1.0 / 1.2 - 1.0) ** 2) / 2.0))
+
+
+def test_without_a_touched_particle_it_refuses():
+    with pytest.raises(VsfError, match="no training object has readings that a touched particle explains"):
+        Level.of([Held(np.ones(3), np.zeros(3), np.zeros(3)), Held(np.zeros(3), np.ones(3), np.ones(3))])
+
+
+def plain(mean, var):
+    return GaussianPrior(np.array(mean), np.array(var), sparse.csr_matrix((len(mean), 0)), np.zeros(0), np.zeros(0))
+
+
+def test_several_networks_are_a_mixture_and_the_level_scales_it():
+    priors = [plain([1.0, 4.0], [1.0, 2.0]), plain([3.0, 4.0], [3.0, 4.0])]
+    out = blended(priors, Level(), naive_mean=10.0, naive_var=5.0)
+    np.testing.assert_allclose(out.mean, [2.0, 4.0])
+    np.testing.assert_allclose(out.var, [2.0 + 1.0, 3.0])
+    assert out.membership.shape == (2, 0)
+    out = blended(priors, Level(0.5, 0.1, 0.3), naive_mean=10.0, naive_var=5.0)
+    np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
+    np.testing.assert_allclose(out.var, 0.25 * np.array([3.0, 3.0]) + 0.01 * 5.0)
+    np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
+
+
+def test_one_touch_corrects_the_level_of_what_it_did_not_touch():
+    # Ten particles of 100 N/m, known to 1 % each and to a factor of 0.5 +- in common; one, touched, has 160 N/m.
+    prior = blended([plain([100.0] * 10, [1.0] * 10)], Level(1.0, 0.0, 0.5), naive_mean=100.0, naive_var=1.0)
+    row = sparse.csr_matrix(([0.01], ([0], [0])), shape=(1, 10))
+    found = structured_map(row, np.array([1.6]), noise_std=1e-4, prior=prior)
+    # Of the surprise of 60 N/m the common factor explains 2500 / 2501, and the noise next to nothing.
+    np.testing.assert_allclose(found.mean[1:], 100.0 + 60.0 * 2500.0 / 2501.0, rtol=1e-4)
+    assert found.mean[0] == pytest.approx(160.0, rel=1e-4)
