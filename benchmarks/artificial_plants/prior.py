@@ -1,10 +1,10 @@
-"""How much of a plant's stiffness a picture tells: priors learned from readings, with and without each feature
-(`vsfsim measure plant-prior`).
+"""How much of an object's stiffness a picture tells: priors learned from readings, with and without each feature
+(`vsfsim measure plant-prior`, for plants and, as well, for shoes).
 
 The spring constant of a particle is taken as constant within cells of the feature's quantiles. Its values are the
-non-negative least squares solution of the readings of all plants but one (ridge towards one value for all), and predict
-the readings of that one before its first touch. This is SBML's prior mean (eq. 15) without a network, so that nothing
-but the feature decides.
+non-negative least squares solution of the readings of all objects but one (ridge towards one value for all), and
+predict the readings of that one before its first touch. This is SBML's prior mean (eq. 15) without a network, so that
+nothing but the feature decides.
 """
 
 from __future__ import annotations
@@ -23,14 +23,19 @@ from vsfsim.bench.protocol import record
 from vsfsim.bench.task import load_task, open_dataset
 from vsfsim.vsf.features.registry import particle_features
 
-COLUMN = {"luminance": 0, "hue": 1, "thickness": 6, "path": 7, "axis": 8, "height": 9}
+COLUMN = {"luminance": 0, "hue": 1, "texture": 3, "thickness": 6, "path": 7, "axis": 8, "height": 9}
 """Columns of `local-thick` that are tried."""
 SETS: tuple[tuple[str, ...], ...] = (
     (), ("luminance", "hue"), ("thickness",), ("path",), ("axis",), ("height",), ("thickness", "path"),
-    ("axis", "height"), ("thickness", "axis", "height"), ("hue", "thickness", "axis"))
+    ("axis", "height"), ("thickness", "axis", "height"), ("hue", "thickness", "axis"), ("texture",), ("hue", "texture"),
+    ("luminance", "hue", "texture"), ("texture", "thickness"), ("hue", "texture", "height"))
 """Sets of features; the empty one is one value for all particles."""
 CELLS = {0: 1, 1: 5, 2: 4, 3: 3}
 """Cells of each feature, by the number of features."""
+PLANTS = VsfSettings(0.01, 0.4, 1.0, 0.01, 0.0, "cpu", noise_share=0.5, band=0.015)
+"""Particles of a plant that an arm touches."""
+SHOES = VsfSettings(0.005, 0.0, 1.0, 0.01, 0.0, "cpu", noise_share=0.5)
+"""Particles of a shoe that a probe touches."""
 RIDGE = 0.3
 """Weight of one value for all, relative to the mean curvature of the readings [-]."""
 
@@ -51,17 +56,18 @@ class _Plant:
 
 def measure(task: str, *, folder: Path | None = None, settings: VsfSettings | None = None,
             progress: Progress = lambda _: None) -> Measurement:
-    """Error before the first touch of priors from every set of `SETS`, each plant predicted from all others.
+    """Error before the first touch of priors from every set of `SETS`, each object predicted from all others.
 
     Args:
-        task: name or path of a task with joint torques.
+        task: name or path of a task whose readings particles predict.
         folder: its dataset, None for where the task looks. For the choice of settings give one of another seed: a copy
             of the task with that seed.
-        settings: of the particles; None for 10 mm, within 15 mm of the seen surface, noise in proportion 0.5.
+        settings: of the particles; None for noise in proportion 0.5 and, with joint torques, 10 mm within 15 mm of the
+            seen surface, else 5 mm.
         progress: called with what is going on.
     """
-    chosen = settings or VsfSettings(0.01, 0.4, 1.0, 0.01, 0.0, "cpu", noise_share=0.5, band=0.015)
     loaded = load_task(task)
+    chosen = settings or (PLANTS if loaded.observation.name == "joint-torque" else SHOES)
     dataset = open_dataset(loaded, folder)
     plants = []
     for name in dataset.names():
@@ -93,11 +99,11 @@ def compared(plants: Sequence[_Plant], settings: VsfSettings, run: dict[str, str
                      "gain": float(gain.mean()), "gain_error": float(gain.std(ddof=1) / np.sqrt(len(gain))),
                      "better": int((gain < 0.0).sum())})
     return Measurement.of("plant-prior", run, [Table(
-        "error before the first touch over that of predicting zero, each plant from the others", (
+        "error before the first touch over that of predicting zero, each object from the others", (
             Column("set", "features"), Column("ratio", "ratio", "1", "", ".3f"), Column("error", "+-", "1", "", ".3f"),
             Column("gain", "against one value", "1", "", "+.3f"), Column("gain_error", "+-", "1", "", ".3f"),
             Column("better", f"better on, of {len(plants)}", "1", "", "d")), rows, name="features")],
-        notes=["Errors are standard errors over plants; those of the difference are of paired differences."])
+        notes=["Errors are standard errors over objects; those of the difference are of paired differences."])
 
 
 def _left_out(plants: Sequence[_Plant], k: int, keys: tuple[str, ...], settings: VsfSettings) -> float:

@@ -265,10 +265,10 @@ def touches(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Fol
 
 
 @app.command(name="plant-prior")
-def plant_prior(task: Annotated[str, typer.Argument(metavar="TASK", help="Name of a task with joint torques, or the "
-                                                                         "path of its .toml file.")],
+def plant_prior(task: Annotated[str, typer.Argument(metavar="TASK", help="Name of a task, or the path of its .toml "
+                                                                         "file.")],
                 dataset: DatasetFolder = None, out: JsonFile = None) -> None:
-    """How much of a plant's stiffness a picture tells: priors learned from readings, with and without each feature."""
+    """How much of the stiffness a picture tells: priors learned from readings, with and without each feature."""
     from benchmarks.artificial_plants.prior import measure
 
     _report(measure(task, folder=dataset, progress=step), out)
