@@ -216,7 +216,7 @@ def test_a_hidden_object_is_found_from_stiffness_or_contacts(angle, over):
         # and does not know which face is up.
         literal = locate(vertices, triangles, points, given, view, PoseSearch(pose="registration"))
         assert translation_error(literal, truth) < 25.0
-    with pytest.raises(MethodError, match="pose is 'register'. Did you mean 'registration'"):
+    with pytest.raises(MethodError, match=r"pose is 'register'\. Did you mean 'registration'"):
         PoseSearch(pose="register")
     if not over:
         return
