@@ -30,8 +30,8 @@ VIEWS = [mock_view(i, split="train" if i < 2 else "test", touches=4) for i in ra
 NAMES = [view.name for view in VIEWS]
 
 
-def build(path, views=VIEWS):
-    with DatasetWriter(path, RECIPE, NAMES) as writer:
+def build(path, views=VIEWS, recipe=RECIPE):
+    with DatasetWriter(path, recipe, NAMES) as writer:
         for view in views:
             if view.name in writer.missing():
                 writer.add(view)
@@ -241,7 +241,8 @@ def test_verify_is_content_with_a_good_dataset(tmp_path):
 
 
 def test_one_flipped_bit_anywhere_is_found(tmp_path):
-    build(tmp_path / "d")
+    views = [mock_view(i, split="train" if i < 2 else "test", touches=1) for i in range(3)]
+    build(tmp_path / "d", views, dataclasses.replace(RECIPE, touches=1))
     rng = np.random.default_rng(0)
     for file in sorted((tmp_path / "d").iterdir()):
         whole = file.read_bytes()
