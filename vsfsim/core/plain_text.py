@@ -16,6 +16,8 @@ def plain(text: object, *, longest: int = LONGEST) -> str:
     """``text`` in one line without control characters, which could move the cursor, colour a terminal or turn the
     direction of reading; a longer text than ``longest`` is cut and ends in an ellipsis."""
     words = str(text)
+    if len(words) <= longest and words.isprintable():  # nearly always, and results have tens of thousands of names
+        return words
     cut = len(words) > longest
     shown = "".join(" " if letter.isspace() else "?" if unicodedata.category(letter) in ("Cc", "Cf", "Cs", "Co", "Cn")
                     else letter for letter in words[:longest])
