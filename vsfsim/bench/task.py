@@ -161,6 +161,18 @@ def load_task(given: str | Path) -> Task:
     return parse_task(read_text(path, "task", TaskError), path)
 
 
+def current_task(name: str) -> Task:
+    """The task of this name, or the one that corrects it.
+
+    Raises:
+        TaskError: there is none of this name.
+    """
+    task = load_task(name)
+    while task.superseded_by:
+        task = load_task(task.superseded_by)
+    return task
+
+
 def parse_task(text: str, path: str | Path) -> Task:
     """Like `load_task`, from text; ``path`` names it in messages."""
     tree = parse_toml(text, Path(path), "task", TaskError)

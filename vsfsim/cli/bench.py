@@ -261,11 +261,13 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
            json: JsonFile = None) -> None:
     """Hold the papers' claims against stored results.
 
-    Reads the results that ship and those in results/TASK. Each verdict names the commands behind it.
+    Reads the results that ship, those in results/TASK and those of `vsfsim study`. Each verdict names the commands
+    behind it; of a claim that does not hold, experiments say what is at fault.
     """
     from vsfsim.bench import leaderboard as board
     from vsfsim.bench.board import claims as judged
     from vsfsim.bench.commands.presets import PRESETS
+    from vsfsim.bench.studies import claims as claims_of_studies
     from vsfsim.bench.task import load_task
 
     check_choice("--preset", preset, PRESETS)
@@ -275,7 +277,8 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     for name in dict.fromkeys(claim.task for claim in wanted):
         made = Path("results") / name
         boards[name] = board.collect(load_task(name), [made] if made.is_dir() else [])
-    verdicts = judged.judge(wanted, boards, preset=preset)
+    asked, experiments = claims_of_studies.verdicts(size, boards=boards)
+    verdicts = claims_of_studies.beside([*judged.judge(wanted, boards, preset=preset), *asked], experiments)
     report(judged.text(verdicts), judged.table(verdicts), json)
 
 

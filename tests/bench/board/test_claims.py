@@ -8,6 +8,7 @@ from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, Claim, Side, claims_
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
+from vsfsim.bench.studies.study import load_study, studies
 from vsfsim.bench.task import load_task
 
 TASK = "fewshot-shoes-v2-mini-v2"
@@ -70,6 +71,7 @@ def test_every_claim_asks_a_task_and_methods_that_there_are(size):
 def test_the_command_prints_every_claim(vsfsim, tmp_path):
     found = vsfsim("claims", cwd=tmp_path)
     assert found.returncode == 0, found.stderr
-    assert f"{len(claims_of())} claims" in found.stdout
+    asked = claims_of() + [a for name in studies() for a in load_study(name).claims]
+    assert f"{len(asked)} claims" in found.stdout
     wrong = vsfsim("claims", "--preset", "best", cwd=tmp_path)
     assert wrong.returncode == 2 and "--preset is 'best'" in wrong.stderr

@@ -4,6 +4,9 @@ A claim says that one method errs less than another, or that two cannot be told 
 it holds if the paired difference has the claimed sign by more than two standard errors over objects, it does not hold
 if it has the other sign by as much, and else it cannot be told. A result is found by its method, its preset and its
 task; where one is missing, the claim cannot be told and the command that makes the result is printed.
+
+The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.bench.studies.claims`), and so do
+the experiments that say why a claim does not hold: each asks the same of other data.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from typing import Any
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, Paired, by_object, interval, paired
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.metrics import METRICS
+from vsfsim.bench.task import current_task
 from vsfsim.core.text_table import text_table
 
 HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
@@ -52,6 +56,35 @@ class Claim:
     """The paper finds no difference."""
     note: str = ""
     """What is different here, or ""."""
+    key: str = ""
+    """By which experiments name it, "" where there are none."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """The same as a claim asks, asked of other data."""
+
+    key: str
+    """Of the claim."""
+    changes: str
+    """What it changes, e.g. "data"."""
+    study: str
+    """Name of the study that it is part of."""
+    answer: str
+    """`HOLDS`, `FAILS` or `UNTOLD`."""
+    difference: Paired | None
+    """Better minus worse over objects; None where a result is missing."""
+
+    @property
+    def conclusion(self) -> str:
+        """What it says of a claim that does not hold."""
+        where = f"in study {self.study}"
+        if self.difference is None:
+            return f"{where} nothing is stored"
+        d = f"{self.difference.mean:+.3f} ± {self.difference.error:.3f}, {self.difference.objects} objects"
+        return {HOLDS: f"at fault: {self.changes}; {where} it holds ({d})",
+                FAILS: f"not at fault: {self.changes}; {where} it does not hold either ({d}), so the method",
+                UNTOLD: f"open: {self.changes}; {where} it cannot be told either ({d})"}[self.answer]
 
 
 @dataclass(frozen=True)
@@ -68,13 +101,15 @@ class Verdict:
     """Better minus worse over objects; None where a result is missing."""
     commands: tuple[str, ...] = field(default=())
     """Which made the results, or would make the missing ones."""
+    experiments: tuple[Experiment, ...] = field(default=())
+    """On the same claim."""
 
 
-def _pair(task: str, table: str, zero_table: str, figures: Mapping[str, str]) -> list[Claim]:
+def _pair(kind: str, task: str, table: str, zero_table: str, figures: Mapping[str, str]) -> list[Claim]:
     """The claims of SBML that are the same for plants and shoes."""
     def claim(key: str, text: str, source: str, better: tuple[str, str], worse: tuple[str, str], *,
               equal: bool = False) -> Claim:
-        return Claim(text, source, figures[key], task, Side(*better), Side(*worse), equal=equal)
+        return Claim(text, source, figures[key], task, Side(*better), Side(*worse), equal=equal, key=f"{kind}/{key}")
 
     return [
         claim("average", "before any touch the learned prior errs less than the average Gaussian prior", table,
@@ -105,8 +140,8 @@ def claims_of(size: str = "mini") -> list[Claim]:
         size: "mini", or "standard" for the tasks of the papers' size.
     """
     mini = "-mini" if size == "mini" else ""
-    plants, shoes = f"fewshot-plants-v3{mini}-v1", f"fewshot-shoes-v2{mini}-v2"
-    out = _pair(plants, "SBML, table 1", "SBML, tables 1 and 4", {
+    plants, shoes = (current_task(f"fewshot-{kind}{mini}-v1").name for kind in ("plants-v3", "shoes-v2"))
+    out = _pair("plants", plants, "SBML, table 1", "SBML, tables 1 and 4", {
         "average": "2.80 and 5.23 N m", "zero": "2.80 and 3.55 N m", "few": "2.67 and 4.42 N m",
         "few zero": "2.61 and 2.88 N m", "falls": "2.61 and 2.80 N m", "all": "2.57 and 3.55 N m",
         "imaml": "2.80 and 3.86 N m", "imaml few": "2.61 and 4.51 N m", "vision": "3.95 and 3.86 N m"})
@@ -115,7 +150,7 @@ def claims_of(size: str = "mini") -> list[Claim]:
               "3.55 and 5.23 N m", plants, Side("gaussian-zero", "0"), Side("gaussian", "0")),
         Claim("the learned prior before any touch errs less than the zero Gaussian prior after 10",
               "SBML, appendix C.1", "2.80 and 2.88 N m", plants, Side("sbml", "0"), Side("gaussian-zero", "10"))]
-    out += _pair(shoes, "SBML, table 2", "SBML, tables 2 and 5", {
+    out += _pair("shoes", shoes, "SBML, table 2", "SBML, tables 2 and 5", {
         "average": "7.43 and 8.27 hPa", "zero": "7.43 and 9.21 hPa", "few": "5.05 and 5.54 hPa",
         "few zero": "4.18 and 4.63 hPa", "falls": "4.18 and 7.43 hPa", "all": "4.10 and 9.21 hPa",
         "imaml": "7.43 and 9.95 hPa", "imaml few": "4.18 and 6.15 hPa", "vision": "7.44 and 9.95 hPa"})
@@ -152,14 +187,22 @@ def _judge(claim: Claim, board: Board | None, preset: str) -> Verdict:
                                    for _, row in sides if row is not None))
     if not all(values):
         return Verdict(claim, UNTOLD, f"no {claim.metric} at these shots", None, commands)
-    ours = " and ".join(_written(one) for one in values)
-    found = paired(*values)
+    return Verdict(claim, *decide(claim, *values), commands)
+
+
+def decide(claim: Claim, better: ByObject, worse: ByObject) -> tuple[str, str, Paired]:
+    """The answer, both sides in words, and their paired difference.
+
+    Args:
+        claim: which metric, and whether it says that the sides are equal. better, worse: values by object.
+    """
+    found = paired(better, worse)
     sign = -1.0 if METRICS[claim.metric].higher_is_better else 1.0
     if claim.equal:
         answer = FAILS if found.told_apart else HOLDS if found.objects > 2 else UNTOLD
     else:
         answer = UNTOLD if not found.told_apart else HOLDS if sign * found.mean < 0.0 else FAILS
-    return Verdict(claim, answer, ours, found, commands)
+    return answer, f"{_written(better)} and {_written(worse)}", found
 
 
 def _row(board: Board | None, method: str, preset: str) -> Row | None:
@@ -189,6 +232,10 @@ def text(verdicts: Sequence[Verdict]) -> str:
              f"{TOLD_APART:g} standard errors. Values here are errors over that of predicting zero, if the paper's are "
              f"errors."]
     lines += [f"{k}: {v.claim.note}" for k, v in enumerate(verdicts, start=1) if v.claim.note]
+    why = [f"  {k}: {e.conclusion}" for k, v in enumerate(verdicts, start=1) for e in v.experiments
+           if v.answer != HOLDS and v.difference is not None and e.difference is not None]
+    if why:
+        lines += ["", "Of claims that do not hold or cannot be told, by experiments:", *why]
     for words, wanted in (("Made by:", True), ("Missing; these commands make them:", False)):
         by_command: dict[str, list[int]] = {}
         for k, v in enumerate(verdicts, start=1):
@@ -211,4 +258,6 @@ def table(verdicts: Sequence[Verdict]) -> list[dict[str, Any]]:
              "metric": v.claim.metric, "verdict": v.answer, "here": v.ours, "note": v.claim.note,
              "difference": None if v.difference is None else {"mean": v.difference.mean, "error": v.difference.error,
                                                               "objects": v.difference.objects},
-             "commands": list(v.commands)} for v in verdicts]
+             "commands": list(v.commands),
+             "experiments": [{"changes": e.changes, "study": e.study, "verdict": e.answer, "conclusion": e.conclusion}
+                             for e in v.experiments]} for v in verdicts]

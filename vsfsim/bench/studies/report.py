@@ -84,10 +84,9 @@ def text(study: Study, size: str, found: Mapping[str, Found]) -> str:
         return f"{lines[0]}\n\nThis table is made by another command:\n  {study.command}"
     head, rows = cells(study, found)
     lines += [title(study, size, found), "", text_table(head, rows)]
-    odd = differences(found, study.metric)
+    odd = differences(found)
     if odd:
-        lines.append(f"on other data than '{next(iter(found))}': {', '.join(odd)}; their differences are not paired by "
-                     f"touches")
+        lines.append(f"made on other data than '{next(iter(found))}': {', '.join(odd)}; make them again")
     missing = [v.name for v in study.variants if v.name not in found]
     if missing:
         lines += ["", f"missing: {', '.join(missing)}; `vsfsim study {study.name} --size {size}` makes them"]

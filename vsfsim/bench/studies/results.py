@@ -13,9 +13,9 @@ from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.commands.evaluate import finish
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.metrics import Answer
-from vsfsim.bench.result import Result
+from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.studies.study import Study, Variant
-from vsfsim.bench.task import Task
+from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import TaskError, VsfsimError
 from vsfsim.core.shelf import folder, scenes
@@ -42,20 +42,23 @@ class Found:
         return {name: v for name, v in found.items() if self.objects is None or name in self.objects}
 
 
-def stored(study: Study, size: str, variants: Sequence[Variant] | None = None) -> dict[str, Found]:
+def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
+           boards: dict[str, leaderboard.Board] | None = None) -> dict[str, Found]:
     """The variants that have a result, made here or shipped, by name.
 
     A row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of other
     settings, does not count.
 
     Args:
-        study: the study. size: of its tasks. variants: of it, None for all.
+        study: the study. size: of its tasks. variants: of it, None for all. boards: by name of the task, those that
+        are read already; others are added.
     """
     out = {}
+    boards = {} if boards is None else boards
     for variant in variants if variants is not None else study.variants:
         try:
             task = study.task_of(variant, size)
-            found = _row(study, variant, task) if study.is_row(variant) else _file(study, variant, task)
+            found = _row(variant, task, boards) if study.is_row(variant) else _file(study, variant, task)
             if found is not None:
                 out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
         except TaskError:
@@ -74,17 +77,16 @@ def _file(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | N
     return None
 
 
-def _row(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | None:
-    made = MADE / task.name
-    board = leaderboard.collect(task_of_board(task), [made] if made.is_dir() else [])
-    return next(((row.path, row.result) for row in board.rows if row.rank is not None and (
+def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board]) -> tuple[Path, Result] | None:
+    if task.name not in boards:
+        made = MADE / task.name
+        boards[task.name] = leaderboard.collect(task_of_board(task), [made] if made.is_dir() else [])
+    return next(((row.path, row.result) for row in boards[task.name].rows if row.rank is not None and (
         row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
 
 
 def task_of_board(task: Task) -> Task:
     """The task as its file says, without the study's shots and runs."""
-    from vsfsim.bench.task import load_task
-
     return load_task(task.name)
 
 
@@ -155,10 +157,8 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
         yield jobs[one.path][0], message
 
 
-def differences(found: Mapping[str, Found], metric: str) -> list[str]:
-    """Names of variants whose query readings are not those of the first one, which is no paired comparison."""
-    from vsfsim.bench.result import readings_apart
-
+def differences(found: Mapping[str, Found]) -> list[str]:
+    """Names of variants of the same query touches as the first one with other readings: another dataset."""
     names = list(found)
     out = []
     for name in names[1:]:

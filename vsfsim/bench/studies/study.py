@@ -19,7 +19,7 @@ from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.studies import worlds
-from vsfsim.bench.task import DatasetWanted, Task, load_task, open_dataset
+from vsfsim.bench.task import DatasetWanted, Task, current_task, open_dataset
 from vsfsim.bench.trials.training import RULES, Extra, Training
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.core.shelf import folder
@@ -157,7 +157,7 @@ class Study:
             if size not in self.tasks:
                 raise TaskError(f"study {self.name} has no task of the size '{size}'; it has "
                                 f"{' and '.join(self.tasks)}.")
-            task = current(self.tasks[size])
+            task = current_task(self.tasks[size])
         if variant.data:
             task = dataclasses.replace(task, dataset=self.wanted(variant.data, size, task))
         return self._asked(task)
@@ -178,7 +178,7 @@ class Study:
         if name not in self.data or size not in self.data[name]:
             raise TaskError(f"study {self.name} has no [data.{name}.{size}].")
         given = dict(self.data[name][size])
-        base = current(given.pop("task")).dataset if "task" in given else task.dataset
+        base = current_task(given.pop("task")).dataset if "task" in given else task.dataset
         return dataclasses.replace(base, **{"sha256": "", "scene_sha256": "", **given})
 
     def is_row(self, variant: Variant) -> bool:
@@ -228,23 +228,11 @@ class Study:
         extra = []
         for pool in variant.extra:
             given = self.data.get(pool.data, {}).get(size, {})
-            of = self._asked(current(given["task"])) if "task" in given else task
+            of = self._asked(current_task(given["task"])) if "task" in given else task
             of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
             extra.append(Extra(of, open_dataset(of), pool.objects))
         return Training(variant.train, variant.objects, variant.touches, variant.train_views, variant.test_views,
                         self.classes, tuple(extra))
-
-
-def current(name: str) -> Task:
-    """The task of this name, or the one that corrects it.
-
-    Raises:
-        TaskError: there is none of this name.
-    """
-    task = load_task(name)
-    while task.superseded_by:
-        task = load_task(task.superseded_by)
-    return task
 
 
 def studies() -> dict[str, Path]:

@@ -175,6 +175,11 @@ def _columns(where: str, value: Any, names: tuple[str, ...]) -> dict[str, list]:
     for name in names:
         check = _COLUMNS.get(name)
         spot = f"{where}.{name}"
+        if check is _word:  # few words, each in many rows
+            given = _list(spot, table[name])
+            words = {item: _word(spot, item) for item in {item for item in given if isinstance(item, str)}}
+            out[name] = [words[item] if isinstance(item, str) else _word(spot, item) for item in given]
+            continue
         out[name] = [(None if item is None else _number(spot, item)) if check is None else check(spot, item)
                      for item in _list(spot, table[name])]
     return out

@@ -1,0 +1,171 @@
+"""Studies: their files, their tables beside known results, and their claims."""
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD
+from vsfsim.bench.commands.presets import preset
+from vsfsim.bench.result import Result
+from vsfsim.bench.studies import claims, report, worlds
+from vsfsim.bench.studies import results as stored_results
+from vsfsim.bench.studies.results import Found
+from vsfsim.bench.studies.study import load_study, parse_study, studies
+from vsfsim.core.errors import TaskError
+from vsfsim.core.shelf import scenes
+
+TASK = "fewshot-shoes-v2-mini-v1"
+TEXT = """
+title = "A toy"
+source = "nobody"
+unit = "hPa"
+tasks = { mini = "fewshot-shoes-v2-mini-v1" }
+baseline = "all"
+[classes]
+boot = ["work-boot", "desert-boot", "combat-boot"]
+[settings]
+method = "sbml"
+[[variant]]
+name = "all"
+[[variant]]
+name = "half"
+share_of_objects = 0.5
+paper = { 0 = [2.0, 0.1] }
+[[claim]]
+text = "more is better"
+source = "nobody"
+figures = "1 and 2"
+better = ["all", "0"]
+worse = ["half", "0"]
+"""
+
+
+@pytest.fixture
+def study():
+    return parse_study(TEXT, Path("toy.toml"))
+
+
+def result(values, shot="0"):
+    """A result whose objects have these ratios to zero."""
+    names = [f"shoes-v2-mini-{k:04d}-v0" for k in range(len(values))]
+    one = [1] * len(values)
+    return Result(task=TASK, task_sha256="", dataset_sha256="", dataset_made_by={}, method="sbml", entry="",
+                  parameters={}, observation="normal-force", unit="N", shots=(shot,), seeds=(0,), scores={},
+                  queries={"object": names, "shot": [shot] * len(names), "seed": [0] * len(names), "touch": one,
+                           "n": one, "sse": [v**2 for v in values], "sae": list(values)},
+                  timing={}, peak_memory_mib=0.0, machine={}, made_by={}, versions={},
+                  readings={"object": names, "touch": one, "n": one, "ss": [1.0] * len(values)})
+
+
+def found(study, **values):
+    return {name: Found(study.variant(name), result(given), Path(f"{name}.json"), None)
+            for name, given in values.items()}
+
+
+LEVEL = [0.5, 0.9, 0.7, 1.2]
+
+
+def test_a_table_shows_values_and_paired_differences(study):
+    more = [v + 0.1 + 0.01 * k for k, v in enumerate(LEVEL)]
+    page = report.text(study, "mini", found(study, all=LEVEL, half=more))
+    assert "0.825 ± 0.149" in page and "+0.115 ± 0.006 *" in page and "2.00 ± 0.10" in page
+    table = report.table(study, "mini", found(study, all=LEVEL, half=more))
+    assert table["variants"][1]["difference"]["0"]["mean"] == pytest.approx(0.115)
+    lacking = report.text(study, "mini", found(study, all=LEVEL))
+    assert "missing: half; `vsfsim study toy --size mini` makes them" in lacking
+
+
+def test_only_a_class_of_objects_counts(study):
+    boots = dataclasses.replace(study.variant("all"), only="boot")
+    counted = stored_results._counted(study, boots, study.task_of(boots, "mini"))
+    assert counted == {f"shoes-v2-mini-{k:04d}" for k in (0, 4, 8)}
+    one = Found(boots, result(LEVEL), Path("all.json"), counted)
+    assert one.values("rmse_ratio", "0") == {"shoes-v2-mini-0000": pytest.approx(0.5)}
+
+
+@pytest.mark.parametrize(("more", "answer"), [(0.1, HOLDS), (-0.1, FAILS), (None, UNTOLD)])
+def test_claims_and_experiments_are_decided_by_the_variants(study, more, answer, monkeypatch):
+    values = {"all": LEVEL} if more is None else {"all": LEVEL, "half": [v + more + 0.001 * k for k, v in
+                                                                         enumerate(LEVEL)]}
+    asked = dataclasses.replace(study, experiments=(dataclasses.replace(study.claims[0], text="toy/more is better",
+                                                                        note="data"),))
+    monkeypatch.setattr(claims, "load_study", lambda name: asked)
+    monkeypatch.setattr(claims, "stored", lambda *_: found(study, **values))
+    verdicts, experiments = claims.verdicts("mini", ["toy"])
+    (verdict,) = claims.beside(verdicts, experiments)
+    assert verdict.answer == answer and verdict.experiments[0].answer == answer
+    assert "vsfsim study toy --size mini" in verdict.commands[0]
+    said = verdict.experiments[0].conclusion
+    assert {HOLDS: "at fault: data", FAILS: "not at fault: data", UNTOLD: "nothing is stored"}[answer] in said
+
+
+def test_the_same_evaluation_has_one_file_in_all_studies(study):
+    half, every = study.variant("half"), study.variant("all")
+    other = parse_study(TEXT.replace("A toy", "Another"), Path("other.toml"))
+    assert study.stem(half) == other.stem(half) and study.stem(half).startswith("sbml.tuned-")
+    assert study.stem(half) != study.stem(dataclasses.replace(half, touches=0.5))
+    assert study.is_row(every) and not study.is_row(half)
+
+
+@pytest.mark.parametrize(("old", "new", "message"), [
+    ('baseline = "all"', 'baseline = "none"', "has no variant 'none'"),
+    ("share_of_objects = 0.5", "share_of_objects = 2.0", "share_of_objects is 2.0"),
+    ("share_of_objects = 0.5", 'train = "mine"', "train is 'mine'"),
+    ("share_of_objects = 0.5", 'world = "moon"', "world is 'moon'"),
+    ('worse = ["half", "0"]', 'worse = "half"', "give a variant and a shot"),
+    ('title = "A toy"', 'titel = "A toy"', "titel")])
+def test_a_wrong_file_is_refused(old, new, message):
+    with pytest.raises(TaskError, match=message):
+        parse_study(TEXT.replace(old, new), Path("toy.toml"))
+
+
+@pytest.mark.parametrize("name", list(studies()))
+def test_a_shipped_study_asks_what_there_is(name):
+    study = load_study(name)
+    if study.command:
+        return
+    models = {m for path in scenes().values() for m in stored_results.models_of(path.read_text())}
+    assert set(study.classes) <= models
+    for size in study.tasks or ("mini",):
+        for variant in study.variants:
+            task = study.task_of(variant, size)
+            assert preset(variant.method, variant.preset, task.observation.name).method == variant.method
+            assert study.stem(variant) and (not variant.only or variant.only in study.classes.values())
+            for pool in variant.extra:
+                assert study.wanted(pool.data, size, task).objects >= pool.objects
+            for asked in (*study.claims, *study.experiments):
+                for side, shot in (asked.better, asked.worse):
+                    if side == variant.name:
+                        assert shot in task.protocol.labels
+    stems = [study.stem(v) for v in study.variants if not study.is_row(v)]
+    assert len(set(stems)) == len(stems)
+
+
+def test_every_experiment_is_on_a_claim():
+    from vsfsim.bench.board.claims import claims_of
+
+    keys = {c.key for c in claims_of()} | {f"{name}/{a.text}" for name in studies() for a in load_study(name).claims}
+    asked = [e.text for name in studies() for e in load_study(name).experiments]
+    assert asked and set(asked) <= keys
+
+
+def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
+    monkeypatch.setattr(worlds, "_OBJECTS", 2)
+    told, blind = worlds.dataset("springs"), worlds.dataset("springs-blind")
+    assert worlds.dataset("springs").sha256 == told.sha256
+    shows = [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)]
+    assert shows == [False, True], "every second block's picture is reversed"
+    assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, blind))
+    assert worlds.task("springs").protocol.folds == 4
+
+
+def test_the_command_lists_and_refuses(vsfsim, tmp_path):
+    listed = vsfsim("study", cwd=tmp_path)
+    assert listed.returncode == 0 and all(name in listed.stdout for name in studies())
+    unknown = vsfsim("study", "shoes-bredth", cwd=tmp_path)
+    assert unknown.returncode == 2 and "shoes-breadth" in unknown.stderr
+    missing = vsfsim("study", "shoes-views", cwd=tmp_path)
+    assert missing.returncode == 2
+    assert "vsfsim generate shoes-v2-mini --objects 12 --views 8 --touches 10" in missing.stderr
