@@ -179,7 +179,8 @@ class Study:
             raise TaskError(f"study {self.name} has no [data.{name}.{size}].")
         given = dict(self.data[name][size])
         base = current_task(given.pop("task")).dataset if "task" in given else task.dataset
-        return dataclasses.replace(base, **{"sha256": "", "scene_sha256": "", **given})
+        same = given.get("scene", base.scene) == base.scene  # the scene that the task was made with
+        return dataclasses.replace(base, **{"sha256": "", "scene_sha256": base.scene_sha256 if same else "", **given})
 
     def is_row(self, variant: Variant) -> bool:
         """Whether a variant is what `vsfsim evaluate --preset` makes of the task, so that a row of its leaderboard
