@@ -47,6 +47,31 @@ def leaderboard(task: str) -> str:
             + piped([table[0][k] for k in kept], [[row[k] for k in kept] for row in table[2:]]))
 
 
+def study(name: str, size: str = "mini") -> str:
+    """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
+    from vsfsim.bench.studies.report import cells, title
+    from vsfsim.bench.studies.results import stored
+    from vsfsim.bench.studies.study import load_study
+
+    one = load_study(name)
+    found = stored(one, size, made=False)
+    head, rows = cells(one, found)
+    note = f" {one.note}" if one.note else ""
+    return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
+            f"\\* told apart by two standard errors.{note}\n\n"
+            + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
+
+
+def studies() -> list[str]:
+    """Names of the studies that have two results or more among those that ship."""
+    from vsfsim.bench.studies.results import stored
+    from vsfsim.bench.studies.study import load_study
+    from vsfsim.bench.studies.study import studies as known
+
+    every = [load_study(name) for name in known()]
+    return [one.name for one in every if not one.command and len(stored(one, "mini", made=False)) > 1]
+
+
 def measurement(name: str, tables: int) -> str:
     """The first ``tables`` tables of `vsfsim measure NAME`, with the machine and the day."""
     sys.path.insert(0, str(ROOT))
@@ -62,6 +87,7 @@ def measurement(name: str, tables: int) -> str:
 
 MEASURED: dict[str, Callable[[], str]] = {
     **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
+    **{f"study-{name}": partial(study, name) for name in studies()},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1)}
 """Table by name of its file."""
 

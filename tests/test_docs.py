@@ -135,3 +135,5 @@ def test_the_leaderboards_of_the_pages_are_those_that_ship():
     for task in module.TASKS:
         assert (module.FOLDER / f"leaderboard-{task}.md").read_text() == module.leaderboard(task)
     assert module.readme(README) == README
+    for name in module.studies():
+        assert (module.FOLDER / f"study-{name}.md").read_text() == module.study(name)

@@ -43,7 +43,7 @@ class Found:
 
 
 def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
-           boards: dict[str, leaderboard.Board] | None = None) -> dict[str, Found]:
+           boards: dict[str, leaderboard.Board] | None = None, made: bool = True) -> dict[str, Found]:
     """The variants that have a result, made here or shipped, by name.
 
     A row of the task's leaderboard serves where a variant is one. A result of another version of the task, or of other
@@ -51,14 +51,16 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
 
     Args:
         study: the study. size: of its tasks. variants: of it, None for all. boards: by name of the task, those that
-        are read already; others are added.
+        are read already; others are added. made: results made here count; else only those that ship.
     """
     out = {}
     boards = {} if boards is None else boards
     for variant in variants if variants is not None else study.variants:
         try:
             task = study.task_of(variant, size)
-            found = _row(variant, task, boards) if study.is_row(variant) else _file(study, variant, task)
+            roots = ([MADE] if made else []) + [folder("leaderboard")]
+            found = (_row(variant, task, boards, made) if study.is_row(variant)
+                     else _file(study, variant, task, roots))
             if found is not None:
                 out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
         except TaskError:
@@ -66,10 +68,10 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
     return out
 
 
-def _file(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | None:
+def _file(study: Study, variant: Variant, task: Task, roots: Sequence[Path]) -> tuple[Path, Result] | None:
     name = f"{study.stem(variant)}.json"
-    for root in (MADE / "studies", folder("leaderboard") / "studies"):
-        path = root / task.name / name
+    for root in roots:
+        path = root / "studies" / task.name / name
         if path.is_file():
             result = Result.load(path)
             if result.task_sha256 == task.sha256 and result.shots == task.protocol.labels:
@@ -77,10 +79,11 @@ def _file(study: Study, variant: Variant, task: Task) -> tuple[Path, Result] | N
     return None
 
 
-def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board]) -> tuple[Path, Result] | None:
+def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board],
+         made: bool) -> tuple[Path, Result] | None:
     if task.name not in boards:
-        made = MADE / task.name
-        boards[task.name] = leaderboard.collect(task_of_board(task), [made] if made.is_dir() else [])
+        here = MADE / task.name
+        boards[task.name] = leaderboard.collect(task_of_board(task), [here] if made and here.is_dir() else [])
     return next(((row.path, row.result) for row in boards[task.name].rows if row.rank is not None and (
         row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
 
