@@ -133,7 +133,7 @@ def test_a_shipped_study_asks_what_there_is(name):
             assert preset(variant.method, variant.preset, task.observation.name).method == variant.method
             assert study.stem(variant) and (not variant.only or variant.only in study.classes.values())
             for pool in variant.extra:
-                assert study.wanted(pool.data, size, task).objects >= pool.objects
+                assert study.wanted(pool.data, size, task).objects >= pool.first + pool.objects
             for asked in (*study.claims, *study.experiments):
                 for side, shot in (asked.better, asked.worse):
                     if side == variant.name:

@@ -39,6 +39,8 @@ class Pool:
     """Name of a table [data.NAME], or "plants" or "shoes" for the task's of that name in `Study.others`."""
     objects: int
     """How many of them."""
+    first: int
+    """Number of the first of them."""
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ class Study:
         """Of the result file: the same for the same evaluation in another study."""
         told = {"set": dict(variant.parameters), "train": variant.train, "objects": variant.objects,
                 "touches": variant.touches, "views": [variant.train_views, variant.test_views],
-                "extra": [[p.data, p.objects, self.data.get(p.data)] for p in variant.extra],
+                "extra": [[p.data, p.objects, p.first, self.data.get(p.data)] for p in variant.extra],
                 "data": self.data.get(variant.data), "world": variant.world,
                 "protocol": [self.shots, self.trainings, self.draws]}
         words = [f"{variant.method}.{variant.preset}", *(str(v) for v in variant.parameters.values()),
@@ -231,7 +233,7 @@ class Study:
             given = self.data.get(pool.data, {}).get(size, {})
             of = self._asked(current_task(given["task"])) if "task" in given else task
             of = dataclasses.replace(of, dataset=self.wanted(pool.data, size, task))
-            extra.append(Extra(of, open_dataset(of), pool.objects))
+            extra.append(Extra(of, open_dataset(of), pool.objects, pool.first))
         return Training(variant.train, variant.objects, variant.touches, variant.train_views, variant.test_views,
                         self.classes, tuple(extra))
 
@@ -309,7 +311,7 @@ def _variant(row: Mapping[str, Any], settings: Mapping[str, Any], where: str) ->
         raise TaskError(f"{where}: world is '{world}'. {did_you_mean(world, worlds.WORLDS)}")
     paper = {str(shot): (float(v[0]), float(v[1])) if isinstance(v, list) else (float(v), None)
              for shot, v in _plain(t, "paper").items()}
-    extra = tuple(Pool(str(p["data"]), int(p["objects"])) for p in t.table.get("extra", []))
+    extra = tuple(Pool(str(p["data"]), int(p["objects"]), int(p.get("first", 0))) for p in t.table.get("extra", []))
     return Variant(t.text("name"), t.text("method"), t.text("preset", "tuned"), _plain(t, "set"), train,
                    t.number("share_of_objects", 1.0, 0.0, 1.0), t.number("share_of_touches", 1.0, 0.0, 1.0),
                    tuple(t.table.get("train_views", [])), tuple(t.table.get("test_views", [])), extra,

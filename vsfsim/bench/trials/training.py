@@ -37,11 +37,13 @@ class Extra:
     dataset: Dataset
     """Where they are."""
     objects: int
-    """How many of them, from the first one on."""
+    """How many of them."""
+    first: int = 0
+    """Number of the first of them."""
 
     def names(self) -> tuple[str, ...]:
         """Of their object views."""
-        return tuple(e.name for e in self.dataset.entries if e.object_index < self.objects)
+        return tuple(e.name for e in self.dataset.entries if 0 <= e.object_index - self.first < self.objects)
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ class Training:
         """For a result file: what differs from the task's own division, {} if nothing does."""
         if self.is_plain:
             return {}
-        extra = [{"task": e.task.name, "dataset_sha256": e.dataset.sha256, "objects": e.objects} for e in self.extra]
+        extra = [{"task": e.task.name, "dataset_sha256": e.dataset.sha256, "objects": e.objects,
+                  "first": e.first} for e in self.extra]
         return {"train": self.rule, "share_of_objects": self.objects, "share_of_touches": self.touches,
                 "train_views": list(self.train_views), "test_views": list(self.test_views), "extra": extra}
 
