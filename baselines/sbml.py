@@ -14,17 +14,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vsfsim.baselines.known_object import PoseSearch
 from vsfsim.baselines.particle_model import ObjectShelf, ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior, PosteriorAnswers
+from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Reading, Specimen
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended
+from vsfsim.vsf.meta.level import Held, Level, blended, pattern
 
 if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
@@ -42,6 +44,8 @@ class Sbml(PosteriorAnswers):
         networks: number of networks in the prior. One is the paper's. Several are each stopped on another part of the
             training objects, and their level is found on objects that they did not learn from
             (`vsfsim.vsf.meta.level`); ``validation`` is then one part of that many.
+        common_std: with several networks of structure HE, standard deviation of a component common to all particles of
+            an object while they learn, over the mean of the fitted springs [-].
         rate, epochs, patience, dropout, output, second: of the training, see `vsfsim.vsf.meta.prior`.
         validation: fraction of the training objects that are used for early stopping only (at least one of two or
             more).
@@ -62,11 +66,11 @@ class Sbml(PosteriorAnswers):
     """
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
-                 seed: int = 0, networks: int = 1, rate: float = 1e-4, epochs: int = 400, patience: int = 40,
-                 dropout: float = 0.1, output: str = "softplus", second: str = "std", validation: float = 0.25,
-                 spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0, noise_share: float = 0.0,
-                 fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, band: float = 0.0,
-                 max_particles: int = 0, device: str = "cpu"):
+                 seed: int = 0, networks: int = 1, common_std: float = 0.5, rate: float = 1e-4, epochs: int = 400,
+                 patience: int = 40, dropout: float = 0.1, output: str = "softplus", second: str = "std",
+                 validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0,
+                 noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
+                 band: float = 0.0, max_particles: int = 0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -79,7 +83,9 @@ class Sbml(PosteriorAnswers):
         self.structure, self.features, self.weights, self.prior, self.seed = structure, features, weights, prior, seed
         if networks < 1:
             raise MethodError(f"sbml: networks is {networks!r}; it must be at least 1.")
-        self.second, self.networks = second, networks
+        if not common_std >= 0.0:
+            raise MethodError(f"sbml: common_std is {common_std!r}; it must be 0 or greater.")
+        self.second, self.networks, self.common_std = second, networks, common_std
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
@@ -113,12 +119,14 @@ class Sbml(PosteriorAnswers):
         parts = [Composition.of(self.structure, self._normaliser(f)) for f in raw]
         fits = [self._fit(model, specimen) for model, specimen in zip(models, specimens)]
         spread = _spread(fits, parts)
-        tasks = [self._task(*row) for row in zip(models, specimens, raw, parts)]
+        common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
+        known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
+        tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
         self._learned, self.training, held_out = [], [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
-            network = self._build(raw[0].shape[1], spread, seed)
+            network = self._build(raw[0].shape[1], spread, seed, self.common_std * spread.mean if common else 0.0)
             self.training.append(train(network, [t for i, t in enumerate(tasks) if i not in held],
                                        [t for i, t in enumerate(tasks) if i in held], rate=self.rate,
                                        epochs=self.epochs, patience=self.patience, seed=seed))
@@ -127,8 +135,11 @@ class Sbml(PosteriorAnswers):
                 rest = _pooled([fit for i, fit in enumerate(fits) if i not in held])
                 for i in sorted(held):
                     prior = network.of(self._normaliser(raw[i]), parts[i])
+                    mean = prior.total_mean()
                     rows, z = models[i].stack(specimens[i].touches)
-                    held_out.append(Held(z, rows @ prior.total_mean(), rows @ np.full(rows.shape[1], rest.mean())))
+                    given = (mean, pattern(mean, self._near(models[i], specimens[i].view), rest.mean()),
+                             np.full(len(mean), rest.mean()))
+                    held_out.append(Held(z, rows @ np.stack(given, axis=1)))
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
 
@@ -142,7 +153,7 @@ class Sbml(PosteriorAnswers):
             part = Composition.of(self.structure, features)
             found = [network.of(features, part) for network in self._learned]
             self._priors[id(model)] = found[0] if self.networks == 1 else blended(
-                found, self._level, naive_mean=self._naive[0], naive_var=self._naive[1])
+                found, self._level, self._near(model, view), naive_mean=self._naive[0], naive_var=self._naive[1])
         self._view = view
         self.posterior = Posterior.under(model, support, self._priors[id(model)])
 
@@ -197,7 +208,11 @@ class Sbml(PosteriorAnswers):
                                      if name.startswith(marks)})
             self._learned.append(network)
 
-    def _build(self, size: int, spread: Spread, seed: int) -> MetaPrior:
+    def _near(self, model: ParticleModel, view: View) -> np.ndarray:
+        """Particles within two spacings of the visible surface, where touches reach (n,) bool."""
+        return cKDTree(visible_cloud(view)).query(model.particles)[0] <= 2.0 * self.shelf.settings.spacing
+
+    def _build(self, size: int, spread: Spread, seed: int, level_std: float = 0.0) -> MetaPrior:
         import torch
 
         from vsfsim.vsf.meta.prior import MetaPrior
@@ -205,7 +220,7 @@ class Sbml(PosteriorAnswers):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             return MetaPrior(size, shared=self.structure != "HE", spread=spread, dropout=self.dropout,
-                             output=self.output, second=self.second).to(self.device)
+                             output=self.output, second=self.second, level_std=level_std).to(self.device)
 
     def _features(self, model: ParticleModel, view: View) -> np.ndarray:
         key = f"{self.features} {self.weights}"

@@ -7,18 +7,18 @@ from scipy import sparse
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.structured import structured_map
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended
+from vsfsim.vsf.meta.level import Held, Level, blended, pattern
 
 
-def held(rng, scale=1.0, *, a=0.7, b=0.2, m=40):
-    network, naive = rng.uniform(0, 1, m), rng.uniform(0, 1, m)
-    return Held(scale * (a * network + b * naive), scale * network, scale * naive)
+def held(rng, scale=1.0, *, weights=(0.7, 0.5, 0.2), m=40):
+    answers = rng.uniform(0, 1, (m, 3))
+    return Held(scale * answers @ weights, scale * answers)
 
 
 def test_a_blend_that_explains_all_objects_is_found_and_leaves_no_spread():
     rng = np.random.default_rng(0)
     level = Level.of([held(rng, scale) for scale in (1.0, 30.0, 1e-3)])
-    assert (level.network, level.naive) == (pytest.approx(0.7), pytest.approx(0.2)) and level.std < 1e-12
+    assert (level.network, level.pattern, level.naive) == pytest.approx((0.7, 0.5, 0.2)) and level.std < 1e-12
 
 
 def test_a_network_that_knows_nothing_loses_its_weight_to_the_naive_prior():
@@ -26,15 +26,30 @@ def test_a_network_that_knows_nothing_loses_its_weight_to_the_naive_prior():
     objects = []
     for _ in range(9):
         naive = rng.uniform(0, 1, 200)
-        objects.append(Held(naive, rng.uniform(0, 5, 200), naive))
+        objects.append(Held(naive, np.stack([rng.uniform(0, 5, 200), rng.uniform(0, 1, 200), naive], axis=1)))
     level = Level.of(objects)
-    assert level.naive == pytest.approx(1.0) and level.network == pytest.approx(0.0, abs=1e-12)
+    assert level.naive == pytest.approx(1.0)
+    assert (level.network, level.pattern) == pytest.approx((0.0, 0.0), abs=1e-12)
+
+
+def test_networks_that_know_where_and_not_how_much_keep_their_pattern():
+    rng = np.random.default_rng(2)
+    objects = []
+    for _ in range(9):
+        # The network's level is wrong by up to a factor of five either way, its pattern is right.
+        shape = rng.uniform(0, 1, 100)
+        objects.append(Held(shape, np.stack([rng.choice([0.2, 5.0]) * shape, shape, np.full(100, 0.5)], axis=1)))
+    level = Level.of(objects)
+    assert level.pattern == pytest.approx(1.0) and level.std < 1e-9
+    near = np.array([True, True, False])
+    np.testing.assert_allclose(pattern(np.array([1.0, 3.0, 50.0]), near, 20.0), [10.0, 30.0, 500.0])
+    np.testing.assert_allclose(pattern(np.array([0.0, 0.0, 5.0]), near, 20.0), [0.0, 0.0, 5.0])
 
 
 def test_objects_count_alike_whatever_their_forces():
     # Half of the objects are ten times as stiff in all: absolute residuals would follow the stiff ones to 2.0.
-    one, none = np.ones(5), np.zeros(5)
-    level = Level.of([Held(10.0 * 2.0 * one, 10.0 * one, none), Held(1.0 * one, one, none)])
+    one, network = np.ones(5), np.stack([np.ones(5), np.zeros(5), np.zeros(5)], axis=1)
+    level = Level.of([Held(10.0 * 2.0 * one, 10.0 * network), Held(1.0 * one, network)])
     # |2 - a|^2 / 2^2 + |1 - a|^2 / 1^2 is least at a = (1 / 2 + 1) / (1 / 4 + 1)
     assert level.network == pytest.approx(1.2)
     assert level.std == pytest.approx(np.sqrt(((2.0 / 1.2 - 1.0) ** 2 + (1.0 / 1.2 - 1.0) ** 2) / 2.0))
@@ -42,7 +57,7 @@ def test_objects_count_alike_whatever_their_forces():
 
 def test_without_a_touched_particle_it_refuses():
     with pytest.raises(VsfError, match="no training object has readings that a touched particle explains"):
-        Level.of([Held(np.ones(3), np.zeros(3), np.zeros(3)), Held(np.zeros(3), np.ones(3), np.ones(3))])
+        Level.of([Held(np.ones(3), np.zeros((3, 3))), Held(np.zeros(3), np.ones((3, 3)))])
 
 
 def plain(mean, var):
@@ -51,11 +66,16 @@ def plain(mean, var):
 
 def test_several_networks_are_a_mixture_and_the_level_scales_it():
     priors = [plain([1.0, 4.0], [1.0, 2.0]), plain([3.0, 4.0], [3.0, 4.0])]
-    out = blended(priors, Level(), naive_mean=10.0, naive_var=5.0)
+    near = np.array([True, False])
+    out = blended(priors, Level(), near, naive_mean=10.0, naive_var=5.0)
     np.testing.assert_allclose(out.mean, [2.0, 4.0])
     np.testing.assert_allclose(out.var, [2.0 + 1.0, 3.0])
     assert out.membership.shape == (2, 0)
-    out = blended(priors, Level(0.5, 0.1, 0.3), naive_mean=10.0, naive_var=5.0)
+    # Patterns: 10, 40 with variances 100, 200, and 10, 40/3 with 100/3, 400/9.
+    out = blended(priors, Level(0.0, 1.0, 0.0), near, naive_mean=10.0, naive_var=5.0)
+    np.testing.assert_allclose(out.mean, [10.0, 80.0 / 3.0])
+    np.testing.assert_allclose(out.var, [200.0 / 3.0, 1100.0 / 9.0 + (40.0 / 3.0) ** 2])
+    out = blended(priors, Level(0.5, 0.0, 0.1, 0.3), near, naive_mean=10.0, naive_var=5.0)
     np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
     np.testing.assert_allclose(out.var, 0.25 * np.array([3.0, 3.0]) + 0.01 * 5.0)
     np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
@@ -63,7 +83,8 @@ def test_several_networks_are_a_mixture_and_the_level_scales_it():
 
 def test_one_touch_corrects_the_level_of_what_it_did_not_touch():
     # Ten particles of 100 N/m, known to 1 % each and to a factor of 0.5 +- in common; one, touched, has 160 N/m.
-    prior = blended([plain([100.0] * 10, [1.0] * 10)], Level(1.0, 0.0, 0.5), naive_mean=100.0, naive_var=1.0)
+    prior = blended([plain([100.0] * 10, [1.0] * 10)], Level(std=0.5), np.ones(10, bool), naive_mean=100.0,
+                    naive_var=1.0)
     row = sparse.csr_matrix(([0.01], ([0], [0])), shape=(1, 10))
     found = structured_map(row, np.array([1.6]), noise_std=1e-4, prior=prior)
     # Of the surprise of 60 N/m the common factor explains 2500 / 2501, and the noise next to nothing.

@@ -7,13 +7,15 @@ A); this module is ours and adds what a few objects can still tell:
 
 1. Several networks, each stopped early on another part of the training objects. Together they are the prior, with the
    mean of their variances and the variance of their means.
-2. Every training object is then predicted by the one network that took no step on it. With p its answer, q that of the
-   naive prior (one mean for all particles, of the other objects) and z the readings,
+2. Every training object is then predicted by the one network that took no step on it. With p its answer, r that of its
+   *pattern* (its mean scaled so that it averages the naive mean near the visible surface), q that of the naive prior
+   (one mean for all particles, of the other objects) and z the readings,
 
-       a, b = argmin  sum over objects |z - a p - b q|^2 / |z|^2,   a, b >= 0
+       a, b, c = argmin  sum over objects |z - a p - b r - c q|^2 / |z|^2,   a, b, c >= 0
 
-   are the weights of networks and naive prior. Objects count alike, as in the score, so that a soft one is not a detail
-   of a stiff one. Networks that know less than the naive prior lose their weight to it.
+   are the weights. Objects count alike, as in the score, so that a soft one is not a detail of a stiff one. Networks
+   whose level says less than the naive one's leave it to the naive prior and keep their pattern, and networks that know
+   nothing lose their weight.
 3. What is left of the level differs from object to object: with m the answer of the blend, its factor is
    s = (m, z) / (m, m). One component common to all particles, with the blend's means as its members and the variance of
    s as its variance, lets one touch correct the whole object. It is the homogeneous component of section 4.5 with a
@@ -37,11 +39,9 @@ class Held:
     """An object that a network did not learn from, as all touches of it together."""
 
     readings: np.ndarray
-    """z (m,), in any unit that is common to the three."""
-    network: np.ndarray
-    """What the network's mean predicts (m,)."""
-    naive: np.ndarray
-    """What the mean of the other objects predicts (m,)."""
+    """z (m,), in any unit that is common to the answers."""
+    answers: np.ndarray
+    """What the network's mean, its pattern at the naive level and the naive mean predict (m, 3)."""
 
 
 @dataclass(frozen=True)
@@ -50,8 +50,10 @@ class Level:
 
     network: float = 1.0
     """a, of the networks' means [-]."""
+    pattern: float = 0.0
+    """b, of their patterns at the naive level [-]."""
     naive: float = 0.0
-    """b, of the naive mean [-]."""
+    """c, of the naive mean [-]."""
     std: float = 0.0
     """Standard deviation of the factor common to an object [-]; 0 without such a component."""
 
@@ -60,39 +62,47 @@ class Level:
         """Weights and spread that fit objects best.
 
         Raises:
-            VsfError: no object has a reading that either mean predicts.
+            VsfError: no object has a reading that a mean predicts.
         """
-        used = [one for one in objects if np.linalg.norm(one.readings) > 0.0
-                and (np.abs(one.network).max(initial=0.0) > 0.0 or np.abs(one.naive).max(initial=0.0) > 0.0)]
+        used = [one for one in objects if np.linalg.norm(one.readings) > 0.0 and np.abs(one.answers).max(initial=0.0)]
         if not used:
             raise VsfError("vsf.level: no training object has readings that a touched particle explains; give a train "
                            "split whose touches meet the objects.")
         size = [np.linalg.norm(one.readings) for one in used]
-        answers = np.concatenate([np.stack([one.network, one.naive], axis=1) / s for one, s in zip(used, size)])
-        a, b = optimize.nnls(answers, np.concatenate([one.readings / s for one, s in zip(used, size)]))[0]
-        factors = []
-        for one in used:
-            blend = a * one.network + b * one.naive
-            if blend @ blend > 0.0:
-                factors.append(float(blend @ one.readings) / float(blend @ blend))
-        return cls(float(a), float(b), float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))) if factors else 0.0)
+        weights = optimize.nnls(np.concatenate([one.answers / s for one, s in zip(used, size)]),
+                                np.concatenate([one.readings / s for one, s in zip(used, size)]))[0]
+        blends = [(one.answers @ weights, one.readings) for one in used]
+        factors = [float(m @ z) / float(m @ m) for m, z in blends if m @ m > 0.0]
+        return cls(*(float(w) for w in weights), std=float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))))
 
 
-def blended(priors: Sequence[GaussianPrior], level: Level, *, naive_mean: float, naive_var: float) -> GaussianPrior:
+def pattern(mean: np.ndarray, near: np.ndarray, level: float) -> np.ndarray:
+    """``mean`` (n,) scaled so that it averages ``level`` over the particles ``near`` (n,) bool; unchanged where it is
+    zero there."""
+    average = float(mean[near].mean()) if near.any() else 0.0
+    return mean * (level / average) if average > 0.0 else mean
+
+
+def blended(priors: Sequence[GaussianPrior], level: Level, near: np.ndarray, *, naive_mean: float,
+            naive_var: float) -> GaussianPrior:
     """One prior of one object from those of several networks.
 
     Args:
         priors: with the same shared components.
         level: the weights, and the standard deviation of the common factor.
+        near: particles near the visible surface (n,) bool, on which patterns are compared.
         naive_mean, naive_var: of the spring constants of the training objects [N/m], [(N/m)^2].
     """
-    a, b = level.network, level.naive
+    a, b, c = level.network, level.pattern, level.naive
     mean, var = _moments([p.mean for p in priors], [p.var for p in priors])
+    shapes = [pattern(p.mean, near, naive_mean) for p in priors]
+    scales = [float(s.sum() / p.mean.sum()) if p.mean.sum() > 0.0 else 1.0 for s, p in zip(shapes, priors)]
+    shape, shape_var = _moments(shapes, [k**2 * p.var for k, p in zip(scales, priors)])
+    mean, var = a * mean + b * shape + c * naive_mean, a**2 * var + b**2 * shape_var + c**2 * naive_var
     shared_mean, shared_var = _moments([p.group_mean for p in priors], [p.group_var for p in priors])
-    mean, var = a * mean + b * naive_mean, a**2 * var + b**2 * naive_var
     # A blend of weight 0, or one network's floor, must not make a prior without any variance.
-    var = np.maximum(var, 1e-6 * naive_var)
-    shared_mean, shared_var = a * shared_mean, np.maximum(a**2 * shared_var, 1e-6 * naive_var)
+    var, shared_mean = np.maximum(var, 1e-6 * naive_var), a * shared_mean
+    shared_var = np.maximum(a**2 * shared_var, 1e-6 * naive_var)
     out = GaussianPrior(mean, var, priors[0].membership, shared_mean, shared_var)
     if level.std == 0.0:
         return out

@@ -73,6 +73,9 @@ class MetaPrior(nn.Module):
         hidden: widths of the hidden layers.
         dropout: probability, 0 to under 1.
         output: one of `OUTPUTS`.
+        level_std: standard deviation of a component common to all particles of an object while the network is trained
+            [N/m], where there are no shared components: what distinguishes whole objects need not be learned from
+            pictures then. 0 for none, as in the paper.
         second: what the perceptron's second output is, one of `SECOND`: section 4.1 says the standard deviation,
             appendix B.3 the variance.
 
@@ -81,7 +84,8 @@ class MetaPrior(nn.Module):
     """
 
     def __init__(self, size: int, *, shared: bool, spread: Spread, hidden: Sequence[int] = (256, 128),
-                 dropout: float = 0.1, output: str = "softplus", second: str = "std"):
+                 dropout: float = 0.1, output: str = "softplus", second: str = "std",
+                 level_std: float = 0.0):
         super().__init__()
         if output not in OUTPUTS:
             raise VsfError(f"vsf.meta_prior: output is '{output}'. {did_you_mean(output, OUTPUTS)}")
@@ -94,7 +98,7 @@ class MetaPrior(nn.Module):
         for a, b in itertools.pairwise(widths):
             layers += [nn.Linear(a, b), nn.ReLU(), nn.Dropout(dropout)]
         self.he = nn.Sequential(*layers, nn.Linear(widths[-1], 2))
-        self.output, self.second, self.unit = output, second, spread.std
+        self.output, self.second, self.unit, self.level_std = output, second, spread.std, level_std
         last = self.he[-1]
         with torch.no_grad():
             # The initial prior is the naive Gaussian one: the training mean and spread everywhere.
@@ -117,8 +121,8 @@ class MetaPrior(nn.Module):
         mean, spread = non_negative(raw[:, 0]), non_negative(raw[:, 1])
         var = (spread + _LEAST_STD) ** 2 if self.second == "std" else spread + _LEAST_STD**2
         if self.shared is None:
-            none = torch.zeros(0, dtype=raw.dtype, device=raw.device)
-            return mean * self.unit, var * self.unit**2, none, none
+            none = torch.zeros(len(shared), dtype=raw.dtype, device=raw.device)
+            return mean * self.unit, var * self.unit**2, none, none + self.level_std**2
         shared_mean = self.shared(shared)[:, 0]
         shared_var = (2.0 * self.shared_log_std).exp().expand(len(shared)) + _LEAST_STD**2
         return mean * self.unit, var * self.unit**2, shared_mean * self.unit, shared_var * self.unit**2
