@@ -1,41 +1,37 @@
-"""When the wires of an artificial plant would yield, by a cantilever whose moment is known."""
+"""`vsfsim measure plant-yield`: touches of a plant whose wires yield beside those of an elastic one."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
-from benchmarks.artificial_plants.wires import PLATEAU, YIELD_STRESS, bending_moment, plastic_moment
-from vsfsim.physics.rods.model import build
-from vsfsim.scenes.artificial_plant import grow
-
-
-@pytest.fixture(scope="module")
-def plant():
-    return grow({"plant": "umbrella-tree", "variation": 0.0, "wood_segments": 40, "leaf_segments": 12},
-                np.random.default_rng(0), where="test")
+from benchmarks.artificial_plants.wires import measure
+from vsfsim.core.errors import VsfsimError
+from vsfsim.core.shelf import find_scene
 
 
-def test_a_segment_bent_by_an_angle_has_its_stiffness_times_the_angle(plant):
-    model, angle = build(plant), 0.02
-    segment = int(np.flatnonzero(plant.region == 1)[2])
-    turns = np.tile([0.0, 0.0, 0.0, 1.0], (len(plant.nodes), 1))
-    carried = np.zeros(len(plant.nodes), bool)  # the node and all that grows on it turn together
-    carried[segment] = True
-    for i in range(segment + 1, len(plant.nodes)):
-        carried[i] = carried[plant.parent[i]]
-    turns[carried] = Rotation.from_rotvec(angle * model.frame[segment][:, 1]).as_quat()
-    moment = bending_moment(model, turns)
-    assert moment[segment] == pytest.approx(model.kphi[segment, 1] * angle)
-    assert np.delete(moment, segment).max() < 1e-12
+def scene(folder, *, plant, yields):
+    """The scene plants-v3-mini with a small plant and few frames."""
+    text = find_scene("plants-v3-mini").read_text()
+    for old, new in (('plant = "by-object"', f'plant = "{plant}"'), ("yields = true", f"yields = {yields}"),
+                     ("wood_segments = 120", "wood_segments = 60"), ("leaf_segments = 300", "leaf_segments = 80"),
+                     ("frames = { free = 5, in = 46, hold = 2, out = 10 }", "frames = { free = 1, in = 12, out = 6 }"),
+                     ("reject_below = 1.2", "reject_below = 0.0")):
+        assert old in text, old
+        text = text.replace(old, new)
+    path = folder / "small.toml"
+    path.write_text(text)
+    return str(path)
 
 
-def test_the_plastic_moment_is_that_of_the_wire_and_wood_and_leaves_have_none(plant):
-    """Stems of 12 mm with a core of 0.45 of that: 5.4 mm, give or take the spread of 5 % a part."""
-    limit = plastic_moment(plant)
-    stems = limit[plant.region == 1]
-    assert np.median(stems) == pytest.approx(PLATEAU * YIELD_STRESS * np.pi * 0.0054**3 / 32.0, rel=0.25)
-    assert np.isinf(limit[plant.region >= 3]).all()
-    tree = grow({"plant": "orange-tree"}, np.random.default_rng(0), where="test")
-    assert np.isinf(plastic_moment(tree)[tree.region == 1]).all() and np.isfinite(plastic_moment(tree)).any()
+@pytest.mark.slow
+def test_an_orange_tree_gives_way_and_stays_bent(tmp_path):
+    found = measure(scene=scene(tmp_path, plant="orange-tree", yields="true"), objects=1, touches=4)
+    (row,) = found.tables[0].rows
+    assert row["share"] > 0.4 and row["force"] <= row["elastic_force"] * 1.05
+    assert found.numbers["share_yielding"] == row["share"] and (np.isnan(row["bent"]) or row["bent"] > 0.0)
+
+
+def test_a_scene_without_yielding_wires_is_refused(tmp_path):
+    with pytest.raises(VsfsimError, match="no wire of plants-v3-mini yields"):
+        measure(scene=scene(tmp_path, plant="boxwood", yields="false"), objects=1, touches=1)

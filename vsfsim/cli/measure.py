@@ -274,6 +274,17 @@ def plant_prior(task: Annotated[str, typer.Argument(metavar="TASK", help="Name o
     _report(measure(task, folder=dataset, progress=step), out)
 
 
+@app.command(name="plant-learning")
+def plant_learning(task: Annotated[str, typer.Argument(metavar="TASK", help="Name of a task with joint torques, or the "
+                                                                            "path of its .toml file.")],
+                   dataset: DatasetFolder = None,
+                   workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1, out: JsonFile = None) -> None:
+    """What limits a field of springs on plants: touches, noise, settings, or what springs can represent."""
+    from benchmarks.artificial_plants.learning import measure
+
+    _report(measure(task, folder=dataset, workers=workers, progress=step), out)
+
+
 @app.command(name="plant-sheet")
 def plant_sheet(scene: Annotated[str, typer.Argument(help="Name of a scene with [arm], or the path of its .toml "
                                                           "file.")] = "plants-v3",
@@ -292,7 +303,7 @@ def plant_yield(scene: Annotated[str, typer.Option(help="Scene of artificial pla
                 objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
                 touches: Annotated[int, typer.Option(min=1, help="Touches of each plant.")] = 6,
                 out: JsonFile = None) -> None:
-    """How often the wires of artificial plants would yield, which the simulator bends elastically."""
+    """What yielding wires change in the touches of artificial plants."""
     from benchmarks.artificial_plants.wires import measure
 
     _report(measure(scene=scene, objects=objects, touches=touches, progress=step), out)

@@ -1,0 +1,40 @@
+"""`vsfsim measure plant-learning`: the error over that of predicting zero, and paired differences of its variants."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.artificial_plants.learning import ALL, error_ratio, table
+
+
+class Share:
+    """A posterior that predicts a share of the truth of every touch, and nonsense in frames that are not scored."""
+
+    def __init__(self, share):
+        self.share = share
+
+    def predict(self, actions):
+        return [np.where(query.scored[:, None], self.share * query.clean, 1e6) for query in actions]
+
+
+def test_the_ratio_is_one_for_zero_and_counts_scored_frames_of_all_touches_alike():
+    rng = np.random.default_rng(0)
+    queries = []
+    for size in (0.1, 30.0):
+        query = SimpleNamespace(clean=size * rng.normal(size=(9, 7)), scored=np.arange(9) < 6)
+        query.action = query
+        queries.append(query)
+    for share, ratio in ((0.0, 1.0), (1.0, 0.0), (0.25, 0.75), (-1.0, 2.0)):
+        assert error_ratio(Share(share), queries) == pytest.approx(ratio, abs=1e-12)
+
+
+def test_differences_are_paired_over_plants():
+    found = [{ALL: 0.8, "other": 0.9}, {ALL: 0.6, "other": 0.7}, {ALL: 1.0, "other": 1.1}]
+    base, other = table(found, {}).tables[0].rows
+    assert (base["ratio"], base["change"], base["change_error"]) == (pytest.approx(0.8), 0.0, 0.0)
+    assert base["error"] == pytest.approx(0.2 / np.sqrt(3))
+    assert other["change"] == pytest.approx(0.1) and other["change_error"] == pytest.approx(0.0, abs=1e-12)
+    assert other["error"] == pytest.approx(base["error"])
