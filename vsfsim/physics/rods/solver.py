@@ -18,7 +18,7 @@ from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.kernels.advance import advance
 from vsfsim.physics.rods.kernels.lanes import LANES
 from vsfsim.physics.rods.memory import enter, levels_of, make_results, make_touches, make_trees, make_work, quaternions
-from vsfsim.physics.rods.model import RodError, RodModel
+from vsfsim.physics.rods.model import BLADE_SPACING, RodError, RodModel
 
 SMALL_FORCE = 0.1  # least force that an imbalance is compared with in `RodFrames.force_balance` [N]
 ROOM = 512  # places for the contacts (three points of a fibre beside a capsule) of a touch
@@ -147,7 +147,8 @@ class RodSolver:
         options: limits.
 
     Raises:
-        RodError: there is no plant or no capsule, a shape is not a capsule, or there are too many.
+        RodError: there is no plant or no capsule, a shape is not a capsule, there are too many, or a capsule is so thin
+            that it would slip between the contact fibres of a leaf blade.
     """
 
     def __init__(self, models: Sequence[RodModel], shapes: Sequence[Capsule], *, device: str = "cpu",
@@ -162,6 +163,11 @@ class RodSolver:
                                f"vsfsim.core.shape.Capsule, of length 0 for a ball.")
         if len(self.shapes) > MOST_CAPSULES:
             raise RodError(f"{len(self.shapes)} capsules, at most {MOST_CAPSULES} can touch plants together.")
+        thinnest = min(shape.radius for shape in self.shapes)
+        if thinnest < BLADE_SPACING and any(m.plant.half_width.max() > 0.0 for m in self.models):
+            raise RodError(f"a capsule has a radius of {1e3 * thinnest:g} mm, and a plant has leaf blades, which are "
+                           f"felt along lines {1e3 * BLADE_SPACING:g} mm apart: it would pass between them. Give at "
+                           f"least that radius.")
         self.trees = make_trees(self.models, device)
         self.weighs = int(any(m.weight.any() for m in self.models))
 

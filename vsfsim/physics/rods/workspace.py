@@ -243,7 +243,8 @@ class Progress:
     ended: wp.array(dtype=wp.int32)
     """1 + the number of the first frame that is not kept, 0 while the touch goes on (B,)."""
     wrong_side: wp.array(dtype=wp.int32)
-    """1 from a penetration that may end on the wrong side of a capsule until nothing touches (B,)."""
+    """1 from a penetration that may end on the wrong side of a capsule until nothing touches, 2 from a capsule going
+    through the plant to the end of the touch (B,)."""
     part: wp.array(dtype=wp.float64)
     """Finished part of the present frame (B,) [-]."""
     stride: wp.array(dtype=wp.float64)

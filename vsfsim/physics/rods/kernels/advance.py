@@ -11,6 +11,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.rods.kernels.contact_law import capsule_gap, friction_force, normal_force, slip
 from vsfsim.physics.rods.kernels.contact_search import carry_unloaded
+from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.fibre import POINTS, child_share, fibre_point, parent_offset
 from vsfsim.physics.rods.kernels.geometry import fibre_patch, segment_strain, surface_point
 from vsfsim.physics.rods.kernels.guard import HOPELESS, copy_nodes, frame_target, guard_frame, place_capsules
@@ -28,10 +29,20 @@ wp.set_module_options({"enable_backward": False, "max_unroll": 1, "block_dim": L
 STRIDE = wp.constant(wp.float64(0.004))  # longest way of a capsule between two equilibria [m]
 SHORTEST = wp.constant(wp.float64(1.0 / 64.0))  # least length of a divided stride, as a part of the undivided one
 DEEP = wp.constant(wp.float64(1e-3))  # a point further inside a link may come out on its wrong side [m]
+# The same as a share of the way from a link's surface to its axis, for thin ones, where it is less [-].
+DEEP_SHARE = wp.constant(wp.float64(0.5))
+PASSED = wp.constant(2)  # `Progress.wrong_side`: a capsule went through the plant
 # Registers of a thread on a GPU. 128 allow 16 warps a multiprocessor, the compiler's 255 only 8; on an H200 the solver
 # then gives 1.6 times as many readings a second of easy touches.
 REGISTERS = 128
 WHOLE = wp.constant(wp.float64(1.0 - 1e-9))  # a frame, up to rounding
+
+
+@wp.func
+def capsules_cross(tree: Trees, touch: Touches, w: Work, me: Thread):
+    """Number of segments of the plant, which stands still, that the capsules pass through in a stride."""
+    return crossing(tree, touch, w, me, 0, w.nodes.x, w.nodes.q, w.capsules.x_start, w.capsules.q_start, w.nodes.x,
+                    w.nodes.q, w.capsules.x, w.capsules.q)
 
 
 @wp.func
@@ -101,7 +112,10 @@ def commit_stride(tree: Trees, touch: Touches, w: Work, me: Thread, side: int, c
                 if patch.gap < ZERO:
                     # a soft leaf, bent by less than the tolerance, would return through a link: it stays bent
                     through = 1
-        if lane_count(through) == 0:
+        if lane_count(through) == 0 and crossing(
+            tree, touch, w, me, 0, w.nodes.x_saved, w.nodes.q_saved, w.capsules.x, w.capsules.q, w.nodes.x, w.nodes.q,
+            w.capsules.x, w.capsules.q
+        ) == 0:
             kept = 0
         else:
             copy_nodes(me, w.nodes.x_saved, w.nodes.q_saved, w.nodes.x, w.nodes.q)
@@ -121,12 +135,14 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     """Writes the forces on the capsules and the pot and the audit of frame ``t``.
 
     Returns:
-        The sum of the contact forces [N], the deepest penetration [m], and the number of patches that touch.
+        The sum of the contact forces [N], the deepest penetration over the depth at which a point may come out on the
+        wrong side [-], and the number of patches that touch.
     """
     b = me.b
     o = me.o
     pressed = ZERO
     deepest = ZERO
+    sunk = ZERO
     touching = int(0)
     slipping = int(0)
     pressing = int(0)
@@ -146,6 +162,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
         if c % POINTS == 0:
             patch = fibre_patch(tree, touch, b, o, p, i, j, k, w.nodes.x, w.nodes.q, cx, cq)
             deepest = wp.max(deepest, -patch.gap)
+            sunk = wp.max(sunk, -patch.gap / wp.min(DEEP, DEEP_SHARE * (touch.radius[k] + tree.radius[j])))
             if patch.gap < ZERO:
                 touching = touching + 1
         y = fibre_point(tree, b, o, p, i, j, s, w.nodes.x, w.nodes.q)
@@ -202,6 +219,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
     stored = lane_sum(stored)
     heat = lane_sum(heat)
     deepest = lane_max(deepest)
+    sunk = lane_max(sunk)
     touching = lane_count(touching)
     slipping = lane_count(slipping)
     pressing = lane_count(pressing)
@@ -219,7 +237,7 @@ def write_frame(tree: Trees, touch: Touches, w: Work, out: Results, me: Thread, 
             out.x[b, t, i] = w.nodes.x[b, i]
             out.q[b, t, i] = w.nodes.q[b, i]
     sync()
-    return pressed, deepest, touching
+    return pressed, sunk, touching
 
 
 @wp.kernel(enable_backward=False, cuda_max_registers=REGISTERS)
@@ -278,6 +296,7 @@ def advance(
         residual = ZERO
         count = int(0)
         lost = int(0)
+        skipped = int(0)
         while go == 1 and part < WHOLE:
             if taken >= share or time_is_up(clock, span) == 1:
                 go = 0
@@ -287,16 +306,24 @@ def advance(
                     to = ONE
                 way = place_capsules(touch, w, me, w.guard.position[b], goal, part, to)
                 copy_nodes(me, w.nodes.x, w.nodes.q, w.nodes.x_start, w.nodes.q_start)
-                reason, its, residual, count = equilibrate(tree, touch, w, me, side, 1 - side, weighs, load)
+                reason = int(Reason.WRONG_SIDE)
+                its = int(0)
+                if capsules_cross(tree, touch, w, me) == 0:
+                    reason, its, residual, count = equilibrate(tree, touch, w, me, side, 1 - side, weighs, load)
                 used = used + its
                 taken = taken + its + 1
                 if reason == Reason.NOT_FINITE or (
-                    reason != Reason.NONE and h > real(1.5) * base * SHORTEST and used < work
+                    reason != Reason.NONE and h > real(1.5) * base * SHORTEST
+                    and (used < work or reason == Reason.WRONG_SIDE)
                 ):
                     copy_nodes(me, w.nodes.x_start, w.nodes.q_start, w.nodes.x, w.nodes.q)
                     h = real(0.25) * h
                     if reason == Reason.NOT_FINITE and (h < base * SHORTEST or used >= work):
-                        part = ONE  # the state before this stride is kept
+                        skipped = 1  # the state before this stride is kept
+                elif reason == Reason.WRONG_SIDE:
+                    wrong_side = PASSED  # the capsules go on, and what they passed is lost
+                    part = to
+                    h = wp.min(real(2.0) * h, base)
                 else:
                     if reason != Reason.PATCH:
                         side = 1 - side
@@ -304,8 +331,14 @@ def advance(
                     part = to
                     h = wp.min(real(2.0) * h, base)
                     if touch.guarded == 1 and reason != Reason.NONE and work > 0 and used >= 2 * work:
-                        part = ONE  # the guard restarts from the last equilibrium, the rest of the frame is skipped
+                        skipped = 1  # the guard restarts from the last equilibrium, the rest of the frame is skipped
                         lost = 1
+                if skipped == 1 and part < WHOLE:
+                    place_capsules(touch, w, me, w.guard.position[b], goal, part, ONE)
+                    if capsules_cross(tree, touch, w, me) > 0:
+                        wrong_side = PASSED
+                    place_capsules(touch, w, me, w.guard.position[b], goal, part, to)
+                    part = ONE
         if part < WHOLE:
             # the launch is over; the next one continues here
             sync()
@@ -314,17 +347,20 @@ def advance(
                 w.progress.stride[b] = h
                 w.progress.used[b] = used
                 w.progress.list[b] = side
+                w.progress.wrong_side[b] = wrong_side
         else:
-            pressed, deepest, touching = write_frame(tree, touch, w, out, me, t, side, count)
+            pressed, sunk, touching = write_frame(tree, touch, w, out, me, t, side, count)
             # After a failed frame a leaf may be inside a link, where it can find an equilibrium pierced by it, or come
             # out on the other side. Such frames are marked until nothing touches any more.
-            if deepest > DEEP or lost == 1:
-                wrong_side = 1
-            elif touching == 0 and reason == Reason.NONE:
+            # What a capsule went through stays on its wrong side, touching or not, to the end of the touch.
+            if sunk > ONE or lost == 1:
+                wrong_side = wp.max(wrong_side, 1)
+            elif touching == 0 and reason == Reason.NONE and wrong_side < PASSED:
                 wrong_side = 0
-            if wrong_side == 1 and reason == Reason.NONE:
+            if wrong_side > 0 and reason == Reason.NONE:
                 reason = Reason.WRONG_SIDE
-            kept, restored, stopped = guard_frame(touch, w, me, t, goal, side, pressed, touching, reason, wrong_side)
+            kept, restored, stopped = guard_frame(touch, w, me, t, goal, side, pressed, touching, reason,
+                                                  wp.min(wrong_side, 1))
             if restored == 1:
                 wrong_side = 0
             if stopped == 1 or (pressed > touch.force_limit and touch.guarded == 0):

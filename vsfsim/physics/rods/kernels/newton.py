@@ -13,6 +13,7 @@ from vsfsim.physics.rods.kernels.assembly import (
     update_contacts,
 )
 from vsfsim.physics.rods.kernels.contact_search import activate_nodes, carry_unloaded, list_contacts
+from vsfsim.physics.rods.kernels.crossing import crossing
 from vsfsim.physics.rods.kernels.elimination import solve
 from vsfsim.physics.rods.kernels.lanes import lane_max, lane_sum, sync
 from vsfsim.physics.rods.kernels.segment import HALF, ONE, TINY, ZERO, quat, real, spatial, strain, vec3
@@ -27,6 +28,9 @@ MARGIN = wp.constant(wp.float64(0.006))  # distance from a capsule at which a fi
 # Longest displacement in one iteration over the clearance of the node, its distance from the capsules. The clearance
 # counts as `MARGIN` at least, which is less than half the thickness of the thinnest capsule.
 MOVE = wp.constant(wp.float64(0.85))
+# Displacement over the clearance after which contacts are searched again. Steps in between stay below 1 in sum, so what
+# is not listed, and the unloaded parts, which `crossing` does not look at, cannot reach a capsule.
+SEARCH = wp.constant(wp.float64(0.5))
 TURN = wp.constant(wp.float64(0.5))  # largest rotation of a node in one iteration [rad]
 BEND = wp.constant(wp.float64(0.3))  # largest bending of one segment in one iteration [rad]
 NO_BEND_LIMIT = wp.constant(wp.float64(10.0))  # more than a segment can bend [rad]
@@ -185,6 +189,13 @@ def newton_step(tree: Trees, touch: Touches, w: Work, me: Thread, count: int, le
 
 
 @wp.func
+def trial_crossing(tree: Trees, touch: Touches, w: Work, me: Thread, count: int):
+    """Number of active segments that pass through a capsule on the way to the trial state."""
+    return crossing(tree, touch, w, me, count, w.nodes.x, w.nodes.q, w.capsules.x, w.capsules.q, w.nodes.x_trial,
+                    w.nodes.q_trial, w.capsules.x, w.capsules.q)
+
+
+@wp.func
 def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new: int, weighs: int, load: real):
     """From the present state to the equilibrium with the capsules at their present poses.
 
@@ -201,7 +212,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
     b = me.b
     count = int(0)
     levels = int(0)
-    moved = real(2.0)  # displacement since the last contact search over the clearance; > 1 makes the lists now
+    moved = real(2.0)  # displacement since the last contact search over the clearance; 2 makes the lists now
     listed = int(0)
     reason = int(Reason.ITERATIONS)
     used = int(0)
@@ -226,7 +237,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             break
         if same == 0:
             turns = turns + 1
-        if moved > ONE and tried == 0:
+        if moved > SEARCH and tried == 0:
             carry_unloaded(tree, w, me)
             listed = list_contacts(tree, touch, w, me, MARGIN, old, new)
             if listed < 0:
@@ -271,6 +282,9 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if same == 0:
                 used = used + 1
             same = 0
+            if moved > SEARCH:
+                same = 1
+                continue
             coulomb = int(0)
             sets = int(SETS)
             bend = BEND
@@ -288,7 +302,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                     limit_bending(tree, w, me, levels, bend)
                 slope, way, turn = step_extent(w, me, count)
             if coulomb == 1:
-                if fine == 1 and wp.isfinite(slope) and way < MOVE and turn < TURN:
+                if fine == 1 and wp.isfinite(slope) and moved + way < ONE and way < MOVE and turn < TURN:
                     spent = spent + 1
                     before = rest
                     tried = 1
@@ -322,9 +336,10 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 pressing = 0
                 plain = wp.max(plain - 1, 0)
                 spent = spent + 1
-        alpha = wp.min(ONE, wp.min(MOVE / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
+        alpha = wp.min(ONE, wp.min(wp.min(MOVE, ONE - moved) / wp.max(way, TINY), TURN / wp.max(turn, TINY)))
         start = ZERO
         found = int(0)
+        through = int(0)
         for trial in range(HALVINGS + 1):
             reach = alpha
             if leap == 1:
@@ -333,6 +348,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
                 reach = ZERO
             there = trial_state(tree, w, me, count, levels, reach, weighs)
             if leap == 1:
+                through = trial_crossing(tree, touch, w, me, count)
                 break
             there = lane_sum(there + contact_energy(tree, touch, w, me, new, w.nodes.x_trial, w.nodes.q_trial))
             if trial == 0:
@@ -340,10 +356,17 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             else:
                 # Armijo's condition, up to the rounding error of the sum
                 if there <= start + real(1e-4) * alpha * slope + real(1e-14) * wp.abs(start):
-                    found = 1
-                    break
+                    if trial_crossing(tree, touch, w, me, count) == 0:
+                        found = 1
+                        break
                 alpha = HALF * alpha
         if leap == 1:
+            if through > 0:
+                # the step would carry a fibre through a capsule: a line search with the symmetric tangent shortens it
+                tried = 0
+                plain = CAREFUL
+                same = 1
+                continue
             copy_active(w, me, count, w.nodes.x_trial, w.nodes.q_trial, w.nodes.x, w.nodes.q)
             continue
         if found == 0:

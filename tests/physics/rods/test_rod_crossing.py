@@ -1,0 +1,120 @@
+"""No capsule passes through a rod: paths that would make it, followed by a check that does not use the solver's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from stems import crossing, plant, stem, touch
+
+from vsfsim.core.plant import Plant
+from vsfsim.core.shape import Capsule
+from vsfsim.physics.rods.model import RodError, build
+from vsfsim.physics.rods.solver import RodFrames, RodSolver
+
+
+def curve(body: Plant, frames: RodFrames, t: int) -> np.ndarray:
+    """The middle line of an unbranched stem in frame ``t``, eight points a segment (p, 3) [m]."""
+    x, turn = frames.nodes[t, 0], Rotation.from_quat(frames.turns[t, 0])
+    s = np.linspace(0.0, 1.0, 9)[1:, None]
+    out = [x[:1]]
+    for i in range(1, len(x)):
+        way = body.nodes[i] - body.nodes[i - 1]
+        leave, come = turn[i - 1].apply(way), turn[i].apply(way)
+        out.append((1 + 2 * s) * (1 - s)**2 * x[i - 1] + s * (1 - s)**2 * leave + s**2 * (3 - 2 * s) * x[i]
+                   + s**2 * (s - 1) * come)
+    return np.concatenate(out)
+
+
+def first_pass(body: Plant, frames: RodFrames, poses: np.ndarray) -> int | None:
+    """The first frame after which the stem has passed through a long capsule, None if it never has.
+
+    Seen along the capsule's axis the stem sweeps an angle about the axis from foot to tip. It changes only as both ends
+    move about the axis, except by a full turn when the stem passes through the axis. A tip that flicks back by more
+    than 2.2 rad between two frames is not followed.
+    """
+    before = None
+    for t in range(len(poses)):
+        pose = poses[t, 0, 0]
+        seen = (curve(body, frames, t) - pose[:3, 3]) @ pose[:3, :2]
+        at = np.unwrap(np.arctan2(seen[:, 1], seen[:, 0]))
+        now = (at[-1] - at[0], at[0], at[-1])
+        if before is not None:
+            foot, tip = ((b - a + np.pi) % (2 * np.pi) - np.pi for a, b in zip(before[1:], now[1:], strict=True))
+            if abs(before[0] + tip - foot - now[0]) > np.pi and abs(tip) < 2.2:
+                return t
+        before = now
+    return None
+
+
+@dataclass(frozen=True)
+class Case:
+    """A stem and the way of a long capsule over it."""
+
+    body: Plant
+    poses: np.ndarray
+    radius: float
+    friction: float
+
+
+def case(seed: int) -> Case:
+    """A stem of 0.2 to 0.5 m, 2 to 20 thousandths as thick, and a capsule of 2 to 30 mm radius that goes level, up or
+    down over it for up to 1.2 of its length, in 15 to 240 frames."""
+    rng = np.random.default_rng(seed)
+    length, n = float(rng.choice([0.2, 0.3, 0.4, 0.5])), int(rng.choice([6, 12, 20, 40]))
+    thick, modulus = length * float(rng.choice([0.002, 0.005, 0.01, 0.02])), 10.0 ** rng.uniform(6, 10.5)
+    radius, high = float(rng.choice([0.002, 0.004, 0.006, 0.01, 0.015, 0.02, 0.03])), length * rng.uniform(0.2, 0.95)
+    frames, friction = int(rng.choice([15, 60, 120, 240])), float(rng.choice([0.0, 0.0, 0.3, 1.0]))
+    way = length * rng.uniform(0.4, 1.2)
+    rise = rng.uniform(-0.6, 0.6) * way
+    part = np.linspace(0.0, 1.0, frames)
+    poses = crossing(part * way, height=high, start=-radius - thick - 0.002)
+    poses[:, 0, 0, 2, 3] = np.maximum(high + rise * part, 0.0)
+    if rng.random() < 0.3:
+        poses[:, 0, 0, :3, :3] = Rotation.from_euler("z", rng.uniform(-0.5, 0.5)).as_matrix() @ poses[:, 0, 0, :3, :3]
+    return Case(stem(n, length=length, radius=thick, young_modulus=modulus), poses, radius, friction)
+
+
+def passed_in_silence(c: Case, **options: float) -> tuple[bool, RodFrames]:
+    """Whether the stem passed through the capsule and a later frame is called converged; and the frames."""
+    frames = touch(c.body, c.poses, radius=c.radius, length=1.0, friction=c.friction, **options)
+    t = first_pass(c.body, frames, c.poses)
+    return t is not None and bool(frames.converged[t:].any()), frames
+
+
+SILENT_BEFORE = (0, 1, 2, 3, 4, 5)
+
+
+@pytest.mark.parametrize("seed", SILENT_BEFORE)
+def test_a_thin_capsule_that_presses_far_does_not_pass_a_stem(seed):
+    assert not passed_in_silence(case(seed))[0]
+
+
+@pytest.mark.slow
+def test_no_path_of_a_seeded_map_passes_a_stem_in_silence():
+    converged = []
+    for seed in range(200):
+        silent, frames = passed_in_silence(case(seed))
+        assert not silent, f"seed {seed}"
+        converged.append(frames.converged.mean())
+    print(f"{np.mean(converged):.3f} of the frames converge")
+
+
+def test_a_capsule_that_starts_beyond_a_stem_in_one_frame_is_marked():
+    """Two frames, the second far behind the stem: it is taken along, or the frame is marked."""
+    body = stem(10, length=0.3, radius=0.002, young_modulus=1e9)
+    poses = crossing(np.array([0.0, 0.1]), height=0.2, start=-0.008)
+    silent, frames = passed_in_silence(Case(body, poses, 0.003, 0.0))
+    assert not silent
+    assert not frames.converged[1, 0] or frames.force[1, 0, 0, 0] < 0.0
+
+
+def test_a_capsule_that_would_pass_between_the_lines_of_a_blade_is_refused():
+    nodes = np.array([[0.0, 0.0, 0.1], [0.03, 0.0, 0.1], [0.08, 0.0, 0.1]])
+    leaf = plant(nodes, [-1, 0, 1], radius=0.0005, half_width=np.array([0.0, 0.0, 0.02]),
+                 blade_normal=np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(RodError, match="pass between them"):
+        RodSolver([build(leaf)], [Capsule(0.004, 0.1)])
+    RodSolver([build(leaf)], [Capsule(0.01, 0.1)])

@@ -1,0 +1,89 @@
+"""A frame's time limit is one, on every path: measured in processor time, so that a busy machine does not matter."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from vsfsim.core.scene import parse_scene
+from vsfsim.generate.effector import effector_of
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.physics.solve.frames import Reason
+
+LIMIT = 0.6  # of a frame [s]
+SOLID = """
+name = "hard"
+description = "A press that no path finishes in time"
+needs = ["contact"]
+[object]
+shape = {{ box = [0.1, 0.1, 0.04] }}
+resolution = {size}
+fixed = "bottom"
+friction = {friction}
+poisson_ratio = {poisson}
+young_modulus = {{ base = 1e5, inclusions = [ {{ sphere = [0.01, 0.0, 0.02, 0.012], value = 1e8 }} ] }}
+[probe]
+shape = {{ {probe} }}
+[press]
+path = [[0.0, 0.0, {top}], [0.0, 0.0, {low}], [0.01, 0.0, {low}]]
+rotation = [[0, 0, 0], [0, 0, 0], [0, 0, 0.7]]
+frames = [2, 2]
+"""
+BUBBLE = """
+name = "hard"
+[sensor]
+kind = "bubble"
+nodes = 1500
+{object}
+[press]
+path = [[0.0, 0.0, {top}], [0.0, 0.0, {low}], [0.01, 0.0, {low}]]
+frames = [2, 2]
+"""
+CORNER = """
+friction = 2.0
+[[obstacles]]
+shape = { box = [0.02, 0.02, 0.02] }
+pose = [0.0, 0.0, -0.0173]
+rotation = [1.5459, 1.5459, 0.0]
+"""
+BLOCK = """
+[object]
+shape = { box = [0.1, 0.1, 0.05] }
+young_modulus = 3e4
+friction = 0.5
+poisson_ratio = 0.45
+"""
+
+
+def solid(tier: str, friction: float) -> tuple[str, str]:
+    """The text of a scene and its tier. A membrane of layers (vsf) takes nu up to 0.49 only."""
+    probe, size = "cylinder = [0.015, 0.02]", 0.004 if tier in ("linear", "vsf", "spring") else 0.008
+    return SOLID.format(probe=probe, top=0.05, low=0.032, friction=friction, size=size,
+                        poisson=0.45 if tier in ("vsf", "spring") else 0.4999), tier
+
+
+CASES = {
+    **{f"{tier}, friction {mu:g}": solid(tier, mu) for tier in ("vsf", "spring", "linear", "fem-coarse", "fem")
+       for mu in (0.0, 1.0)},
+    "bubble": (BUBBLE.format(object=CORNER, top=0.034, low=0.014), None),
+    "bubble on a block": (BUBBLE.format(object=BLOCK, top=0.085, low=0.065), None),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_no_frame_takes_a_fifth_more_than_its_limit_or_one_iteration(name, monkeypatch, tmp_path):
+    """The solver's clock is the processor's. What cannot be interrupted is measured by a press with a limit of no time:
+    a frame's preparation and its first iteration."""
+    text, tier = CASES[name]
+    loaded = parse_scene(text, tmp_path / "hard.toml")
+    press = effector_of(loaded.sample(0)).press
+    press(loaded, PressRequest(tier=tier, seconds=0.0))  # compiles kernels
+    monkeypatch.setattr(time, "perf_counter", time.process_time)
+    least = np.max(press(loaded, PressRequest(tier=tier, seconds=0.0)).more["seconds"])
+    result = press(loaded, PressRequest(tier=tier, seconds=LIMIT))
+    seconds, late = np.asarray(result.more["seconds"]), np.array(result.more["reason"]) == Reason.TIME.text
+    print(f"{name}: {np.round(seconds, 2)} s, least {least:.2f} s, {late.sum()} of {len(late)} frames at the limit")
+    assert seconds.max() <= 1.2 * LIMIT + least
