@@ -33,7 +33,7 @@ def first_pass(body: Plant, frames: RodFrames, poses: np.ndarray) -> int | None:
 
     Seen along the capsule's axis the stem sweeps an angle about the axis from foot to tip. It changes only as both ends
     move about the axis, except by a full turn when the stem passes through the axis. A tip that flicks back by more
-    than 2.2 rad between two frames is not followed.
+    than 1.5 rad between two frames is not followed.
     """
     before = None
     for t in range(len(poses)):
@@ -43,7 +43,7 @@ def first_pass(body: Plant, frames: RodFrames, poses: np.ndarray) -> int | None:
         now = (at[-1] - at[0], at[0], at[-1])
         if before is not None:
             foot, tip = ((b - a + np.pi) % (2 * np.pi) - np.pi for a, b in zip(before[1:], now[1:], strict=True))
-            if abs(before[0] + tip - foot - now[0]) > np.pi and abs(tip) < 2.2:
+            if abs(before[0] + tip - foot - now[0]) > np.pi and abs(tip) < 1.5:
                 return t
         before = now
     return None
@@ -84,7 +84,61 @@ def passed_in_silence(c: Case, **options: float) -> tuple[bool, RodFrames]:
     return t is not None and bool(frames.converged[t:].any()), frames
 
 
-SILENT_BEFORE = (0, 1, 2, 3, 4, 5)
+@dataclass(frozen=True)
+class Exact:
+    """An inextensible stem, clamped upright at its foot, that leans on a frictionless bar at a fixed height."""
+
+    way: np.ndarray
+    """Of the bar's axis from the foot (k,) [m], increasing, to where the stem slips off over its end."""
+    force: np.ndarray
+    """On the bar over the stem's bending stiffness (k,) [1/m^2]."""
+
+
+def elastica(height: float, reach: float, length: float, *, most: float = 1.5) -> Exact:
+    """The elastica under a force across its end, to a lean of ``most`` [rad] there.
+
+    With phi the angle to the end's tangent, phi'^2 = 2 F sin(phi) / (E I), and the end is where the bar is. All shapes
+    of one lean are similar, so lean and height give the length in use, which is the stem's when it slips off.
+
+    Args:
+        height: of the bar's axis [m].
+        reach: radius of the bar and of the stem together [m].
+        length: of the stem [m].
+        most: largest lean [rad].
+    """
+    points, weights = np.polynomial.legendre.leggauss(60)
+    out = []
+    for lean in np.linspace(0.02, most, 300):
+        u = 0.5 * np.sqrt(lean) * (points + 1.0)  # phi = u^2 takes the root out of the integrals
+        d = np.sqrt(lean) * weights * u / np.sqrt(np.sin(u**2))
+        size, across, up = d.sum(), d @ np.sin(lean - u**2), d @ np.cos(lean - u**2)
+        used = (height - reach * np.sin(lean)) * size / up
+        if used > length:
+            break
+        out.append((used * across / size - reach * np.cos(lean), 0.5 * (size / used) ** 2))
+    return Exact(*np.array(out).T)
+
+
+@pytest.mark.parametrize("radius", [0.002, 0.01, 0.03])
+@pytest.mark.parametrize("frames", [12, 60, 240])
+@pytest.mark.parametrize(("length", "height"), [(0.3, 0.2), (0.4, 0.2), (0.35, 0.12)])
+def test_a_bar_that_bends_a_stem_far_is_pushed_as_by_the_elastica(radius, frames, length, height):
+    """Until the stem slips off over its end, or leans by 1.5 rad, every frame has the exact rod's force to 1 %."""
+    thick, modulus = 0.002, 2e9
+    exact = elastica(height, radius + thick, length)
+    start = -radius - thick - 0.001
+    travel = np.linspace(0.0, exact.way[-1] - 0.005 - start, frames)
+    found = touch(stem(20, length=length, radius=thick, young_modulus=modulus),
+                  crossing(travel, height=height, start=start), radius=radius, length=0.6)
+    way = travel + start
+    bent = way > 0.02
+    force = np.linalg.norm(found.force[bent, 0, 0], axis=1)
+    assert found.converged.all()
+    stiffness = modulus * np.pi * thick**4 / 4
+    assert force == pytest.approx(stiffness * np.interp(way[bent], exact.way, exact.force), rel=0.01)
+
+
+SILENT_BEFORE = (27, 39, 43, 46, 80, 87, 103, 106)  # passed in silence before steps were checked
 
 
 @pytest.mark.parametrize("seed", SILENT_BEFORE)
