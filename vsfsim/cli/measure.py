@@ -276,6 +276,16 @@ def touches(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Fol
     _report(measure(dataset, progress=step), out)
 
 
+@app.command(name="shoe-forces")
+def shoe_forces(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder of a dataset of named "
+                                                                                "shoes.")],
+                out: JsonFile = None) -> None:
+    """How hard the parts of shoes push back at 5 and 10 mm of travel, by material."""
+    from benchmarks.shoe_forces import measure
+
+    _report(measure(dataset), out)
+
+
 @app.command(name="plant-prior")
 def plant_prior(task: Annotated[str, typer.Argument(metavar="TASK", help="Name of a task, or the path of its .toml "
                                                                          "file.")],

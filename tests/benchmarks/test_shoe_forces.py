@@ -1,0 +1,44 @@
+"""Forces of the parts of shoes: travel counts from contact, and the parts have the materials of their model."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from benchmarks.shoe_forces import materials, travel
+from vsfsim.core.errors import SceneError
+from vsfsim.core.scene import load_scene
+from vsfsim.core.shelf import scenes
+from vsfsim.generate.recipe import make_recipe
+from vsfsim.scenes._footwear_models import MODELS, PARTS
+
+
+def touch(force, *, step=0.004, converged=None):
+    """A touch along -z whose frames are ``step`` apart."""
+    pose = np.tile(np.eye(4), (len(force), 1, 1))
+    pose[:, 2, 3] = -step * np.arange(len(force))
+    force = np.asarray(force, float)
+    return SimpleNamespace(mount_pose=pose, axis=np.array([0.0, 0.0, -1.0]), normal_force=lambda: force,
+                           converged=np.ones(len(force), bool) if converged is None else np.array(converged, bool))
+
+
+def test_travel_begins_at_contact():
+    # a spring of 1 N/mm that is met at 6 mm: frames at 0, 4, 8, 12, 16 mm
+    far, force = travel(touch([0.0, 0.0, 2.0, 6.0, 10.0]))
+    assert far == pytest.approx([0.0, 0.002, 0.006, 0.010]) and np.interp(0.005, far, force) == pytest.approx(5.0)
+    # contact cannot begin before the last frame without it: the second step is the soft one
+    far, _ = travel(touch([0.0, 0.0, 6.0, 7.0]))
+    assert far == pytest.approx([0.0, 0.004, 0.008])
+
+
+def test_frames_that_did_not_converge_are_left_out():
+    far, force = travel(touch([0.0, 0.0, 2.0, np.nan, 10.0], converged=[1, 1, 1, 0, 1]))
+    assert len(far) == 3 and np.isfinite(force).all()
+    assert not len(travel(touch([0.0, 0.0, 0.0]))[0])
+
+
+def test_the_materials_are_those_of_the_model():
+    recipe = make_recipe(load_scene(scenes()["shoes-v2-mini"]))
+    assert materials(recipe, 5) == dict(zip(PARTS, MODELS["cushioned-runner"].materials, strict=True))
+    with pytest.raises(SceneError, match="not named shoes"):
+        materials(make_recipe(load_scene(scenes()["rope-punyo-mini"])), 0)
