@@ -110,7 +110,11 @@ def touched_points(view: View, support: Sequence[Reading], *, depth: float) -> n
     near = np.zeros(len(top), bool)
     for reading in support:
         if reading.surface is not None:
-            away, index = cKDTree(top).query(reading.surface.vertices[-1])
+            made = np.isfinite(reading.surface.vertices).all(axis=(1, 2))
+            if not made.any():
+                continue
+            # the last frame whose surface is known: one without an equilibrium has none
+            away, index = cKDTree(top).query(reading.surface.vertices[np.flatnonzero(made)[-1]])
             near[np.unique(index[away < 4.0 * STEP])] = True
         else:
             near |= reached(top, reading.action.probe, reading.action.poses, reach=STEP)
