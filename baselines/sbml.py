@@ -26,7 +26,7 @@ from vsfsim.data.records import View
 from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended, pattern
+from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
 
 if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
@@ -137,8 +137,8 @@ class Sbml(PosteriorAnswers):
                     prior = network.of(self._normaliser(raw[i]), parts[i])
                     mean = prior.total_mean()
                     rows, z = models[i].stack(specimens[i].touches)
-                    given = (mean, pattern(mean, self._near(models[i], specimens[i].view), rest.mean()),
-                             np.full(len(mean), rest.mean()))
+                    scale = pattern_scale(mean, self._near(models[i], specimens[i].view), rest.mean())
+                    given = (mean, scale * mean, np.full(len(mean), rest.mean()))
                     held_out.append(Held(z, rows @ np.stack(given, axis=1)))
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2

@@ -7,7 +7,7 @@ from scipy import sparse
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.structured import structured_map
 from vsfsim.vsf.meta.composition import GaussianPrior
-from vsfsim.vsf.meta.level import Held, Level, blended, pattern
+from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
 
 
 def held(rng, scale=1.0, *, weights=(0.7, 0.5, 0.2), m=40):
@@ -42,8 +42,8 @@ def test_networks_that_know_where_and_not_how_much_keep_their_pattern():
     level = Level.of(objects)
     assert level.pattern == pytest.approx(1.0) and level.std < 1e-9
     near = np.array([True, True, False])
-    np.testing.assert_allclose(pattern(np.array([1.0, 3.0, 50.0]), near, 20.0), [10.0, 30.0, 500.0])
-    np.testing.assert_allclose(pattern(np.array([0.0, 0.0, 5.0]), near, 20.0), [0.0, 0.0, 5.0])
+    assert pattern_scale(np.array([1.0, 3.0, 50.0]), near, 20.0) == pytest.approx(10.0)
+    assert pattern_scale(np.array([0.0, 0.0, 5.0]), near, 20.0) == 1.0
 
 
 def test_objects_count_alike_whatever_their_forces():
@@ -79,6 +79,15 @@ def test_several_networks_are_a_mixture_and_the_level_scales_it():
     np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
     np.testing.assert_allclose(out.var, 0.25 * np.array([3.0, 3.0]) + 0.01 * 5.0)
     np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
+
+
+def test_shared_components_are_scaled_with_the_others():
+    prior = GaussianPrior(np.array([1.0, 2.0]), np.array([1.0, 1.0]), sparse.csr_matrix(np.ones((2, 1))),
+                          np.array([3.0]), np.array([4.0]))
+    near = np.array([True, False])
+    out = blended([prior], Level(0.5, 1.0, 0.0), near, naive_mean=8.0, naive_var=1.0)  # the pattern's factor is 2
+    np.testing.assert_allclose(out.total_mean(), 2.5 * np.array([4.0, 5.0]))
+    np.testing.assert_allclose([out.var[0], out.group_var[0]], [0.25 + 4.0, 1.0 + 16.0])
 
 
 def test_one_touch_corrects_the_level_of_what_it_did_not_touch():

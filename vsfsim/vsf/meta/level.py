@@ -76,11 +76,11 @@ class Level:
         return cls(*(float(w) for w in weights), std=float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))))
 
 
-def pattern(mean: np.ndarray, near: np.ndarray, level: float) -> np.ndarray:
-    """``mean`` (n,) scaled so that it averages ``level`` over the particles ``near`` (n,) bool; unchanged where it is
-    zero there."""
+def pattern_scale(mean: np.ndarray, near: np.ndarray, level: float) -> float:
+    """Factor by which ``mean`` (n,) averages ``level`` over the particles ``near`` (n,) bool; 1 where it is not
+    positive there."""
     average = float(mean[near].mean()) if near.any() else 0.0
-    return mean * (level / average) if average > 0.0 else mean
+    return level / average if average > 0.0 else 1.0
 
 
 def blended(priors: Sequence[GaussianPrior], level: Level, near: np.ndarray, *, naive_mean: float,
@@ -94,23 +94,28 @@ def blended(priors: Sequence[GaussianPrior], level: Level, near: np.ndarray, *, 
         naive_mean, naive_var: of the spring constants of the training objects [N/m], [(N/m)^2].
     """
     a, b, c = level.network, level.pattern, level.naive
-    mean, var = _moments([p.mean for p in priors], [p.var for p in priors])
-    shapes = [pattern(p.mean, near, naive_mean) for p in priors]
-    scales = [float(s.sum() / p.mean.sum()) if p.mean.sum() > 0.0 else 1.0 for s, p in zip(shapes, priors)]
-    shape, shape_var = _moments(shapes, [k**2 * p.var for k, p in zip(scales, priors)])
-    mean, var = a * mean + b * shape + c * naive_mean, a**2 * var + b**2 * shape_var + c**2 * naive_var
-    shared_mean, shared_var = _moments([p.group_mean for p in priors], [p.group_var for p in priors])
+    scales = [pattern_scale(p.total_mean(), near, naive_mean) for p in priors]
+    mean, var = _mixed([(p.mean, p.var) for p in priors], scales, a, b)
+    shared_mean, shared_var = _mixed([(p.group_mean, p.group_var) for p in priors], scales, a, b)
     # A blend of weight 0, or one network's floor, must not make a prior without any variance.
-    var, shared_mean = np.maximum(var, 1e-6 * naive_var), a * shared_mean
-    shared_var = np.maximum(a**2 * shared_var, 1e-6 * naive_var)
-    out = GaussianPrior(mean, var, priors[0].membership, shared_mean, shared_var)
+    least = 1e-6 * naive_var
+    out = GaussianPrior(mean + c * naive_mean, np.maximum(var + c**2 * naive_var, least), priors[0].membership,
+                        shared_mean, np.maximum(shared_var, least))
     if level.std == 0.0:
         return out
     column = sparse.csr_matrix(np.maximum(out.total_mean(), 0.0)[:, None])
-    return GaussianPrior(mean, var, sparse.csr_matrix(sparse.hstack([out.membership, column])),
+    return GaussianPrior(out.mean, out.var, sparse.csr_matrix(sparse.hstack([out.membership, column])),
                          np.append(out.group_mean, 0.0), np.append(out.group_var, level.std**2))
 
 
-def _moments(means: Sequence[np.ndarray], variances: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance of a mixture in equal parts."""
-    return np.mean(means, axis=0), np.mean(variances, axis=0) + np.var(means, axis=0)
+def _mixed(parts: Sequence[tuple[np.ndarray, np.ndarray]], scales: Sequence[float], a: float,
+           b: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of a times the mixture of ``parts`` (means and variances) plus b times that of the parts
+    scaled."""
+    mean, var = np.zeros_like(parts[0][0]), np.zeros_like(parts[0][1])
+    for weight, factors in ((a, [1.0] * len(parts)), (b, scales)):
+        means = [k * m for k, (m, _) in zip(factors, parts, strict=True)]
+        spreads = [k**2 * v for k, (_, v) in zip(factors, parts, strict=True)]
+        mean = mean + weight * np.mean(means, axis=0)
+        var = var + weight**2 * (np.mean(spreads, axis=0) + np.var(means, axis=0))
+    return mean, var
