@@ -2,8 +2,9 @@
 
 A claim says that one method errs less than another, or that two cannot be told apart. It is decided object by object:
 it holds if the paired difference has the claimed sign by more than two standard errors over objects, it does not hold
-if it has the other sign by as much, and else it cannot be told. A result is found by its method, its preset and its
-task; where one is missing, the claim cannot be told and the command that makes the result is printed.
+if it has the other sign by as much, and else it cannot be told. Two sides are equal if they are not told apart by two
+standard errors that are small enough to tell a difference of `EQUAL_WITHIN`. A result is found by its method, its
+preset and its task; where one is missing, the claim cannot be told and the command that makes the result is printed.
 
 The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.bench.studies.claims`), and so do
 the experiments that say why a claim does not hold: each asks the same of other data.
@@ -15,13 +16,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from vsfsim.bench.board.compare import TOLD_APART, ByObject, Paired, by_object, interval, paired
+from vsfsim.bench.board.compare import FEWEST_OBJECTS, TOLD_APART, ByObject, Paired, by_object, interval, paired
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.metrics import METRICS
 from vsfsim.bench.task import current_task
 from vsfsim.core.text_table import text_table
 
 HOLDS, FAILS, UNTOLD = "holds", "does not hold", "cannot be told"
+
+EQUAL_WITHIN = 0.15
+"""Two sides count as equal only if a difference of this share of the second one would have been told; a wider interval
+says nothing."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +204,8 @@ def decide(claim: Claim, better: ByObject, worse: ByObject) -> tuple[str, str, P
     found = paired(better, worse)
     sign = -1.0 if METRICS[claim.metric].higher_is_better else 1.0
     if claim.equal:
-        answer = FAILS if found.told_apart else HOLDS if found.objects > 2 else UNTOLD
+        close = TOLD_APART * found.error <= EQUAL_WITHIN * abs(interval(worse)[0])
+        answer = FAILS if found.told_apart else HOLDS if close and found.objects >= FEWEST_OBJECTS else UNTOLD
     else:
         answer = UNTOLD if not found.told_apart else HOLDS if sign * found.mean < 0.0 else FAILS
     return answer, f"{_written(better)} and {_written(worse)}", found

@@ -11,7 +11,6 @@ from vsfsim.bench.studies.results import Found, differences
 from vsfsim.bench.studies.study import Study
 from vsfsim.core.text_table import text_table
 
-
 RANKING = "5"
 """The shot whose differences stand in a table beside those of the first one; JSON has all of them."""
 
