@@ -29,8 +29,6 @@ SCALES = (0.003, 0.008, 0.020)
 _CURVATURE_SCALES = (0.008, 0.020)
 # Darker than this is black to an 8-bit camera; it keeps the logarithm finite.
 _DARKEST = 0.01
-# Of the colour channels: luminance and opponents over 8 mm, and the three bands of luminance.
-_FEW = (1, 4, 7, 9, 10, 11)
 # Depths behind the surface are clipped here: deeper particles do not differ for touch [m].
 _DEEPEST = 0.05
 
@@ -49,8 +47,9 @@ class LocalDescriptor:
         """Dense features, one cell a pixel (H, W, C)."""
         mask = np.asarray(view.mask, bool)
         pixel_size = float(np.median(view.depth[mask])) / float(view.intrinsics[0, 0])
-        channels = _colour(view.rgb, mask, pixel_size)
-        channels = [*channels, *_surface(view, mask, pixel_size)] if self.full else [channels[k] for k in _FEW]
+        channels = _colour(view.rgb, mask, pixel_size, full=self.full)
+        if self.full:
+            channels += _surface(view, mask, pixel_size)
         values = np.stack(channels, axis=-1).astype(np.float32)
         visible = values[mask].astype(np.float64)
         token = np.concatenate([visible.mean(axis=0), visible.std(axis=0)])
@@ -77,20 +76,26 @@ class _Blur:
         return ndimage.gaussian_filter(np.where(self.mask > 0.0, values, 0.0), self.sigma) / self.weight
 
 
-def _colour(rgb: np.ndarray, mask: np.ndarray, pixel_size: float) -> list[np.ndarray]:
+def _colour(rgb: np.ndarray, mask: np.ndarray, pixel_size: float, *, full: bool) -> list[np.ndarray]:
+    """Channels of colour and texture; without ``full`` luminance and opponents over 8 mm, and the three bands of
+    luminance."""
     linear = (rgb.astype(np.float64) / 255.0) ** 2.2
     red, green, blue = np.moveaxis(np.log(linear + _DARKEST), 2, 0)
     # Logarithms turn shading into an offset, which cancels in the opponent colours.
     opponents = [(red + green + blue) / 3.0, red - green, 0.5 * (red + green) - blue]
     blurs = [_Blur(mask, scale / pixel_size) for scale in SCALES]
-    levels = [[channel, *(blur(channel) for blur in blurs)] for channel in opponents]
-    out = [level for channel in levels for level in channel[1:]]
+    if full:
+        levels = [[channel, *(blur(channel) for blur in blurs)] for channel in opponents]
+        out = [level for channel in levels for level in channel[1:]]
+    else:
+        levels = [[opponents[0], *(blur(opponents[0]) for blur in blurs)]]
+        out = [levels[0][2], *(blurs[1](channel) for channel in opponents[1:])]
     for channel in levels:
         for fine, coarse, blur in zip(channel[:-1], channel[1:], blurs):
             # Energy of a band, gathered over twice its scale.
             wide = _Blur(mask, 2.0 * blur.sigma)
             out.append(0.5 * np.log(wide((fine - coarse) ** 2) + 1e-5))
-    for scale in SCALES[:2]:
+    for scale in SCALES[:2] if full else ():
         out.append(_coherence(levels[0][0], mask, scale / pixel_size))
     return out
 
