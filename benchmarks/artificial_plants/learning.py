@@ -67,11 +67,17 @@ def ratios(task: Task, view: ObjectView) -> dict[str, float]:
     exact, asked = [clean[i] for i in draw.pool], [clean[i] for i in draw.query]
     models: dict[VsfSettings, ParticleModel] = {}
 
+    def model_of(settings: VsfSettings) -> ParticleModel:
+        if settings not in models:
+            models[settings] = ParticleModel.behind(view.view, settings)
+        return models[settings]
+
     def ratio(readings: Sequence[Reading], *, std: float = PRIOR_STD, mean: float = 0.0, **changed: float) -> float:
         settings = dataclasses.replace(TUNED, **changed)  # type: ignore[arg-type]
-        model = models.setdefault(settings, ParticleModel.behind(view.view, settings))
-        return error_ratio(Posterior.of(model, readings, prior_mean=mean, prior_var=std**2), queries)
+        model = model_of(settings)
+        return error_ratio([Posterior.of(model, readings, prior_mean=mean, prior_var=std**2)] * len(queries), queries)
 
+    alone = [Posterior.of(model_of(TUNED), [reading], prior_mean=0.0, prior_var=LOOSE_STD**2) for reading in asked]
     few = {f"{k} touches": ratio(support[:k]) for k in (5, 10, 20) if k < len(support)}
     return {**few, ALL: ratio(support), "all, without noise": ratio(exact),
             f"all, springs around {COMMON:g} N/m": ratio(support, mean=COMMON),
@@ -81,13 +87,15 @@ def ratios(task: Task, view: ObjectView) -> dict[str, float]:
             "all, particles 20 mm apart": ratio(support, spacing=0.02, std=2.0 * PRIOR_STD),
             "all, within 30 mm of the seen surface": ratio(support, band=0.03),
             "the queries themselves, without noise": ratio(asked, std=LOOSE_STD),
+            "each query by itself, without noise": error_ratio(alone, queries),
             "all touches and the queries, without noise": ratio([*exact, *asked], std=LOOSE_STD)}
 
 
-def error_ratio(posterior: Posterior, queries: Sequence[Query]) -> float:
-    """Mean over touches of the RMS error, over that of predicting zero, as the metric `rmse_ratio` [-]."""
+def error_ratio(posteriors: Sequence[Posterior], queries: Sequence[Query]) -> float:
+    """Mean over touches of the RMS error, over that of predicting zero, as the metric `rmse_ratio` [-]; each query has
+    its own posterior."""
     error = zero = 0.0
-    for query in queries:
+    for posterior, query in zip(posteriors, queries, strict=True):
         truth = query.clean[query.scored]
         error += float(np.sqrt(np.mean((posterior.predict([query.action])[0][query.scored] - truth) ** 2)))
         zero += float(np.sqrt(np.mean(truth**2)))

@@ -27,8 +27,10 @@ def test_the_ratio_is_one_for_zero_and_counts_scored_frames_of_all_touches_alike
         query = SimpleNamespace(clean=size * rng.normal(size=(9, 7)), scored=np.arange(9) < 6)
         query.action = query
         queries.append(query)
+    mixed = [Share(0.0), Share(1.0)]  # wrong on the weak touch, right on the strong one
+    assert 0.0 < error_ratio(mixed, queries) < 0.01
     for share, ratio in ((0.0, 1.0), (1.0, 0.0), (0.25, 0.75), (-1.0, 2.0)):
-        assert error_ratio(Share(share), queries) == pytest.approx(ratio, abs=1e-12)
+        assert error_ratio([Share(share)] * 2, queries) == pytest.approx(ratio, abs=1e-12)
 
 
 def test_differences_are_paired_over_plants():
