@@ -77,7 +77,7 @@ def test_several_networks_are_a_mixture_and_the_level_scales_it():
     np.testing.assert_allclose(out.var, [200.0 / 3.0, 1100.0 / 9.0 + (40.0 / 3.0) ** 2])
     out = blended(priors, Level(0.5, 0.0, 0.1, 0.3), near, naive_mean=10.0, naive_var=5.0)
     np.testing.assert_allclose(out.total_mean(), [2.0, 3.0])
-    np.testing.assert_allclose(out.var, 0.25 * np.array([3.0, 3.0]) + 0.01 * 5.0)
+    np.testing.assert_allclose(out.var, (0.25 * 3.0 + 0.01 * 5.0) / 0.36)
     np.testing.assert_allclose(out.total_std() ** 2, out.var + 0.3**2 * np.array([2.0, 3.0]) ** 2)
 
 
@@ -87,7 +87,7 @@ def test_shared_components_are_scaled_with_the_others():
     near = np.array([True, False])
     out = blended([prior], Level(0.5, 1.0, 0.0), near, naive_mean=8.0, naive_var=1.0)  # the pattern's factor is 2
     np.testing.assert_allclose(out.total_mean(), 2.5 * np.array([4.0, 5.0]))
-    np.testing.assert_allclose([out.var[0], out.group_var[0]], [0.25 + 4.0, 1.0 + 16.0])
+    np.testing.assert_allclose([out.var[0], out.group_var[0]], np.array([2.5**2, 5.0**2]) / 1.5**2)
 
 
 def test_one_touch_corrects_the_level_of_what_it_did_not_touch():

@@ -13,9 +13,10 @@ A); this module is ours and adds what a few objects can still tell:
 
        a, b, c = argmin  sum over objects |z - a p - b r - c q|^2 / |z|^2,   a, b, c >= 0
 
-   are the weights. Objects count alike, as in the score, so that a soft one is not a detail of a stiff one. Networks
-   whose level says less than the naive one's leave it to the naive prior and keep their pattern, and networks that know
-   nothing lose their weight.
+   are the weights of the means. Standard deviations are weighted by the same numbers over their sum, because a lower
+   level does not make single springs better known. Objects count alike, as in the score, so that a soft one is not a
+   detail of a stiff one. Networks whose level says less than the naive one's leave it to the naive prior and keep their
+   pattern, and networks that know nothing lose their weight.
 3. What is left of the level differs from object to object: with m the answer of the blend, its factor is
    s = (m, z) / (m, m). One component common to all particles, with the blend's means as its members and the variance of
    s as its variance, lets one touch correct the whole object. It is the homogeneous component of section 4.5 with a
@@ -95,12 +96,16 @@ def blended(priors: Sequence[GaussianPrior], level: Level, near: np.ndarray, *, 
     """
     a, b, c = level.network, level.pattern, level.naive
     scales = [pattern_scale(p.total_mean(), near, naive_mean) for p in priors]
-    mean, var = _mixed([(p.mean, p.var) for p in priors], scales, a, b)
-    shared_mean, shared_var = _mixed([(p.group_mean, p.group_var) for p in priors], scales, a, b)
+    weights = ((a, [1.0] * len(priors)), (b, scales))
+    mean, var = _mixed([(p.mean, p.var) for p in priors], weights)
+    shared_mean, shared_var = _mixed([(p.group_mean, p.group_var) for p in priors], weights)
+    total = a + b + c
+    if total > 0.0:
+        var, shared_var = (var + c**2 * naive_var) / total**2, shared_var / total**2
     # A blend of weight 0, or one network's floor, must not make a prior without any variance.
     least = 1e-6 * naive_var
-    out = GaussianPrior(mean + c * naive_mean, np.maximum(var + c**2 * naive_var, least), priors[0].membership,
-                        shared_mean, np.maximum(shared_var, least))
+    out = GaussianPrior(mean + c * naive_mean, np.maximum(var, least), priors[0].membership, shared_mean,
+                        np.maximum(shared_var, least))
     if level.std == 0.0:
         return out
     column = sparse.csr_matrix(np.maximum(out.total_mean(), 0.0)[:, None])
@@ -108,14 +113,14 @@ def blended(priors: Sequence[GaussianPrior], level: Level, near: np.ndarray, *, 
                          np.append(out.group_mean, 0.0), np.append(out.group_var, level.std**2))
 
 
-def _mixed(parts: Sequence[tuple[np.ndarray, np.ndarray]], scales: Sequence[float], a: float,
-           b: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and variance of a times the mixture of ``parts`` (means and variances) plus b times that of the parts
-    scaled."""
-    mean, var = np.zeros_like(parts[0][0]), np.zeros_like(parts[0][1])
-    for weight, factors in ((a, [1.0] * len(parts)), (b, scales)):
+def _mixed(parts: Sequence[tuple[np.ndarray, np.ndarray]],
+           weights: Sequence[tuple[float, Sequence[float]]]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and variance of a weighted sum of mixtures of ``parts`` (means and variances), each mixture of the parts
+    times its own factors; the mixtures err together."""
+    mean, std = np.zeros_like(parts[0][0]), np.zeros_like(parts[0][1])
+    for weight, factors in weights:
         means = [k * m for k, (m, _) in zip(factors, parts, strict=True)]
         spreads = [k**2 * v for k, (_, v) in zip(factors, parts, strict=True)]
         mean = mean + weight * np.mean(means, axis=0)
-        var = var + weight**2 * (np.mean(spreads, axis=0) + np.var(means, axis=0))
-    return mean, var
+        std = std + weight * np.sqrt(np.mean(spreads, axis=0) + np.var(means, axis=0))
+    return mean, std**2
