@@ -74,7 +74,8 @@ class Level:
                                 np.concatenate([one.readings / s for one, s in zip(used, size)]))[0]
         blends = [(one.answers @ weights, one.readings) for one in used]
         factors = [float(m @ z) / float(m @ m) for m, z in blends if m @ m > 0.0]
-        return cls(*(float(w) for w in weights), std=float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))))
+        a, b, c = (float(w) for w in weights)
+        return cls(a, b, c, float(np.sqrt(np.mean((np.array(factors) - 1.0) ** 2))))
 
 
 def pattern_scale(mean: np.ndarray, near: np.ndarray, level: float) -> float:
