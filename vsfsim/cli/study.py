@@ -68,5 +68,5 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)
     if failed:
         first, message = failed[0]
-        more = f" {len(failed) - 1} more could not be made, either." if len(failed) > 1 else ""
-        raise TaskError(f"{first}: {message}{more}")
+        more = f"\n\n{len(failed) - 1} more could not be made, either." if len(failed) > 1 else ""
+        raise TaskError(f"{first}: {message.strip()}{more}")
