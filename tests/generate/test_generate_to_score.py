@@ -13,14 +13,14 @@ OBJECTS, TOUCHES, QUERY = 3, 10, 4
 @pytest.fixture(scope="module")
 def task(tmp_path_factory):
     """The released task of the scene, for fewer objects and touches, scored by the error of the force."""
-    text = find_task("inclusion-mini-v2").read_text()
-    released = load_task("inclusion-mini-v2")
+    text = find_task("inclusion-mini-v3").read_text()
+    released = load_task("inclusion-mini-v3")
     for old, new in ((f"objects = {released.dataset.objects} ", f"objects = {OBJECTS} "),
                      (f"touches = {released.dataset.touches}", f"touches = {TOUCHES}"),
                      (f"query = {released.protocol.query} ", f"query = {QUERY} "), ("seeds = 3", "seeds = 2"),
                      (released.dataset.scene_sha256, ""),  # another resolution, see below
                      ("shots = [20]", "shots = [0, 5]"), ('primary = "mask_f1"', 'primary = "rmse"'),
-                     ('name = "inclusion-mini-v2"', 'name = "small-v1"')):
+                     ('name = "inclusion-mini-v3"', 'name = "small-v1"')):
         assert old in text, old
         text = text.replace(old, new)
     path = tmp_path_factory.mktemp("task") / "small-v1.toml"

@@ -26,7 +26,7 @@ METHOD = "point-vsf"
 TOLERANCE = 1e-3
 """Relative to the readings. Rounding of another machine alone changes them by 1e-8 (leaderboard.SAME_READINGS)."""
 
-SLOW = {"inclusion-mini-v2", "localization-mini-v2"}
+SLOW = {"inclusion-mini-v3", "localization-mini-v3"}
 """Tasks without cross-validation whose view takes more than ten seconds of a core with all of its touches."""
 
 def row_file(name):
@@ -72,7 +72,7 @@ def released(request, tmp_path_factory):
 
 @pytest.mark.parametrize("name", [
     pytest.param(name, marks=() if name.startswith("fewshot-shoes") else pytest.mark.slow)
-    for name in RELEASED if name.endswith("-mini-v2") and "localization" not in name])
+    for name in RELEASED if name.endswith(("-mini-v2", "-mini-v3")) and "localization" not in name])
 def test_the_earliest_query_touch_is_made_again(name):
     """The short form for views that take longer. When this was written the relative difference was 8e-7 on shoes and
     2e-13 on the linear slabs."""

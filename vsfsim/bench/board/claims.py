@@ -163,10 +163,10 @@ def claims_of(size: str = "mini") -> list[Claim]:
         Claim("on shoes, the average Gaussian prior errs less than predicting zero", "SBML, tables 2 and 5",
               "8.27 and 9.21 hPa", shoes, Side("gaussian", "0"), Side("gaussian-zero", "0")),
         Claim("the neural field finds a stiff inclusion better than points", "Neural VSF, table I",
-              "F1 0.493 and 0.329", "inclusion-mini-v2", Side("neural-vsf", "all"), Side("point-vsf", "all"),
+              "F1 0.493 and 0.329", "inclusion-mini-v3", Side("neural-vsf", "all"), Side("point-vsf", "all"),
               metric="mask_f1", note="one force a frame of a ball here; dense forces of a bubble there"),
         Claim("the neural field locates a hidden object at a smaller angle than contact points", "Neural VSF, fig. 7",
-              "drawn, no number", "localization-mini-v2", Side("neural-vsf", "all"), Side("contact-points", "all"),
+              "drawn, no number", "localization-mini-v3", Side("neural-vsf", "all"), Side("contact-points", "all"),
               metric="rotation_error", note="one force a frame of a ball here; dense forces of a bubble there")]
     return out
 
