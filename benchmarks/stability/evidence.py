@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.stability.design import Cell
+from benchmarks.stability.elastica import elastica
 from benchmarks.stability.scene import bubble_scene, input_scene, solid_scene
 from vsfsim.core.plant import Plant
 from vsfsim.core.scene import SceneFile
@@ -152,17 +153,19 @@ def _rod(cell: Cell, device: str) -> Evidence:
         np.linalg.norm(reaction - force.sum(axis=1), axis=1) / np.maximum(np.linalg.norm(reaction, axis=1), FLOOR),
         out.energy[1:, 0], out.penetration[1:, 0], out.converged[1:, 0],
         tuple(Reason(r).text for r in out.reason[1:, 0]), np.zeros(frames), frames, f["friction"] == 0.0, STEM / n,
-        jumped=np.array([_behind(x, c, size) for x, c in zip(line, centre, strict=True)]))
+        jumped=np.array([_behind(x, c, size, radius) for x, c in zip(line, centre, strict=True)]))
 
 
-def _behind(line: np.ndarray, centre: np.ndarray, size: float) -> bool:
-    """Whether a stem (n, 3) that reaches higher than the capsule passes it on the side that the capsule came from."""
+def _behind(line: np.ndarray, centre: np.ndarray, size: float, radius: float) -> bool:
+    """Whether a stem (n, 3) passes a capsule at ``centre`` (3,) on the side that the capsule came from, although an
+    exact stem would still lean on it. Past that it may have slipped off over its end, or sideways."""
+    exact = elastica(float(centre[2]), size + radius, STEM)
+    if not len(exact.way) or centre[0] > exact.way[-1] - 0.01 * STEM:
+        return False
     x, z = line[:, 0], line[:, 2]
     crossing = np.flatnonzero((z[:-1] < centre[2]) & (z[1:] >= centre[2]))
     if not len(crossing):
         return False
-    if np.hypot(centre[0], centre[2]) + size > 0.97 * STEM:
-        return False  # the stem may have slipped off over its end
     k = int(crossing[0])
     share = (centre[2] - z[k]) / (z[k + 1] - z[k])
     return bool(x[k] + share * (x[k + 1] - x[k]) < centre[0] - 0.5 * size)

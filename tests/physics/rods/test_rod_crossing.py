@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from stems import crossing, plant, stem, touch
 
+from benchmarks.stability.elastica import elastica
 from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build
@@ -82,41 +83,6 @@ def passed_in_silence(c: Case, **options: float) -> tuple[bool, RodFrames]:
     frames = touch(c.body, c.poses, radius=c.radius, length=1.0, friction=c.friction, **options)
     t = first_pass(c.body, frames, c.poses)
     return t is not None and bool(frames.converged[t:].any()), frames
-
-
-@dataclass(frozen=True)
-class Exact:
-    """An inextensible stem, clamped upright at its foot, that leans on a frictionless bar at a fixed height."""
-
-    way: np.ndarray
-    """Of the bar's axis from the foot (k,) [m], increasing, to where the stem slips off over its end."""
-    force: np.ndarray
-    """On the bar over the stem's bending stiffness (k,) [1/m^2]."""
-
-
-def elastica(height: float, reach: float, length: float, *, most: float = 1.5) -> Exact:
-    """The elastica under a force across its end, to a lean of ``most`` [rad] there.
-
-    With phi the angle to the end's tangent, phi'^2 = 2 F sin(phi) / (E I), and the end is where the bar is. All shapes
-    of one lean are similar, so lean and height give the length in use, which is the stem's when it slips off.
-
-    Args:
-        height: of the bar's axis [m].
-        reach: radius of the bar and of the stem together [m].
-        length: of the stem [m].
-        most: largest lean [rad].
-    """
-    points, weights = np.polynomial.legendre.leggauss(60)
-    out = []
-    for lean in np.linspace(0.02, most, 300):
-        u = 0.5 * np.sqrt(lean) * (points + 1.0)  # phi = u^2 takes the root out of the integrals
-        d = np.sqrt(lean) * weights * u / np.sqrt(np.sin(u**2))
-        size, across, up = d.sum(), d @ np.sin(lean - u**2), d @ np.cos(lean - u**2)
-        used = (height - reach * np.sin(lean)) * size / up
-        if used > length:
-            break
-        out.append((used * across / size - reach * np.cos(lean), 0.5 * (size / used) ** 2))
-    return Exact(*np.array(out).T)
 
 
 @pytest.mark.parametrize("radius", [0.002, 0.01, 0.03])
