@@ -18,34 +18,42 @@ from vsfsim.vsf.sticking import stick
 torch.set_num_threads(1)
 SOFT, STIFF, SPACING, NOISE = 1e8, 3e9, 0.004, 0.003
 THRESHOLD = 6e8  # well above the cover's density
+TRIES = 40  # registrations, as in the papers
+SEEDS = 5  # objects of one run: poses, touches and noise
 
 
-@pytest.fixture(scope="module")
-def scene(trial_seed):
+def make_scene(seed):
     """The object lies 3 mm under the surface of a soft block; the sensor feels about 9 mm of it from above. The seed
     turns the object, places the touches and draws their noise."""
     known = KnownObject.of(*wedge())
-    truth = pose(0.9 + 2.4 * trial_seed, [0.005, -0.01, -0.018])
+    truth = pose(0.9 + 2.4 * seed, [0.005, -0.01, -0.018])
 
     def field(points):
         inside = known.contains((points - truth[:3, 3]) @ truth[:3, :3])
         return np.where(points[:, 2] > 0.0, 0.0, np.where(inside, STIFF, SOFT))
 
     touches = palpate(field, touches=60, frames=10, extent=(0.16, 0.16), depth=0.012, noise=NOISE, rings=6,
-                      seed=3 + trial_seed)
+                      seed=3 + seed)
     axes = [np.arange(-0.1, 0.1, SPACING), np.arange(-0.1, 0.1, SPACING), np.arange(-0.0118, 0.0, 0.5 * SPACING)]
     particles = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     return known, truth, touches, particles, [stick(particles, t.vertices, t.triangles) for t in touches]
 
 
-def errors(scene, found):
-    shift, turn = pose_errors(found.transform, scene[1])
-    print(f"errors: {1000 * shift:.1f} mm, {np.degrees(turn):.1f} degrees")
-    return shift, turn
+@pytest.fixture(scope="module")
+def scenes(trial_seed):
+    return [make_scene(seed) for seed in range(SEEDS * trial_seed, SEEDS * (trial_seed + 1))]
 
 
-def point_estimate(scene, w, z, noise):
-    _known, _, _, particles, _contacts = scene
+def errors(scenes, find):
+    """Errors of ``find`` (scene -> pose): shifts [m] and turns [rad], one a scene."""
+    found = np.array([pose_errors(find(*scene).transform, scene[1]) for scene in scenes])
+    print(f"errors: {np.round(1000 * found[:, 0], 1)} mm, {np.round(np.degrees(found[:, 1]), 1)} degrees")
+    return found.T
+
+
+def of_points(touches, particles, contacts, rows, z, noise):
+    """Touched particles and the MAP estimate of the stiffness density there."""
+    w = sparse.vstack([rows(contact, touch) for contact, touch in zip(contacts, touches)]).tocsr()
     volume = SPACING**2 * 0.5 * SPACING
     stiffness = map_estimate(w, z, noise_std=noise, prior_mean=SOFT * volume,
                              prior_var=(STIFF * volume) ** 2).mean / volume
@@ -53,39 +61,52 @@ def point_estimate(scene, w, z, noise):
     return particles[touched], stiffness[touched]
 
 
-@pytest.mark.slow
-def test_dense_forces_on_particles_find_it(scene):
-    known, _, touches, particles, contacts = scene
-    w = sparse.vstack([dense_force_rows(c, len(particles), t.triangles, t.vertices.shape[1]) for c,
-                       t in zip(contacts, touches)]).tocsr()
-    points, stiffness = point_estimate(scene, w, np.concatenate([t.force.ravel() for t in touches]), NOISE)
-    shift, turn = errors(scene, stiffness_pose(known, points, stiffness, threshold=THRESHOLD))
-    # 1.9 mm and 3.6 degrees. Of three seeds of the registration one ends turned over; the papers take the best of 40.
-    assert shift < 0.006 and turn < 0.15
+def by_dense_forces(known, _truth, touches, particles, contacts):
+    points, stiffness = of_points(
+        touches, particles, contacts,
+        lambda c, t: dense_force_rows(c, len(particles), t.triangles, t.vertices.shape[1]),
+        np.concatenate([t.force.ravel() for t in touches]), NOISE)
+    return stiffness_pose(known, points, stiffness, threshold=THRESHOLD, tries=TRIES)
+
+
+def by_pressure(known, _truth, touches, particles, contacts):
+    points, stiffness = of_points(
+        touches, particles, contacts, lambda c, t: force_sum_rows(c.displacements(), len(particles)),
+        np.concatenate([np.linalg.norm(t.force.sum(axis=1), axis=1) for t in touches]), 12.0 * NOISE)
+    return stiffness_pose(known, points, stiffness, threshold=np.quantile(stiffness, 0.7))
+
+
+def by_contact_points(known, _truth, touches, _particles, _contacts):
+    reached = [t.vertices[-1][np.linalg.norm(t.force[-1], axis=1) > 0.15] for t in touches]
+    return contact_pose(known, np.concatenate(reached))
 
 
 @pytest.mark.slow
-def test_the_fast_continuous_field_finds_it(scene):
-    known, _, touches, particles, contacts = scene
+def test_dense_forces_on_particles_find_it_and_the_papers_baselines_do_not(scenes):
+    shift, turn = errors(scenes, by_dense_forces)
+    # Eleven seeds: 0.8 to 10.3 mm and 1.5 to 9.7 degrees, with standard deviations of 3.1 mm and 2.6 degrees about 3.8
+    # mm and 4.0 degrees; the medians of five are 2.1 and 2.0 mm. With 10 tries instead of the papers' 40 every third
+    # object is turned over, 120 degrees and more.
+    assert shift.max() < 0.016 and np.degrees(turn).max() < 15.0
+    assert np.median(shift) < 0.005
+    # The pressure alone: 12 to 172 degrees, in the median of eleven 26. The places of the contacts: 110 to 179.
+    assert np.median(errors(scenes, by_pressure)[1]) > 2.0 * np.median(turn)
+    assert np.median(errors(scenes, by_contact_points)[1]) > np.radians(60.0)
+
+
+def by_the_grid(known, _truth, touches, particles, contacts):
     bounds = np.array([[-0.1, -0.1, -0.014], [0.1, 0.1, 0.002]])
     model = fit("grid", touches, bounds, Fitting(iterations=600, samples=25, rate=3e-2, free_space=1e-3), cell=SPACING)
-    touched = np.unique(np.concatenate([c.particle for c in contacts]))
+    touched = particles[np.unique(np.concatenate([c.particle for c in contacts]))]
     # A smooth field has no sharp step at the object's border: the threshold is lower, still four times the cover's
     # density.
-    shift, turn = errors(scene, stiffness_pose(known, particles[touched], density(model, particles[touched]),
-                                               threshold=4e8, tries=16))
-    # Blurred over cells of 4 mm, on an object of which 9 mm are felt: a turned pose may explain the field better than
-    # the true one (a loss of 2.9e10 against 5.5e10 at 31 degrees; 5 degrees with seed 1 of the touches), so the turn
-    # only excludes an object turned over. The shift was 1.8 and 2.0 mm.
-    assert shift < 0.006 and turn < 0.8
+    return stiffness_pose(known, touched, density(model, touched), threshold=4e8, tries=TRIES)
 
 
 @pytest.mark.slow
-def test_pressure_alone_and_contact_points_are_the_weaker_baselines_but_run(scene):
-    known, _, touches, particles, contacts = scene
-    w = sparse.vstack([force_sum_rows(c.displacements(), len(particles)) for c in contacts]).tocsr()
-    z = np.concatenate([np.linalg.norm(t.force.sum(axis=1), axis=1) for t in touches])
-    points, stiffness = point_estimate(scene, w, z, NOISE * 12)
-    assert errors(scene, stiffness_pose(known, points, stiffness, threshold=np.quantile(stiffness, 0.7)))[0] < 0.05
-    reached = [t.vertices[-1][np.linalg.norm(t.force[-1], axis=1) > 0.15] for t in touches]
-    assert errors(scene, contact_pose(known, np.concatenate(reached)))[0] < 0.05
+def test_the_fast_continuous_field_finds_it(scenes):
+    shift, turn = errors(scenes[:3], by_the_grid)
+    # Seven seeds: 1.6 to 7.0 mm and 12 to 37 degrees. The field is blurred over cells of 4 mm, and 9 mm of the object
+    # are felt, so a turned pose may explain it better than the true one; an object turned over is 120 degrees off.
+    assert shift.max() < 0.016 and np.median(shift) < 0.005
+    assert np.degrees(turn).max() < 60.0
