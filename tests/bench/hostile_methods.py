@@ -54,6 +54,21 @@ class ReadsMemory(Hostile):
         return super().predict(touches)
 
 
+class Device(Hostile):
+    """Says whether GPUs are hidden from it, and whether a trial is a fork of the process that learned."""
+
+    learned: ClassVar[list[int]] = []
+
+    def __init__(self, *, device="auto", report=""):
+        super().__init__(report=report)
+
+    def meta_fit(self, specimens):
+        self.learned.append(1)
+
+    def adapt(self, view, support):
+        self.found([os.environ.get("CUDA_VISIBLE_DEVICES"), len(self.learned)])
+
+
 class OpensFiles(Hostile):
     """Looks for datasets where they are usually kept, and for their folder in the environment."""
 

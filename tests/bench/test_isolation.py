@@ -7,7 +7,7 @@ import time
 import pytest
 
 from vsfsim.bench.evaluate import evaluate
-from vsfsim.bench.isolation import limits
+from vsfsim.bench.isolation import child, limits
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.protocol import divide, record
 from vsfsim.core.errors import MethodError
@@ -149,6 +149,23 @@ def test_where_processes_cannot_be_forked_each_trial_gets_a_copy(task, toy_datas
     scores, found = attack("hostile_state:Unforkable")
     assert scores == honest and len({pid for pid, _ in found}) == 8
     assert all(held == 1 for _, held in found), "what meta_fit learned is there, and nothing else"
+
+
+@pytest.mark.parametrize(("given", "visible", "forked"), [
+    ({}, "0", 1), ({"device": "cpu"}, "", 1), ({"device": "cuda:0"}, "0", 0)])
+def test_a_method_that_is_to_use_no_gpu_sees_none_and_one_that_is_to_use_it_is_not_forked(attack, monkeypatch, given,
+                                                                                          visible, forked):
+    """In a fork a GPU cannot be used, nor a gradient taken where PyTorch has seen one before."""
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
+    _, found = attack("Device", **given)
+    assert len(found) == 8 and all(one == [visible, forked] for one in found)
+
+
+def test_methods_that_ship_use_no_gpu_unless_told_to(monkeypatch):
+    for given, visible in (({"device": "cuda:1"}, "0"), ({}, "")):
+        monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
+        child._hide_gpus("grid-vsf", given)
+        assert os.environ["CUDA_VISIBLE_DEVICES"] == visible
 
 
 def test_wrong_limits_are_refused():

@@ -21,7 +21,7 @@ import sys
 import tarfile
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -95,6 +95,7 @@ class _Server:
 
     def do_find(self, payload: dict[str, Any]) -> Any:
         self.name = payload["name"]
+        _hide_gpus(self.name, payload["parameters"])
         self.factory = find_method(self.name, search=payload["folder"])
         self.parameters = parameters_of(self.factory, payload["parameters"])
         try:
@@ -121,7 +122,9 @@ class _Server:
 
     def do_meta_fit(self, specimens: Any) -> Any:
         self.method.meta_fit(specimens)
-        return {"fork": hasattr(os, "fork") and not _uses_gpu(), "peak_mib": peak_memory_mib()}, (), b""
+        # a method that is to use a GPU may not have begun to, and in a fork it no longer could
+        gpu = str(self.parameters.get("device", "")).startswith("cuda") or _uses_gpu()
+        return {"fork": hasattr(os, "fork") and not gpu, "peak_mib": peak_memory_mib()}, (), b""
 
     def do_state(self, _: Any) -> Any:
         return {}, (), _packed(self.method)
@@ -214,6 +217,18 @@ def _one_thread() -> None:
     torch = sys.modules.get("torch")
     if torch is not None and hasattr(torch, "set_num_threads"):
         torch.set_num_threads(1)
+
+
+def _hide_gpus(name: str, given: Mapping[str, Any]) -> None:
+    """Hides GPUs from a method that is to use none, before its module is imported.
+
+    Where PyTorch sees a GPU, its first gradient starts a thread for it even on a CPU, and then refuses gradients in a
+    fork of the process.
+    """
+    entry = methods().get(name)
+    ships = entry is not None and entry.value.startswith("vsfsim.baselines.")  # their device is a cpu if none is given
+    if given.get("device", "cpu" if ships else None) == "cpu":
+        os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
 def _uses_gpu() -> bool:

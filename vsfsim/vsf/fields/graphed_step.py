@@ -33,13 +33,15 @@ class GraphedStep:
         self.calls += 1
         if self.device.type != "cuda":
             return self.step()
-        if self.calls <= _WARM_UP:
-            return self._warm_up()
-        if self._graph is None:
-            self._graph = torch.cuda.CUDAGraph()
-            with torch.cuda.graph(self._graph):
-                self._out = self.step()
-        self._graph.replay()
+        with torch.cuda.device(self.device):
+            if self.calls <= _WARM_UP:
+                return self._warm_up()
+            if self._graph is None:
+                self._graph = torch.cuda.CUDAGraph()
+                # torch keeps one stream for captures, on the first device that was captured on
+                with torch.cuda.graph(self._graph, stream=torch.cuda.Stream(self.device)):
+                    self._out = self.step()
+            self._graph.replay()
         return self._out
 
     def _warm_up(self) -> torch.Tensor:
