@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import cKDTree
 
-from benchmarks.measurement import Column, Measurement, Table
+from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Family
+from vsfsim.core.shelf import datasets
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
@@ -56,18 +57,26 @@ def materials(recipe: Recipe, number: int) -> dict[str, str]:
     return dict(zip(PARTS, MODELS[name].materials, strict=True))
 
 
-def measure(folder: Path, *, depths: Sequence[float] = (0.005, 0.010)) -> Measurement:
+def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.010),
+            progress: Progress | None = None) -> Measurement:
     """Median force over touches at the travels ``depths`` [m], by part and material.
 
     A touch that ends before a travel does not count there. The part is that of the tetrahedron nearest to the touch's
     target.
 
+    Args:
+        folder: of a dataset of named shoes; None: that of the task fewshot-shoes-v2-mini-v2.
+        depths: travels [m].
+        progress: called with what is going on.
+
     Raises:
         SceneError: the objects are not named shoes. DatasetError: there is no dataset.
     """
-    dataset = Dataset.open(folder)
+    dataset = Dataset.open(folder or datasets() / "shoes-v2-mini-v2")
     found: dict[tuple[str, str], list[list[float]]] = {}
     for entry in dataset.entries:
+        if progress is not None:
+            progress(entry.name)
         view, own = dataset.load(entry.name), materials(dataset.recipe, entry.object_index)
         assert view.truth is not None
         tree = cKDTree(view.truth.points)

@@ -88,7 +88,8 @@ def measurement(name: str, tables: int) -> str:
 MEASURED: dict[str, Callable[[], str]] = {
     **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
     **{f"study-{name}": partial(study, name) for name in studies()},
-    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1)}
+    "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
+    "shoe-forces": partial(measurement, "shoe-forces", 1)}
 """Table by name of its file."""
 
 
