@@ -8,6 +8,7 @@ import pytest
 from test_failures import METHODS
 
 from vsfsim.baselines.field_vsf import GridVsf
+from vsfsim.baselines.known_object import touched_points
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
 from vsfsim.bench.method import Action, Reading, Specimen, Surface, build_method, find_method
 from vsfsim.bench.mock import mock_view
@@ -119,3 +120,20 @@ def test_failure_is_clear_on_a_bubble(name, felt):
     elif not name.startswith("imaml") and name != "contact-points":
         with pytest.raises(MethodError, match="joint torques need an arm"):
             method.predict([strange])
+
+
+def test_a_touch_whose_last_frame_has_no_equilibrium_still_locates():
+    view, readings = mock_view(0).view, pressed(touches=6)
+    whole = touched_points(view, readings, depth=0.006)
+    lost = readings[2].surface.vertices.copy()
+    lost[-1] = np.nan
+    torn = [*readings[:2], dataclasses.replace(readings[2], surface=Surface(lost, readings[2].surface.force)),
+            *readings[3:]]
+    # as if the touch had ended a frame earlier
+    short = Surface(readings[2].surface.vertices[:-1], readings[2].surface.force[:-1])
+    ended = [*readings[:2], dataclasses.replace(readings[2], surface=short), *readings[3:]]
+    assert np.array_equal(touched_points(view, torn, depth=0.006), touched_points(view, ended, depth=0.006))
+    never = dataclasses.replace(readings[2], surface=Surface(np.full_like(lost, np.nan), readings[2].surface.force))
+    rest = touched_points(view, [*readings[:2], *readings[3:]], depth=0.006)
+    assert np.array_equal(touched_points(view, [*readings[:2], never, *readings[3:]], depth=0.006), rest)
+    assert len(rest) < len(whole)
