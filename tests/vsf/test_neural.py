@@ -117,6 +117,16 @@ def test_the_same_seed_gives_the_same_field():
     assert all(torch.equal(a, b) for a, b in zip(first.state_dict().values(), second.state_dict().values()))
 
 
+@pytest.mark.skipif(torch.cuda.device_count() < 2, reason="there is no second GPU")
+def test_a_second_gpu_gives_the_field_of_the_first():
+    """The steps are captured on the device that was asked for, also after a capture on another one."""
+    touches = palpate(layer_with_inclusion(), touches=2, frames=4, extent=(0.02, 0.02), rings=3)
+    quick = Fitting(iterations=8, batch=50, samples=10, seed=4)
+    first, second = (fit("nerf", touches, BOUNDS, quick, device=device) for device in ("cuda:0", "cuda:1"))
+    assert all(torch.allclose(a.cpu(), b.cpu(), atol=1e-6)
+               for a, b in zip(first.state_dict().values(), second.state_dict().values()))
+
+
 def test_refusals():
     touch = straight()
     with pytest.raises(VsfError, match="no touch with contact forces"):
