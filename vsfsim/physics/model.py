@@ -20,6 +20,9 @@ from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mes
 from vsfsim.physics.mesh.validity import refuse_loose, sound
 
 Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
+MOST_NODES = 200_000
+"""Of a body. The factor of a much larger one has more entries than the 32-bit indices of CHOLMOD number, which ends the
+process."""
 
 
 @dataclass(frozen=True)
@@ -158,7 +161,8 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         elements: makes the blocks of elements of the placed mesh, from (mesh, young_modulus, poisson_ratio).
 
     Raises:
-        SceneError: the supports hold no node, hold nodes on a line at most, or leave a part of the body loose.
+        SceneError: the mesh has too many nodes, or the supports hold none, hold nodes on a line at most, or leave a
+            part of the body loose.
         MeshError: the tetrahedra are flat, folded or not finite, see `sound`.
     """
     solid, turned = sound(solid, where)
@@ -166,6 +170,9 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
         # an inverted tetrahedron had its first two corners swapped, and each Gauss point is near a corner
         young_modulus = np.where(turned[:, None], young_modulus[:, [1, 0, 2, 3]], young_modulus)
     mesh = quadratic_mesh(solid)
+    if len(mesh.points) > MOST_NODES:
+        raise SceneError(f"{where}: the mesh has {len(mesh.points):,} nodes, and {MOST_NODES:,} are the most whose "
+                         f"stiffness can be factorised. Give a larger resolution, a coarser tier, or a smaller body.")
     if fixed == "none":
         raise SceneError(f"{where}: fixed = \"none\" leaves the body floating, and a quasi-static press then has no "
                          "single equilibrium; hold it with fixed = \"bottom\" or a box [x0, y0, z0, x1, y1, z1].")

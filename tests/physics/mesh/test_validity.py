@@ -7,6 +7,7 @@ import pytest
 
 from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics import model
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.mesh.validity import sound
@@ -98,3 +99,12 @@ def test_a_part_on_a_hinge_is_refused():
     mended, _ = sound(body, "t")
     with pytest.raises(SceneError, match=r"in 2 parts.*held at \d nodes"):
         held(mended)
+
+
+def test_a_mesh_that_cannot_be_factorised_is_refused(block, monkeypatch):
+    """A block of 0.6 mm elements ended the process with a segmentation fault."""
+    monkeypatch.setattr(model, "MOST_NODES", 40)
+    with pytest.raises(SceneError, match=r"t.toml \[object\]: the mesh has \d+ nodes, and 40 are the most"):
+        held(block)
+    monkeypatch.setattr(model, "MOST_NODES", 10_000)
+    held(block)
