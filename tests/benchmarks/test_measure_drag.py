@@ -14,6 +14,7 @@ def test_friction_stays_below_coulombs_bound_or_the_frame_is_marked(move):
     rows = rows_of(move, solved, 2)
     good = [row for row in rows if row["converged"]]
     assert len(rows) == 3 and good
-    assert all(float(row["share"]) <= 1.01 and float(row["torque_share"]) <= 1.01 for row in good)
+    # the bound counts vertical forces: where the skin slants by 15 degrees, its normal force is 1 / cos(15) of that
+    assert all(float(row["share"]) <= 1.01 and float(row["torque_share"]) <= 1.035 for row in good)
     assert all(np.isnan(float(row["normal"])) for row in rows if not row["converged"])
     assert (solved.frames.converged | (solved.frames.reason != Reason.NONE)).all()
