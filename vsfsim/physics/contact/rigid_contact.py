@@ -128,8 +128,7 @@ class RigidContact:
         self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
         self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
                               device=self.device) if not self._solid else None
-        self._member = tensor(member)
-        self._part = wp.array(part, dtype=wp.int32, device=self.device)
+        self._member, self._part = tensor(member), wp.array(part, dtype=wp.int32, device=self.device)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
@@ -262,7 +261,8 @@ class RigidContact:
         """See `Contact`."""
         if self._sums is not None:
             return self._sums.nodal(columns, self.force[columns])
-        return (self._points[columns].mT @ self.force[columns]).flatten(1)
+        points = self._points[columns] if len(columns) < self.batch else self._points  # columns are in order
+        return (points.mT @ self.force[columns]).flatten(1)
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
