@@ -33,7 +33,7 @@ MAY_IMPORT = {
     "leaderboard": set(),
     "cli": {"core"},
     "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "baselines",
-                   "references"},
+                   "scenes", "references"},
     "references": set(),
     "top": {"cli"},
 }

@@ -322,7 +322,7 @@ def test_the_pressure_laws_read_it(made):
 
 
 def test_the_force_estimators_read_it(made):
-    from benchmarks import dense_force_dataset as dense
+    from benchmarks.dense_force import dataset as dense
 
     data = Dataset.open(made)
     (view,) = data
@@ -343,7 +343,7 @@ def test_the_force_estimators_read_it(made):
 
 
 def test_a_dataset_without_a_skin_has_no_dense_forces(tmp_path):
-    from benchmarks import dense_force_dataset as dense
+    from benchmarks.dense_force import dataset as dense
     from vsfsim.bench.mock import mock_view
 
     view = mock_view(0)

@@ -233,7 +233,7 @@ def dense_force(dataset: Annotated[Path | None,
         return
     if nodes is not None:
         raise VsfsimError(f"--nodes is {nodes}, but the touches are those of {dataset}; leave one of them out.")
-    from benchmarks.dense_force_dataset import measure as measure_dataset
+    from benchmarks.dense_force.dataset import measure as measure_dataset
     from vsfsim.data.dataset import Dataset
 
     _report(measure_dataset(Dataset.open(dataset, blind=True), progress=step), out)
