@@ -102,7 +102,7 @@ def picture(verdicts: Sequence[Verdict], file: Path) -> None:
                 here = [v for v in solids if v.cell.factors[down] == a and v.cell.factors[across] == b]
                 number[i, j] = len(here)
                 share[i, j] = np.mean([v.outcome is Outcome.CONVERGED for v in here]) if here else np.nan
-                wrong[i, j] = sum(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in here)
+                wrong[i, j] = sum(v.outcome == Outcome.WRONG for v in here)
         shown = axis.imshow(100.0 * share, cmap="RdYlGn", vmin=0.0, vmax=100.0, aspect="auto")
         axis.set_xticks(range(len(columns)), _labels(columns), rotation=30)
         axis.set_yticks(range(len(rows)), _labels(rows))
