@@ -30,7 +30,7 @@ COVER_FACTOR = 2.0
 """The papers' threshold is "greater than the cover stiffness": this many times the median of the touched points, most
 of which are in the cover [-]."""
 
-TRIES = 10
+TRIES = 40
 """Registrations of the papers' procedure, of which the one with the least loss is kept."""
 
 STEP = 0.003
