@@ -162,7 +162,7 @@ def small_turn(turn):
 
 def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
     """The same command as for a block: one touch with its joint torques, which are J^T of the recorded forces; plot,
-    picture and file beside it."""
+    picture and file beside it. The touch converges in 16, 24, 32 and 40 frames."""
     text = find_scene("plants-short-mini").read_text()
     for old, new in (('species = { choice', 'species = "rubber-plant" #'), ("max_segments = 250", "max_segments = 50"),
                      ("free = 5, in = 40, hold = 1, out = 8", "free = 1, in = 16, hold = 1, out = 2"),
@@ -172,7 +172,7 @@ def test_a_plant_is_pressed_by_the_arm_of_its_scene(tmp_path):
     (tmp_path / "s.toml").write_text(text)
     run = CliRunner()
     out = run.invoke(app, ["press", str(tmp_path / "s.toml"), "--json", "-", "--plot", str(tmp_path / "p.png"),
-                           "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "2"])
+                           "--picture", str(tmp_path / "q.png"), "--save", str(tmp_path / "s.npz"), "--seed", "9"])
     assert out.exit_code == 0, out.output
     found, saved = json.loads(out.stdout), np.load(tmp_path / "s.npz")
     force, reaction, torque = (np.array(found[key]) for key in ("force", "reaction", "torque"))

@@ -242,7 +242,11 @@ class Collector:
                 "peak_memory_mib": self.peak_memory_mib}
         self._told = self.meta_fit_s, self.fits
         write_atomic(self.part / f"{stage}.json", json.dumps(cost).encode(), error=MethodError)
-        kept.save(self.part / f"{stage}.npz", self.done[stage])
+        try:
+            kept.save(self.part / f"{stage}.npz", self.done[stage])
+        except MethodError:  # no half of a stage stays behind
+            (self.part / f"{stage}.json").unlink(missing_ok=True)
+            raise
 
     def _recall(self, stage: str) -> None:
         """Add what a kept stage has cost."""
