@@ -110,9 +110,12 @@ def picture(verdicts: Sequence[Verdict], file: Path) -> None:
         axis.set_ylabel(down)
         for i, j in np.ndindex(number.shape):
             if number[i, j]:
+                between = " " if len(rows) > 10 else "\n"  # rows too low for three lines
                 bad = f"\n{wrong[i, j]:.0f} wrong" if wrong[i, j] else ""
-                axis.text(j, i, f"{100 * share[i, j]:.0f} %\nof {number[i, j]:.0f}{bad}", ha="center", va="center",
-                          fontsize=7, color="black", fontweight="bold" if bad else "normal")
+                axis.text(j, i, f"{100 * share[i, j]:.0f} %{between}of {number[i, j]:.0f}{bad}",
+                          ha="center", va="center", fontsize=6 if len(rows) > 10 else 7,
+                          color="black" if 0.15 < share[i, j] < 0.85 else "white",
+                          fontweight="bold" if bad else "normal")
     figure.colorbar(shown, ax=axes[:, -1], label="cells of solids that converge [%]", shrink=0.5)
     _bars(axes.flat[len(_PAIRS)], verdicts)
     figure.suptitle(f"Stability map: {len(verdicts)} cells; share that converges in all frames, over pairs of factors")
@@ -130,7 +133,7 @@ def _bars(axis: Any, verdicts: Sequence[Verdict]) -> None:
         axis.barh(list(KINDS), width, left=left, color=colour, label=outcome.value)
         left += width
     axis.set_xlabel("cells [%]")
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
 
 
 def _labels(levels: Iterable[Level]) -> list[str]:
