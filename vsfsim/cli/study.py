@@ -56,13 +56,14 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     if not show:
         quiet = str(json) == "-"
         with Progress("study") as progress:
-            for name, message in make_missing(wanted, size, workers, progress):
+            for name, message in make_missing(wanted, size, workers, progress=progress):
                 failed += [(name, message)] if message else []
                 if not quiet:
                     print(f"{name}: {message or 'made'}", flush=True)
     pages, numbers = [], []
+    boards: dict = {}
     for one in known:
-        found = stored(one, size)
+        found = stored(one, size, boards=boards)
         pages.append(tables.text(one, size, found))
         numbers.append(tables.table(one, size, found))
     report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)

@@ -104,6 +104,13 @@ class Table:
         """``size`` finite numbers, a tuple of that length."""
         return numbers(self.where, key, self.table.get(key, default), size)
 
+    def counts(self, key: str) -> tuple[int, ...]:
+        """A list of whole numbers of at least 0, or none."""
+        value = self.table.get(key, [])
+        if not isinstance(value, list):
+            raise self.error(f"{self.where}: {key} is {value!r}; it must be a list of whole numbers.")
+        return tuple(whole(self.where, f"{key}[{k}]", v, 0, error=self.error) for k, v in enumerate(value))
+
     def word(self, key: str, default: str, allowed: tuple[str, ...]) -> str:
         """One of ``allowed``."""
         value = self.table.get(key, default)

@@ -114,6 +114,11 @@ def test_the_same_evaluation_has_one_file_in_all_studies(study):
     ("share_of_objects = 0.5", 'train = "mine"', "train is 'mine'"),
     ("share_of_objects = 0.5", 'world = "moon"', "world is 'moon'"),
     ('worse = ["half", "0"]', 'worse = "half"', "give a variant and a shot"),
+    ("share_of_objects = 0.5", 'extra = [{ data = "more" }]', r"\[\[variant\]\] 2 extra 1: 'objects' is missing"),
+    ("share_of_objects = 0.5", 'extra = [{ data = "more", objects = 1 }]', "'half' names the data 'more'"),
+    ("share_of_objects = 0.5", 'train_views = ["left"]', r"train_views\[0\] is 'left'"),
+    ("paper = { 0 = [2.0, 0.1] }", 'paper = { 0 = "two" }', "paper: 0 is 'two'"),
+    ('title = "A toy"', 'title = "A toy"\nshots = [0.5]', r"shots\[0\] is 0.5"),
     ('title = "A toy"', 'titel = "A toy"', "titel")])
 def test_a_wrong_file_is_refused(old, new, message):
     with pytest.raises(TaskError, match=message):
@@ -152,13 +157,24 @@ def test_every_experiment_is_on_a_claim():
 
 def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
     monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
-    monkeypatch.setattr(worlds, "_OBJECTS", 2)
+    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("objects = 24", "objects = 2"))
     told, blind = worlds.dataset("springs"), worlds.dataset("springs-blind")
     assert worlds.dataset("springs").sha256 == told.sha256
     shows = [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)]
     assert shows == [False, True], "every second block's picture is reversed"
     assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, blind))
     assert worlds.task("springs").protocol.folds == 4
+
+
+def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    half = study.variant("half")
+    path = tmp_path / "results" / "studies" / study.task_of(half, "mini").name / f"{study.stem(half)}.json"
+    path.parent.mkdir(parents=True)
+    path.write_text("{")
+    assert stored_results.stored(study, "standard", [half]) == {}, "the study has no task of this size"
+    with pytest.raises(TaskError, match=path.name):
+        stored_results.stored(study, "mini", [half])
 
 
 def test_the_command_lists_and_refuses(vsfsim, tmp_path):

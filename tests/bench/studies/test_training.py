@@ -1,17 +1,22 @@
 """What a method learns from in a study, and trainings that run side by side."""
 
 import dataclasses
+import os
 from functools import partial
 
 import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.commands.evaluate import finish
+from vsfsim.bench.commands.evaluate_all import evaluate_all
+from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
+from vsfsim.bench.protocol import specimen
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
+from vsfsim.bench.trials import training
 from vsfsim.bench.trials.training import Extra, Training
 from vsfsim.core.errors import TaskError
 from vsfsim.data.recipe import Recipe
@@ -89,6 +94,20 @@ def test_a_share_is_a_part_of_a_larger_one(dataset, task):
             for k in (0, 2, 3)} != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
 
 
+def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch):
+    read = []
+    monkeypatch.setattr(training, "specimen", lambda view, task: read.append(view.name) or specimen(view, task))
+    result = evaluate("toy_methods:Seeded", task, dataset, check=False)
+    assert result.timing["fits"] == 4, "two folds, two trainings"
+    assert sorted(read) == sorted(dataset.names())
+
+
+def test_a_broken_contract_is_found_before_trainings_side_by_side(dataset, task, tmp_path):
+    choice = Choice("toy_methods:Mutates", "", {})
+    (made,) = evaluate_all(task, [choice], tmp_path, dataset=dataset.path, processes=2)
+    assert made.result is None and "does not keep the contract" in made.state
+
+
 def test_objects_of_another_dataset_are_added(dataset, task):
     extra = Training(extra=(Extra(task, dataset, 2),))
     fold = extra.folds(dataset, task.protocol)[0]
@@ -128,12 +147,14 @@ def test_such_a_result_is_never_ranked(dataset, task, plain, tmp_path):
     assert [row.rank for row in board.rows] == [1, None] and "a study's" in board.rows[1].mark
 
 
-def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, task, plain, tmp_path):
+def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, task, plain, tmp_path, monkeypatch):
     path = tmp_path / "several.json"
     jobs = [Evaluation(tmp_path / "crash.json", "toy_methods:Crashes", task, dataset, lambda: None),
             Evaluation(path, "toy_methods:Constant", task, dataset,
                        partial(finish, "toy_methods:Constant", task, dataset, path, check=False))]
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     found = {one.path.stem: message for one, message in make(jobs, 3, check=False)}
+    assert "OMP_NUM_THREADS" not in os.environ, "the caller's threads are its own"
     assert found["several"] == "" and "toe" in found["crash"] and len(found) == 2
     several = Result.load(path)
     assert several.queries == plain.queries and several.scores == plain.scores

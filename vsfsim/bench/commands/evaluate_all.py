@@ -79,7 +79,7 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
                            partial(finish, c.method, task, data, path, parameters=c.parameters, seeds=seeds,
                                    preset=c.preset, isolation=isolation), c.parameters, seeds, Training(), isolation)
                 for path, c in to_do.items()]
-        for one, message in make(jobs, processes, check=False, progress=progress):
+        for one, message in make(jobs, processes, progress=progress):
             yield Made(to_do[one.path], one.path, None if message else Result.load(one.path), message or "made")
 
 

@@ -23,7 +23,7 @@ from vsfsim.bench.task import Task
 from vsfsim.bench.trials.collect import NOTE, Collector
 from vsfsim.bench.trials.stages import stages
 from vsfsim.bench.trials.training import Training
-from vsfsim.core.errors import Interrupted, MethodError, VsfsimError
+from vsfsim.core.errors import Interrupted, VsfsimError
 from vsfsim.data.dataset import Dataset
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -128,8 +128,6 @@ def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = Tru
     Raises:
         Interrupted: the user has stopped it; finished trainings are kept.
     """
-    for name in _THREADS:
-        os.environ.setdefault(name, "1")
     queue: list[_Job] = []
     left: dict[Path, int] = {}
     seeded: dict[str, bool] = {}
@@ -155,11 +153,8 @@ def _looked_at(one: Evaluation, check: bool) -> bool:
     """
     one.parts.mkdir(parents=True, exist_ok=True)
     with MethodProcess(one.method, one.parameters, one.isolation, one.parts / "check.log") as process:
-        failed = process.check() if check else []
-        if failed:
-            raise MethodError(f"{one.method} does not keep the contract of a method: "
-                              + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
-                              + f" `vsfsim check {one.method}` tests all of it.")
+        if check:
+            process.require()
         return process.description.seeded
 
 
@@ -211,6 +206,8 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int,
 
 def _work(job: _Job, answer: Connection) -> None:
     """In the child: do the job and send "" or what went wrong."""
+    for name in _THREADS:
+        os.environ.setdefault(name, "1")  # of the method's process, which begins after this
     with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
         try:
             if job.stage is None:

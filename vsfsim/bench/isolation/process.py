@@ -114,6 +114,18 @@ class MethodProcess:
                           limit=None if timeout is None else 10.0 * timeout)
         return [(plain(clause), plain(detail)) for clause, detail in reply.head.get("failed", [])]
 
+    def require(self) -> None:
+        """Refuse a method that breaks its contract on mock objects.
+
+        Raises:
+            MethodError: with every clause that it breaks.
+        """
+        failed = self.check()
+        if failed:
+            raise MethodError(f"{self.name} does not keep the contract of a method: "
+                              + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
+                              + f" `vsfsim check {self.name}` tests all of it.")
+
     def meta_fit(self, specimens: Sequence[Specimen], *, seed: int | None) -> float:
         """Build the method, let it learn, and make ready for trials.
 

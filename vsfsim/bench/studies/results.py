@@ -17,7 +17,7 @@ from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.studies.study import Study, Variant
 from vsfsim.bench.task import Task, load_task
 from vsfsim.bench.trials.training import models_of
-from vsfsim.core.errors import TaskError, VsfsimError
+from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shelf import folder, scenes
 
 MADE = Path("results")
@@ -50,21 +50,23 @@ def stored(study: Study, size: str, variants: Sequence[Variant] | None = None,
     settings, does not count.
 
     Args:
-        study: the study. size: of its tasks. variants: of it, None for all. boards: by name of the task, those that
-        are read already; others are added. made: results made here count; else only those that ship.
+        study: the study. size: of its tasks; {} for one that it does not have. variants: of it, None for all. boards:
+        by name of the task, those that are read already; others are added. made: results made here count; else only
+        those that ship.
+
+    Raises:
+        TaskError: a file is damaged; a table that the study needs is missing.
     """
     out = {}
     boards = {} if boards is None else boards
+    roots = ([MADE] if made else []) + [folder("leaderboard")]
     for variant in variants if variants is not None else study.variants:
-        try:
-            task = study.task_of(variant, size)
-            roots = ([MADE] if made else []) + [folder("leaderboard")]
-            found = (_row(variant, task, boards, made) if study.is_row(variant)
-                     else _file(study, variant, task, roots))
-            if found is not None:
-                out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
-        except TaskError:
-            continue  # the study has no such size, or a file is damaged
+        if not study.has(variant, size):
+            continue
+        task = study.task_of(variant, size)
+        found = _row(variant, task, boards, made) if study.is_row(variant) else _file(study, variant, task, roots)
+        if found is not None:
+            out[variant.name] = Found(variant, found[1], found[0], _counted(study, variant, task))
     return out
 
 
@@ -83,14 +85,9 @@ def _row(variant: Variant, task: Task, boards: dict[str, leaderboard.Board],
          made: bool) -> tuple[Path, Result] | None:
     if task.name not in boards:
         here = MADE / task.name
-        boards[task.name] = leaderboard.collect(task_of_board(task), [here] if made and here.is_dir() else [])
+        boards[task.name] = leaderboard.collect(load_task(task.name), [here] if made and here.is_dir() else [])
     return next(((row.path, row.result) for row in boards[task.name].rows if row.rank is not None and (
         row.result.method, row.result.preset) == (variant.method, variant.preset)), None)
-
-
-def task_of_board(task: Task) -> Task:
-    """The task as its file says, without the study's shots and runs."""
-    return load_task(task.name)
 
 
 def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | None:
@@ -111,7 +108,7 @@ def evaluation(study: Study, variant: Variant, size: str) -> Evaluation:
     task = study.task_of(variant, size)
     row = study.is_row(variant)
     if row:
-        task = task_of_board(task)
+        task = load_task(task.name)  # without the study's shots and runs
     dataset, choice = study.dataset_of(variant, task), study.choice(variant, task)
     training = study.training(variant, task, size)
     if row:
@@ -132,12 +129,13 @@ def _finish(method: str, task: Task, dataset, path: Path, slim: bool, **options)
 
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
+                 boards: dict[str, leaderboard.Board] | None = None,
                  progress: Callable[[int, int, str], None] = lambda *_: None) -> Iterator[tuple[str, str]]:
     """Make the results of some variants that are not there, several trainings at a time.
 
     Args:
-        wanted: variants with their studies. size: of the tasks. processes: trainings at a time. progress: called with
-        (done, of how many, what is going on).
+        wanted: variants with their studies. size: of the tasks. processes: trainings at a time. boards: as of `stored`,
+        as they are before. progress: called with (done, of how many, what is going on).
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -146,8 +144,9 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
         Interrupted: the user has stopped it.
     """
     jobs: dict[Path, tuple[str, Evaluation]] = {}
+    boards = {} if boards is None else boards
     for study, variant in wanted:
-        if variant.name in stored(study, size, [variant]):
+        if variant.name in stored(study, size, [variant], boards):
             continue
         name = f"{study.name}, {variant.name}"
         try:

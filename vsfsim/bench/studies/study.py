@@ -36,7 +36,7 @@ class Pool:
     """Training objects of another dataset, ``extra`` of a variant."""
 
     data: str
-    """Name of a table [data.NAME], or "plants" or "shoes" for the task's of that name in `Study.others`."""
+    """Name of a table [data.NAME]."""
     objects: int
     """How many of them."""
     first: int
@@ -146,6 +146,11 @@ class Study:
         if name not in found:
             raise TaskError(f"study {self.name} has no variant '{name}'. {did_you_mean(name, found)}")
         return found[name]
+
+    def has(self, variant: Variant, size: str) -> bool:
+        """Whether it has a task of this size for a variant."""
+        return bool(variant.world) or (size in self.tasks and all(
+            size in self.data[name] for name in (variant.data, *(p.data for p in variant.extra)) if name))
 
     def task_of(self, variant: Variant, size: str) -> Task:
         """The task that a variant asks, in the version that is not superseded, with the study's shots and runs.
@@ -268,10 +273,10 @@ def parse_study(text: str, path: Path) -> Study:
     variants = tuple(_variant(row, settings, f"{path} [[variant]] {k + 1}")
                      for k, row in enumerate(top.rows("variant")))
     classes = {str(model): str(kind) for kind, models in _plain(top, "classes").items() for model in models}
-    shots = top.table.get("shots", [])
+    shots = top.counts("shots")
     out = Study(
         path.stem, top.text("title"), top.text("source"), top.text("unit", ""), metric,
-        {str(k): str(v) for k, v in _plain(top, "tasks").items()}, top.text("baseline", ""), tuple(shots),
+        {str(k): str(v) for k, v in _plain(top, "tasks").items()}, top.text("baseline", ""), shots,
         top.count("trainings", 0, 0), top.count("draws", 0, 0), variants, classes, _plain(top, "data"), command,
         tuple(_asked(row, metric, f"{path} [[claim]] {k + 1}") for k, row in enumerate(top.rows("claim"))),
         tuple(_asked(row, metric, f"{path} [[experiment]] {k + 1}") for k, row in enumerate(top.rows("experiment"))),
@@ -289,6 +294,10 @@ def _check(study: Study, path: Path) -> None:
     for name in (study.baseline, *(side[0] for a in (*study.claims, *study.experiments)
                                    for side in (a.better, a.worse))):
         study.variant(name)
+    for v in study.variants:
+        for name in (v.data, *(p.data for p in v.extra)):
+            if name and name not in study.data:
+                raise TaskError(f"{path}: variant '{v.name}' names the data '{name}'. {did_you_mean(name, study.data)}")
     for size in study.tasks:
         if size not in SIZES:
             raise TaskError(f"{path}: tasks names the size '{size}'. {did_you_mean(size, SIZES)}")
@@ -309,13 +318,25 @@ def _variant(row: Mapping[str, Any], settings: Mapping[str, Any], where: str) ->
     world = t.text("world", "")
     if world and world not in worlds.WORLDS:
         raise TaskError(f"{where}: world is '{world}'. {did_you_mean(world, worlds.WORLDS)}")
-    paper = {str(shot): (float(v[0]), float(v[1])) if isinstance(v, list) else (float(v), None)
-             for shot, v in _plain(t, "paper").items()}
-    extra = tuple(Pool(str(p["data"]), int(p["objects"]), int(p.get("first", 0))) for p in t.table.get("extra", []))
+    paper = {str(shot): _figure(v, f"{where} paper: {shot}") for shot, v in _plain(t, "paper").items()}
+    extra = tuple(_pool(p, f"{where} extra {k + 1}") for k, p in enumerate(t.rows("extra")))
     return Variant(t.text("name"), t.text("method"), t.text("preset", "tuned"), _plain(t, "set"), train,
                    t.number("share_of_objects", 1.0, 0.0, 1.0), t.number("share_of_touches", 1.0, 0.0, 1.0),
-                   tuple(t.table.get("train_views", [])), tuple(t.table.get("test_views", [])), extra,
+                   t.counts("train_views"), t.counts("test_views"), extra,
                    t.text("data", ""), world, t.text("only", ""), paper)
+
+
+def _pool(row: Any, where: str) -> Pool:
+    t = Table(row, where, ("data", "objects", "first"), error=TaskError)
+    return Pool(t.text("data"), t.count("objects", None, 1), t.count("first", 0, 0))
+
+
+def _figure(value: Any, where: str) -> tuple[float, float | None]:
+    """A figure of the paper: a number, or its mean and spread."""
+    given = value if isinstance(value, list) else [value]
+    if len(given) not in (1, 2) or any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in given):
+        raise TaskError(f"{where} is {value!r}; give a number, or [mean, spread].")
+    return float(given[0]), float(given[1]) if len(given) == 2 else None
 
 
 def _asked(row: Mapping[str, Any], metric: str, where: str) -> Asked:
@@ -328,6 +349,6 @@ def _asked(row: Mapping[str, Any], metric: str, where: str) -> Asked:
             raise TaskError(f"{where}: {key} is {side!r}; give a variant and a shot, e.g. [\"narrow\", \"0\"].")
         sides.append((str(side[0]), str(side[1])))
     return Asked(t.text("text"), t.text("source", ""), t.text("figures", ""), sides[0], sides[1],
-                 bool(t.table.get("equal", False)), t.text("metric", metric), t.text("note", ""))
+                 t.flag("equal", False), t.text("metric", metric), t.text("note", ""))
 
 

@@ -10,13 +10,10 @@ from pathlib import Path
 
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import Task, parse_task
-from vsfsim.core.errors import DatasetError
 from vsfsim.core.shelf import datasets
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
-
-_OBJECTS, _TOUCHES = 24, 23
 
 _TASK = """
 name = "NAME-v1"
@@ -47,23 +44,16 @@ def dataset(world: str) -> Dataset:
     """Its dataset, made under the datasets' folder if it is not there.
 
     Raises:
-        DatasetError: it is damaged, or cannot be written.
+        DatasetError: its folder holds another dataset, or it cannot be written.
     """
-    name = f"world-{world}"
-    path = datasets() / f"{name}-v1"
-    try:
-        found = Dataset.open(path)
-        if found.recipe.scene_text == WORLDS[world]:
-            return found
-        raise DatasetError(f"{path} holds another dataset than the world '{world}'. Remove that folder.")
-    except DatasetError:
-        if path.exists():
-            raise
+    wanted = task(world).dataset
     told = world == "springs"
-    views = [mock_view(k, split="train", touches=_TOUCHES, dark=(k % 2 if not told else 0)) for k in range(_OBJECTS)]
-    recipe = Recipe(scene=name, scene_text=WORLDS[world], seed=0, objects=_OBJECTS, views=1, touches=_TOUCHES,
-                    splits={"train": _OBJECTS}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(path, recipe, [v.name for v in views]) as writer:
-        for view in views:
-            writer.add(view)
+    views = {v.name: v for v in (mock_view(k, split="train", touches=wanted.touches, dark=0 if told else k % 2)
+                                 for k in range(wanted.objects))}
+    recipe = Recipe(scene=wanted.scene, scene_text=WORLDS[world], seed=wanted.seed, objects=wanted.objects,
+                    views=wanted.views, touches=wanted.touches, splits={"train": wanted.objects}, device="cpu",
+                    tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(datasets() / wanted.folder, recipe, list(views)) as writer:
+        for name in writer.missing():
+            writer.add(views[name])
         return writer.finish()

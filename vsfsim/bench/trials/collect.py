@@ -18,7 +18,7 @@ from vsfsim.bench.trials import answers as kept
 from vsfsim.bench.trials.answers import Answers, run_trial
 from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial
-from vsfsim.bench.trials.training import PLAIN, Training
+from vsfsim.bench.trials.training import PLAIN, Reader, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -72,6 +72,7 @@ class Collector:
     """Numbers of the runs (`vsfsim.bench.task.Protocol`), once the method is known."""
     done: dict[str, list[Answers]] = field(default_factory=dict)
     """By stage."""
+    _read: Reader = field(default_factory=Reader)
     _key: bytes = b""  # what the kept stages are of
     _stages: tuple[Stage, ...] = ()
     _told: tuple[float, int] = (0.0, 0)  # seconds and number of trainings that kept stages hold
@@ -103,11 +104,7 @@ class Collector:
             self._take_up(process.description)
             if self.conforms and not self.done:
                 self.progress(0, 1, "contract")
-                failed = process.check()
-                if failed:
-                    raise MethodError(f"{self.name} does not keep the contract of a method: "
-                                      + "; ".join(f"{clause}: {detail}" for clause, detail in failed)
-                                      + f" `vsfsim check {self.name}` tests all of it.")
+                process.require()
             fitted: tuple[int, int | None] | None = None
             for stage in self._stages:
                 if stage.name in self.done:
@@ -147,7 +144,8 @@ class Collector:
 
     def _learn(self, process: MethodProcess, stage: Stage) -> None:
         self.progress(self._finished(), self._total(), "meta-fit")
-        specimens = self.training.specimens(self.task, self.dataset, stage.fold, stage.train, stage.seed or 0)
+        specimens = self.training.specimens(self.task, self.dataset, stage.fold, stage.train, stage.seed or 0,
+                                            self._read)
         self.meta_fit_s += process.meta_fit(specimens, seed=stage.seed)
         self.fits += 1
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -140,31 +141,49 @@ class Training:
         return {index: self.classes[tree[index % len(tree)]]
                 for index in sorted({e.object_index for e in dataset.entries})}
 
-    def specimens(self, task: Task, dataset: Dataset, fold: int, train: Sequence[str], training: int) -> list[Specimen]:
+    def specimens(self, task: Task, dataset: Dataset, fold: int, train: Sequence[str], training: int,
+                  read: Reader | None = None) -> list[Specimen]:
         """The training objects of one training, as a method receives them.
 
         Args:
             task, dataset: of the evaluation. fold: its number. train: names of its training views. training: number of
-            the training.
+            the training. read: what reads their files, e.g. one that has read them for another training.
         """
+        read = read or Reader()
         number = {e.name: e.object_index for e in dataset.entries}
         objects = sorted({number[name] for name in train})
         if self.objects < 1.0:
             order = _order(len(objects), task.protocol.seed, (3, fold, training))
             objects = [objects[k] for k in order[:max(1, round(self.objects * len(objects)))]]
-        blind = dataset.blind()
-        out = [specimen(blind.load(name), task) for name in train if number[name] in objects]
+        out = [read(task, dataset, name) for name in train if number[name] in objects]
         views = {e.name: e.view_index for e in dataset.entries}
         if self.touches < 1.0:
             out = [self._some(s, task.protocol.seed, (4, number[s.name], views[s.name], training)) for s in out]
         for extra in self.extra:
-            more = extra.dataset.blind()
-            out += [specimen(more.load(name), extra.task) for name in extra.names()]
+            out += [read(extra.task, extra.dataset, name) for name in extra.names()]
         return out
 
     def _some(self, given: Specimen, seed: int, key: tuple[int, ...]) -> Specimen:
         order = sorted(_order(len(given.touches), seed, key)[:max(1, round(self.touches * len(given.touches)))])
         return replace(given, touches=tuple(given.touches[k] for k in order))
+
+
+class Reader:
+    """Reads the object views that methods learn from, each once, without their truth."""
+
+    def __init__(self) -> None:
+        self._known: dict[tuple[Path, str, str], Specimen] = {}
+
+    def __call__(self, task: Task, dataset: Dataset, name: str) -> Specimen:
+        """An object view as a method receives it.
+
+        Args:
+            task: whose noise and observation its readings have. dataset: where it is. name: of the object view.
+        """
+        key = (dataset.path, task.name, name)
+        if key not in self._known:
+            self._known[key] = specimen(dataset.blind().load(name), task)
+        return self._known[key]
 
 
 PLAIN = Training()
