@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
@@ -17,6 +17,7 @@ from vsfsim.data.records import View
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import GaussianPrior
+from vsfsim.vsf.meta.width import Missed, Width
 
 
 @dataclass
@@ -31,6 +32,8 @@ class Posterior:
     """W of the support (m, n)."""
     prior: GaussianPrior
     """Of the spring constants."""
+    width: Width | None = field(default=None, kw_only=True)
+    """Of predicted readings; None for the noise of the settings."""
 
     @classmethod
     def of(cls, model: ParticleModel, support: Sequence[Reading], *, prior_mean: float, prior_var: float) -> Posterior:
@@ -62,11 +65,25 @@ class Posterior:
         every = self._reading_std(sparse.vstack(rows))
         out, first = [], 0
         for action, mine in zip(actions, rows):
-            unit = OBSERVATIONS[action.observation].force_per_unit
-            noise = self.model.settings.noise_std * self.model.noise_factor(unit * (mine @ self.stiffness)) / unit
-            out.append(np.hypot(every[first:first + mine.shape[0]], noise).reshape(-1, action.size))
+            predicted, springs = mine @ self.stiffness, every[first:first + mine.shape[0]]
+            if self.width is not None:
+                std = self.width.std(predicted, springs)
+            else:
+                unit = OBSERVATIONS[action.observation].force_per_unit
+                noise = self.model.settings.noise_std * self.model.noise_factor(unit * predicted) / unit
+                std = np.hypot(springs, noise)
+            out.append(std.reshape(-1, action.size))
             first += mine.shape[0]
         return out
+
+    def missed(self, readings: Sequence[Reading]) -> Missed:
+        """What is measured, what is predicted and what the springs leave open in further touches."""
+        rows = [self.model.observe(one.action)[np.flatnonzero(np.repeat(one.valid, one.action.size))]
+                for one in readings]
+        every = sparse.csr_matrix(sparse.vstack([sparse.csr_matrix((0, len(self.stiffness))), *rows]))
+        measured = np.concatenate([np.zeros(0), *(one.value[one.valid].ravel() for one in readings)])
+        predicted = every @ self.stiffness
+        return Missed(measured - predicted, predicted, self._reading_std(every))
 
     def density(self, points: np.ndarray) -> Estimate:
         """Stiffness density around ``points`` (k, 3) [m]: mean and std (k,) [N/m^4].

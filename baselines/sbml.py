@@ -27,6 +27,7 @@ from vsfsim.vsf.features.interface import Normaliser
 from vsfsim.vsf.features.registry import NAMES, particle_features
 from vsfsim.vsf.meta.composition import STRUCTURES, Composition, GaussianPrior
 from vsfsim.vsf.meta.level import Held, Level, blended, pattern_scale
+from vsfsim.vsf.meta.width import Missed, Width
 
 if TYPE_CHECKING:  # torch is imported where it is used
     from vsfsim.vsf.meta.prior import MetaPrior, Spread, Training
@@ -42,8 +43,9 @@ class Sbml(PosteriorAnswers):
         prior: folder that `save` wrote, to use instead of learning from the training objects; "" learns.
         seed: of the initial weights, the order of training, dropout and the validation objects.
         networks: number of networks in the prior. One is the paper's. Several are each stopped on another part of the
-            training objects, and their level is found on objects that they did not learn from
-            (`vsfsim.vsf.meta.level`); ``validation`` is then one part of that many.
+            training objects, and their level (`vsfsim.vsf.meta.level`) and the width of predicted readings
+            (`vsfsim.vsf.meta.width`) are found on objects that they did not learn from; ``validation`` is then one
+            part of that many.
         common_std: with several networks of structure HE, standard deviation of a component common to all particles of
             an object while they learn, over the mean of the fitted springs [-].
         rate, epochs, patience, dropout, output, second: of the training, see `vsfsim.vsf.meta.prior`.
@@ -95,6 +97,7 @@ class Sbml(PosteriorAnswers):
         self._normaliser: Normaliser | None = None
         self._learned: list[MetaPrior] = []
         self._level, self._naive = Level(), (0.0, 1.0)  # weights; naive mean [N/m] and variance [(N/m)^2]
+        self._width: Width | None = None  # of predicted readings; None for noise_std and noise_share
         self.training: list[Training] = []
         """How the training of each network went."""
 
@@ -122,7 +125,7 @@ class Sbml(PosteriorAnswers):
         common = self.networks > 1 and self.structure == "HE" and self.common_std > 0.0
         known = [Composition.of("HE+HO", self._normaliser(f)) for f in raw] if common else parts
         tasks = [self._task(*row) for row in zip(models, specimens, raw, known)]
-        self._learned, self.training, held_out = [], [], []
+        self._learned, self.training, self._width, held_out, own = [], [], None, [], []
         for number, held in enumerate(self._held_out([object_of(s) for s in specimens])):
             seed = self.seed if number == 0 else int(np.random.SeedSequence(
                 self.seed, spawn_key=(2, number)).generate_state(1)[0])
@@ -140,8 +143,11 @@ class Sbml(PosteriorAnswers):
                     scale = pattern_scale(mean, self._near(models[i], specimens[i].view), rest.mean())
                     given = (mean, scale * mean, np.full(len(mean), rest.mean()))
                     held_out.append(Held(z, rows @ np.stack(given, axis=1)))
+                    own.append((models[i], specimens[i], prior))
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
+        if own:
+            self._width = Width.of([one for given in own for one in self._missed(*given)])
 
     def adapt(self, view: View, support: Sequence[Reading]) -> None:
         """Prior from the view, then the support touches (eq. 16)."""
@@ -152,10 +158,10 @@ class Sbml(PosteriorAnswers):
             features = self._normaliser(self._features(model, view))
             part = Composition.of(self.structure, features)
             found = [network.of(features, part) for network in self._learned]
-            self._priors[id(model)] = found[0] if self.networks == 1 else blended(
-                found, self._level, self._near(model, view), naive_mean=self._naive[0], naive_var=self._naive[1])
+            self._priors[id(model)] = found[0] if self.networks == 1 else self._blended(found, model, view)
         self._view = view
         self.posterior = Posterior.under(model, support, self._priors[id(model)])
+        self.posterior.width = self._width
 
     def share(self, other: Sbml) -> None:
         """Use the particles, rows and features of ``other``, which has the same settings."""
@@ -167,7 +173,8 @@ class Sbml(PosteriorAnswers):
             raise MethodError("sbml has no prior to save yet; call meta_fit first.")
         table = {"structure": self.structure, "features": self.features, "output": self.output, "second": self.second,
                  "networks": self.networks, "size": len(self._normaliser.mean), "unit": self._learned[0].unit,
-                 "level": asdict(self._level), "naive": list(self._naive), "count": len(self._learned)}
+                 "level": asdict(self._level), "naive": list(self._naive), "count": len(self._learned),
+                 "width": None if self._width is None else asdict(self._width)}
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "prior.json").write_text(json.dumps(table, indent=1) + "\n")
         weights = {f"net{number}.{name}": value.cpu().numpy() for number, network in enumerate(self._learned)
@@ -192,7 +199,8 @@ class Sbml(PosteriorAnswers):
             raise MethodError(f"sbml: no prior can be read from '{folder}': {error}. Give a folder that "
                               f"`save` wrote.") from error
         # A folder that is older than a parameter was written with the only choice of its time.
-        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], **table}
+        table = {"second": "std", "networks": 1, "count": 1, "level": {}, "naive": [0.0, 1.0], "width": None,
+                 **table}
         for key in ("structure", "features", "output", "second", "networks"):
             if table.get(key) != getattr(self, key):
                 raise MethodError(f"sbml: the prior in '{folder}' was learned with {key} '{table.get(key)}', not "
@@ -200,6 +208,7 @@ class Sbml(PosteriorAnswers):
         self._priors.clear()
         self._normaliser = Normaliser(arrays.pop("mean"), arrays.pop("std"))
         self._level, self._naive = Level(**table["level"]), tuple(table["naive"])
+        self._width = None if table["width"] is None else Width(**table["width"])
         self._learned = []
         for number in range(table["count"]):
             network = self._build(table["size"], Spread(table["unit"], table["unit"]), self.seed)
@@ -207,6 +216,16 @@ class Sbml(PosteriorAnswers):
             network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in arrays.items()
                                      if name.startswith(marks)})
             self._learned.append(network)
+
+    def _blended(self, priors: Sequence[GaussianPrior], model: ParticleModel, view: View) -> GaussianPrior:
+        return blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],
+                       naive_var=self._naive[1])
+
+    def _missed(self, model: ParticleModel, specimen: Specimen, prior: GaussianPrior) -> list[Missed]:
+        """Readings of a training object under the prior of the one network that took no step on it: all before any
+        touch, and the second half of them after the first."""
+        blend, half = self._blended([prior], model, specimen.view), len(specimen.touches) // 2
+        return [Posterior.under(model, specimen.touches[:k], blend).missed(specimen.touches[k:]) for k in (0, half)]
 
     def _near(self, model: ParticleModel, view: View) -> np.ndarray:
         """Particles within two spacings of the visible surface, where touches reach (n,) bool."""
