@@ -30,9 +30,6 @@ COVER_FACTOR = 2.0
 """The papers' threshold is "greater than the cover stiffness": this many times the median of the touched points, most
 of which are in the cover [-]."""
 
-TRIES = 40
-"""Registrations of the papers' procedure, of which the one with the least loss is kept."""
-
 STEP = 0.003
 """Edge of a column, and distance of the points at which a continuous field is evaluated [m]."""
 
@@ -74,7 +71,7 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
         try:
             return stiffness_pose(_known(_hashable(vertices, float), _hashable(triangles, np.int64)), points, stiffness,
                                   threshold=COVER_FACTOR * float(np.median(stiffness)) if len(stiffness) else 0.0,
-                                  tries=TRIES, refine=0, outside=False, seed=settings.seed).transform
+                                  refine=0, outside=False, seed=settings.seed).transform
         except VsfError:
             return upright
     top = float(np.quantile(cloud[:, 2], 0.9)) - settings.cover

@@ -39,7 +39,6 @@ _SPACING = 0.004
 _BOUNDS = np.array([[-0.1, -0.1, -0.014], [0.1, 0.1, 0.001]])
 _THRESHOLD = 4.0 * SOFT
 _SHARE = 0.1  # share of the points that count as stiff where fewer pass the threshold than a pose needs
-_TRIES = 40
 _CONTACT = 0.3  # share of the largest force that makes a vertex a contact
 
 
@@ -136,7 +135,7 @@ def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: flo
             stiffness = work()
             seconds = time.perf_counter() - start
             if stiffness is None:
-                pose = contact_pose(buried.known, _contacts(buried.touches), tries=_TRIES)
+                pose = contact_pose(buried.known, _contacts(buried.touches))
                 found.setdefault(name, []).append((*pose_errors(pose.transform, buried.pose), np.nan, np.nan, seconds))
                 continue
             threshold = (_THRESHOLD if np.count_nonzero(stiffness > _THRESHOLD) >= 10
@@ -145,7 +144,7 @@ def compare(*, device: str = "cpu", objects: int = 2 * len(OUTLINES), scale: flo
             for refine in (0, 400):
                 try:
                     errors += pose_errors(stiffness_pose(buried.known, points, stiffness, threshold=threshold,
-                                                         tries=_TRIES, refine=refine).transform, buried.pose)
+                                                         refine=refine).transform, buried.pose)
                 except VsfError:  # fewer than ten points are stiff: the guess is the middle of what was touched
                     guess = np.eye(4)
                     guess[:3, 3] = points.mean(axis=0)

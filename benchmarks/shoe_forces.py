@@ -9,16 +9,19 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from vsfsim.bench.task import load_task
+from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Family
-from vsfsim.core.shelf import datasets
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import Touch
 from vsfsim.data.streams import Stream, stream
 from vsfsim.scenes._footwear_models import MODELS, PARTS
 
+SCENE = "shoes-v2-mini"
+"""Whose dataset is measured if none is given."""
 CONTACT = 0.05
 """Force above which a touch counts as in contact [N]; the travel begins at that force."""
 
@@ -57,6 +60,12 @@ def materials(recipe: Recipe, number: int) -> dict[str, str]:
     return dict(zip(PARTS, MODELS[name].materials, strict=True))
 
 
+def default_folder() -> Path:
+    """Where the dataset of `SCENE` is that a task asks for which is not superseded."""
+    tasks = map(load_task, shelf.tasks())
+    return next(t.dataset.path() for t in tasks if t.dataset.scene == SCENE and not t.superseded_by)
+
+
 def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.010),
             progress: Progress | None = None) -> Measurement:
     """Median force over touches at the travels ``depths`` [m], by part and material.
@@ -65,14 +74,14 @@ def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.0
     target.
 
     Args:
-        folder: of a dataset of named shoes; None: that of the task fewshot-shoes-v2-mini-v2.
+        folder: of a dataset of named shoes; None: `default_folder`.
         depths: travels [m].
         progress: called with what is going on.
 
     Raises:
         SceneError: the objects are not named shoes. DatasetError: there is no dataset.
     """
-    dataset = Dataset.open(folder or datasets() / "shoes-v2-mini-v2")
+    dataset = Dataset.open(folder or default_folder())
     found: dict[tuple[str, str], list[list[float]]] = {}
     for entry in dataset.entries:
         if progress is not None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.artificial_plants.prior import PLANTS
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.baselines.particle_model import ParticleModel, VsfSettings
 from vsfsim.baselines.posterior import Posterior
@@ -22,8 +23,6 @@ from vsfsim.bench.protocol import Query, divide, record
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.data.records import ObjectView
 
-TUNED = VsfSettings(0.01, 0.4, 1.0, 0.01, 0.0, "cpu", noise_share=0.5, band=0.015)
-"""Of the preset `tuned` for joint torques."""
 PRIOR_STD, LOOSE_STD = 30.0, 100.0
 """Of a spring constant: of the preset `tuned`, and where the data are to decide alone [N/m]."""
 COMMON = 3.0
@@ -73,11 +72,11 @@ def ratios(task: Task, view: ObjectView) -> dict[str, float]:
         return models[settings]
 
     def ratio(readings: Sequence[Reading], *, std: float = PRIOR_STD, mean: float = 0.0, **changed: float) -> float:
-        settings = dataclasses.replace(TUNED, **changed)  # type: ignore[arg-type]
+        settings = dataclasses.replace(PLANTS, **changed)  # type: ignore[arg-type]
         model = model_of(settings)
         return error_ratio([Posterior.of(model, readings, prior_mean=mean, prior_var=std**2)] * len(queries), queries)
 
-    alone = [Posterior.of(model_of(TUNED), [reading], prior_mean=0.0, prior_var=LOOSE_STD**2) for reading in asked]
+    alone = [Posterior.of(model_of(PLANTS), [reading], prior_mean=0.0, prior_var=LOOSE_STD**2) for reading in asked]
     few = {f"{k} touches": ratio(support[:k]) for k in (5, 10, 20) if k < len(support)}
     return {**few, ALL: ratio(support), "all, without noise": ratio(exact),
             f"all, springs around {COMMON:g} N/m": ratio(support, mean=COMMON),

@@ -33,7 +33,7 @@ SETS: tuple[tuple[str, ...], ...] = (
 CELLS = {0: 1, 1: 5, 2: 4, 3: 3}
 """Cells of each feature, by the number of features."""
 PLANTS = VsfSettings(0.01, 0.4, 1.0, 0.01, 0.0, "cpu", noise_share=0.5, band=0.015)
-"""Particles of a plant that an arm touches."""
+"""Particles of a plant that an arm touches, as in the preset `tuned` for joint torques."""
 SHOES = VsfSettings(0.005, 0.0, 1.0, 0.01, 0.0, "cpu", noise_share=0.5)
 """Particles of a shoe that a probe touches."""
 RIDGE = 0.3

@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.shoe_forces import materials, travel
+from benchmarks.shoe_forces import default_folder, materials, travel
+from vsfsim.bench.task import load_task
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
-from vsfsim.core.shelf import scenes
+from vsfsim.core.shelf import scenes, tasks
 from vsfsim.generate.recipe import make_recipe
 from vsfsim.scenes._footwear_models import MODELS, PARTS
 
@@ -35,6 +36,12 @@ def test_frames_that_did_not_converge_are_left_out():
     far, force = travel(touch([0.0, 0.0, 2.0, np.nan, 10.0], converged=[1, 1, 1, 0, 1]))
     assert len(far) == 3 and np.isfinite(force).all()
     assert not len(travel(touch([0.0, 0.0, 0.0]))[0])
+
+
+def test_the_default_is_the_dataset_of_the_current_task():
+    (current,) = (task for task in map(load_task, tasks())
+                  if task.dataset.scene == "shoes-v2-mini" and not task.superseded_by)
+    assert default_folder() == current.dataset.path()
 
 
 def test_the_materials_are_those_of_the_model():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -115,7 +116,7 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
 
     Args:
         path: the file.
-        blind: leave the truth alone; its group is not even opened, and `ObjectView.truth` is None.
+        blind: leave the truth alone; no number of it is read, and `ObjectView.truth` is None.
 
     Raises:
         DatasetError: not an object file, another schema version, or a dataset that does not fit the schema.
@@ -125,12 +126,12 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
-            check_tree(file, path)
+            items = check_tree(file, path)
             check_attributes(file, path)
-            view = View(**_read_group(file["view"], "view", f"{path} view"))
-            touches = tuple(_read_touch(file["touches"][name], f"{path} touches/{name}")
-                            for name in sorted(file["touches"]))
-            truth = None if blind else Truth(**_read_group(file["truth"], "truth", f"{path} truth"))
+            view = View(**_read_group(items, "view", "view", f"{path} view"))
+            touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
+                            for name in sorted(items["touches"]))
+            truth = None if blind else Truth(**_read_group(items, "truth", "truth", f"{path} truth"))
             attrs = file.attrs
             return ObjectView(check_name(attrs["name"], f"{path} @name"),
                               whole_number(attrs["object_index"], f"{path} @object_index"),
@@ -159,9 +160,9 @@ def read_field(path: Path, field_path: str) -> np.ndarray:
     (field,) = (f for f in FIELDS if f.path == field_path)
     try:
         with h5py.File(path, "r") as file:
-            check_tree(file, path)
+            items = check_tree(file, path)
             check_attributes(file, path)
-            return check_array(field, read_array(file[field_path], field), f"{path} {field_path}", {})
+            return check_array(field, read_array(items[field_path], field), f"{path} {field_path}", {})
     except _DAMAGE as error:
         raise _damaged(path, error) from error
 
@@ -193,8 +194,8 @@ def _probe(text: str, path: Path) -> ProbeShape:
                            f"{plain(error)}") from error
 
 
-def _read_touch(group: h5py.Group, where: str) -> Touch:
-    values = _read_group(group, "touches/*", where)
+def _read_touch(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, where: str) -> Touch:
+    values = _read_group(items, name, "touches/*", where)
     values["touched"] = bool(values["touched"])
     for table in ("audit", "channels"):
         names = [name for name in values if name.startswith(f"{table}/")]
@@ -203,17 +204,19 @@ def _read_touch(group: h5py.Group, where: str) -> Touch:
     return Touch(**values)
 
 
-def _read_group(group: h5py.Group, kind: str, where: str) -> dict[str, Any]:
+def _read_group(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, kind: str, where: str) -> dict[str, Any]:
+    if name not in items:
+        raise KeyError(f"there is no group '{name}'")
     values: dict[str, Any] = {}
     lengths: dict[str, int] = {}
     for field in fields_of(kind):
-        if field.name not in group:
+        item = items.get(f"{name}/{field.name}")
+        if item is None:
             if field.required:
                 raise DatasetError(f"{where}/{field.name} is missing; the file is damaged or was not "
                                    f"written by vsfsim.")
             values[field.name] = None
             continue
-        item = group[field.name]
         if not isinstance(item, h5py.Dataset):
             raise DatasetError(f"{where}/{field.name} is a group; the schema has a dataset there.")
         check_shape(field, item.shape, f"{where}/{field.name}", lengths)

@@ -51,14 +51,19 @@ def check_file(path: Path, folder: Path) -> None:
                            f"copy the file into it.")
 
 
-def check_tree(file: h5py.File, path: Path) -> None:
+def check_tree(file: h5py.File, path: Path) -> dict[str, h5py.Group | h5py.Dataset]:
     """Refuse links, foreign storage, unknown filters and more data than the file can hold, in every object of it.
+
+    Returns:
+        Every object of the file by its path, e.g. "view/depth": to open each of them again would take as long as
+        this check.
 
     Raises:
         DatasetError: with the object and what is wrong.
     """
     total = 0
     budget = SMALL + LARGEST_RATIO * path.stat().st_size
+    found: dict[str, h5py.Group | h5py.Dataset] = {}
     waiting: list[tuple[str, h5py.Group]] = [("", file)]
     while waiting:
         where, group = waiting.pop()
@@ -66,21 +71,26 @@ def check_tree(file: h5py.File, path: Path) -> None:
             raise DatasetError(f"{path}{where} is nested too deep or has too many members; it was not written by "
                                f"vsfsim.")
         _check_attributes(group, f"{path} {group.name}")
-        for name in group:
+        for raw in group.id:  # h5py's low level: a file has thousands of fields, and most of the time went into names
+            name = raw.decode("utf-8", "surrogateescape")
             spot = f"{path} {where}/{plain(name, longest=100)}"
-            if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            if group.id.links.get_info(raw).type != h5py.h5l.TYPE_HARD:
                 raise DatasetError(f"{spot} is a link to another place; an object file holds its data itself.")
-            item = group[name]
-            if isinstance(item, h5py.Group):
-                waiting.append((f"{where}/{name}", item))
+            opened = h5py.h5o.open(group.id, raw)
+            inside = f"{where}/{name}"
+            if isinstance(opened, h5py.h5g.GroupID):
+                found[inside[1:]] = subgroup = h5py.Group(opened)
+                waiting.append((inside, subgroup))
                 continue
-            if not isinstance(item, h5py.Dataset):
+            if not isinstance(opened, h5py.h5d.DatasetID):
                 raise DatasetError(f"{spot} is neither a group nor a dataset.")
+            found[inside[1:]] = item = h5py.Dataset(opened)
             _check_attributes(item, spot)
             total += _size(item, spot)
             if total > budget:
                 raise DatasetError(f"{path} announces more than {budget / 1e6:.0f} MB and has "
                                    f"{path.stat().st_size / 1e6:.1f} MB; it was not written by vsfsim.")
+    return found
 
 
 def _size(item: h5py.Dataset, spot: str) -> int:
