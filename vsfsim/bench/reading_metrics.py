@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,7 @@ def object_ratios(touches: Sums) -> dict[str, float] | None:
     return {name: error / zero for name, (error, zero) in sums.items()}
 
 
+@lru_cache(maxsize=4096)  # a leaderboard asks for each of its rows
 def object_of(view: str) -> str:
     """Name of the object of a view: "shoe-0004" of "shoe-0004-v1"."""
     return re.sub(r"-v\d+$", "", view)

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -20,18 +21,37 @@ from vsfsim.generate.effector import effector_of
 from vsfsim.generate.job import Job
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial.transform", "torch",
+            "trimesh", "warp")
+"""What every worker imports, in 2.6 s of a core, without a module of vsfsim: to start Warp opens the GPU's driver, which
+no fork survives."""
+_LONGEST_FOLDER = 60
+"""Of temporary files; the address of a socket has 108 characters."""
+
+
+def _processes() -> Any:
+    """How workers begin: as forks of a server that has imported `_PRELOAD` and does nothing else, where the system has
+    that, and anew otherwise. Never as forks of this process, whose threads and GPU they could not use."""
+    if "forkserver" not in multiprocessing.get_all_start_methods() or len(tempfile.gettempdir()) > _LONGEST_FOLDER:
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(_PRELOAD))
+    return context
 
 
 @contextlib.contextmanager
-def process_pool(jobs: int, workers: int | None, **options: Any) -> Iterator[ProcessPoolExecutor]:
-    """Spawned processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
+def process_pool(jobs: int, workers: int | None, *, begin: Callable[..., None] | None = None,
+                 given: Sequence[Any] = ()) -> Iterator[ProcessPoolExecutor]:
+    """New processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
 
-    One thread, because a sum that is split over threads depends on how many there are. ``options`` go to the pool.
+    One thread, because a sum that is split over threads depends on how many there are. Each process calls ``begin``
+    with the operands ``given`` first.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
-                               mp_context=multiprocessing.get_context("spawn"), **options)
+                               mp_context=_processes(), initializer=_set_up,
+                               initargs=(dict(os.environ), begin, tuple(given)))
     before_us = set(multiprocessing.active_children())
     try:
         yield pool
@@ -51,7 +71,7 @@ def process_pool(jobs: int, workers: int | None, **options: Any) -> Iterator[Pro
 def submit(pool: ProcessPoolExecutor, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
     """``pool.submit``, whose new process does not run the user's script again.
 
-    A spawned process imports the file that Python was started with. Without ``if __name__ == "__main__"`` that file
+    A new process imports the file that Python was started with. Without ``if __name__ == "__main__"`` that file
     would make the dataset once more. Our workers need modules of vsfsim alone.
     """
     script = sys.modules["__main__"]
@@ -76,8 +96,8 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
         VsfsimError: of the first view that fails; the others are then cancelled.
     """
     count = workers or (None if device == "cpu" else 1)
-    queue = multiprocessing.get_context("spawn").Queue()
-    with process_pool(len(jobs), count, initializer=_begin, initargs=(queue,)) as pool:
+    queue = _processes().Queue()
+    with process_pool(len(jobs), count, begin=_begin, given=(queue,)) as pool:
         futures = [submit(pool, _make, job, device) for job in jobs]
         threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
         while (item := queue.get()) is not None:
@@ -110,6 +130,14 @@ def write(job: Job, view: ObjectView) -> None:
 # ---------------------------------------------------------------------------------------------- in a worker
 
 _report: Callable[[tuple[int, str] | None], None]  # set when the worker starts
+
+
+def _set_up(environment: dict[str, str], begin: Callable[..., None] | None, given: tuple[Any, ...]) -> None:
+    """The environment of the process that asks, which may have changed since the server began."""
+    os.environ.clear()
+    os.environ.update(environment)
+    if begin is not None:
+        begin(*given)
 
 
 def _begin(queue: Any) -> None:

@@ -226,9 +226,13 @@ def fill(surface: trimesh.Trimesh, resolution: float, path: Path) -> tuple[np.nd
 
 # fTetWild runs in a process and a folder of its own: it leaves "__tracked_surface.stl" in the working directory, and
 # may crash on a mesh that it cannot fill.
+# fTetWild's package imports PyVista, which takes most of such a process, only to add a function to its meshes; a module
+# without functions is to it a PyVista that is too old for that.
 _FILLER = """
 import sys
+import types
 import numpy as np
+sys.modules["pyvista"] = types.ModuleType("pyvista")
 import pytetwild
 given = np.load(sys.argv[1])
 vertices, tets = pytetwild.tetrahedralize(given["vertices"], given["faces"], edge_length_abs=float(given["resolution"]),
