@@ -12,6 +12,15 @@ from vsfsim.core.solid import Solid
 
 WORKERS = 4  # processes at most: each holds a gigabyte and compiles for itself what is not in the cache yet
 
+LONGEST = ("test_bad_input.py", "test_isolation.py", "test_generate.py", "test_docs.py", "test_scan.py",
+           "test_field_vsf.py", "test_rigid.py", "test_admission.py", "test_press_cli.py", "test_generate_to_score.py",
+           "test_extremes.py", "test_first_hour.py", "test_python.py", "test_new_effector.py", "test_bubble.py",
+           "test_sbml.py", "test_notebook.py", "test_friction.py", "test_training.py", "test_solver.py",
+           "test_meta_prior.py", "test_cli.py", "test_plants.py", "test_packaging.py", "test_evaluate.py",
+           "test_observations.py", "test_fields.py", "test_touch_bubble.py", "test_folds.py", "test_interruption.py")
+"""Files that take 10 s of a core or more, the longest first. The whole suite begins with them, so that its processes end
+together; by default those with few tests come last, and one of these has a single test of 20 s."""
+
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: the processes share the cores already
 
@@ -39,7 +48,15 @@ def pytest_cmdline_main(config):
             and options.numprocesses is None and options.dist == "no"):
         count = min(len(os.sched_getaffinity(0)), WORKERS)
         if count > 1:
-            options.numprocesses, options.dist = count, "loadfile"
+            options.numprocesses, options.dist, options.loadscopereorder = count, "loadfile", False
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    """`LONGEST` first, in a worker of the whole suite; the order within a file stays."""
+    if hasattr(config, "workerinput"):
+        place = {name: k for k, name in enumerate(LONGEST)}
+        items.sort(key=lambda item: place.get(item.path.name, len(place)))
 
 
 @pytest.fixture

@@ -193,8 +193,9 @@ def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: 
     wide = np.argsort(-_edges(cloud[chosen]).min(axis=1))[: draws // 2]
     difference, match = lookup.query(_edges(cloud[chosen[wide]]))
 
-    def distances(to_surface: np.ndarray) -> np.ndarray:
-        return tree.query(cloud @ to_surface[:3, :3].T + to_surface[:3, 3])[0]
+    def distances(to_surface: np.ndarray, cut: float) -> np.ndarray:
+        moved = cloud @ to_surface[:3, :3].T + to_surface[:3, 3]
+        return np.minimum(tree.query(moved, distance_upper_bound=cut)[0], cut)  # beyond the bound it gives infinity
 
     best, least = np.eye(4), np.inf
     best[:3, 3] = surface.mean(axis=0) - cloud.mean(axis=0)
@@ -202,11 +203,11 @@ def register(surface: np.ndarray, cloud: np.ndarray, *, draws: int = 400, seed: 
         if gap > 0.1 * span:
             continue
         trial = procrustes(cloud[triple], surface[triples[index]], reflection=False, scale=False, return_cost=False)
-        cost = float(np.minimum(distances(trial), 0.05 * span).mean())
+        cost = float(distances(trial, 0.05 * span).mean())
         if cost < least:
             best, least = trial, cost
     best = _trimmed_closest_points(surface, tree, cloud, best, span)
-    return np.linalg.inv(best), float(np.sqrt(np.mean(np.minimum(distances(best), 0.1 * span) ** 2)))
+    return np.linalg.inv(best), float(np.sqrt(np.mean(distances(best, 0.1 * span) ** 2)))
 
 
 def _trimmed_closest_points(surface: np.ndarray, tree: cKDTree, cloud: np.ndarray, transform: np.ndarray,
