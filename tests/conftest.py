@@ -18,8 +18,8 @@ LONGEST = ("test_bad_input.py", "test_isolation.py", "test_generate.py", "test_d
            "test_sbml.py", "test_notebook.py", "test_friction.py", "test_training.py", "test_solver.py",
            "test_meta_prior.py", "test_cli.py", "test_plants.py", "test_packaging.py", "test_evaluate.py",
            "test_observations.py", "test_fields.py", "test_touch_bubble.py", "test_folds.py", "test_interruption.py")
-"""Files that take 10 s of a core or more, the longest first. The whole suite begins with them, so that its processes end
-together; by default those with few tests come last, and one of these has a single test of 20 s."""
+"""Files that take 10 s of a core or more, the longest first. The whole suite begins with them, so that its processes
+end together; by default those with few tests come last, and one of these has a single test of 20 s."""
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: the processes share the cores already

@@ -23,8 +23,8 @@ from vsfsim.generate.job import Job
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _PRELOAD = ("h5py", "scipy.ndimage", "scipy.sparse.csgraph", "scipy.sparse.linalg", "scipy.spatial.transform", "torch",
             "trimesh", "warp")
-"""What every worker imports, in 2.6 s of a core, without a module of vsfsim: to start Warp opens the GPU's driver, which
-no fork survives."""
+"""What every worker imports, in 2.6 s of a core. No module of vsfsim: some start Warp, which opens a GPU's driver, and
+no fork survives that."""
 _LONGEST_FOLDER = 60
 """Of temporary files; the address of a socket has 108 characters."""
 
