@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from vsfsim.baselines.known_object import PoseSearch, locate
+from vsfsim.baselines.known_object import STEP, PoseSearch, locate
+from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.core.errors import MethodError
 from vsfsim.core.shape import Sphere
 from vsfsim.data.records import View
+
+_NEIGHBOURS = 8  # visible points beside a vertex, of which the first that is met counts
 
 
 class ContactPoints:
@@ -78,15 +82,18 @@ class ContactPoints:
         return locate(vertices, triangles, points, hard.astype(float), self._view, PoseSearch(seed=self.seed))
 
     def _contacts(self) -> tuple[np.ndarray, np.ndarray]:
-        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, its vertices and
-        theirs."""
+        """Where the probe's front ended (k, 3) [m] and the largest force there (k,); with a surface, those of its
+        vertices that met the object or came near it, and theirs: of the rest of a dome nothing is known."""
         points, size = [np.zeros((0, 3))], [np.zeros(0)]
+        cloud = visible_cloud(self._view)
         for reading in (r for r in self._support if r.valid.any()):
             if reading.surface is not None:
                 force = np.linalg.norm(np.nan_to_num(reading.surface.force), axis=2)
                 last = int(np.argmax(force.sum(axis=1)))
-                points.append(reading.surface.vertices[last])
-                size.append(force[last])
+                vertices = reading.surface.vertices[last]
+                near = _came_near(vertices, cloud, reading.action.axis)
+                points.append(vertices[near])
+                size.append(force[last][near])
                 continue
             value = np.where(reading.valid, np.abs(np.nan_to_num(reading.value)).max(axis=1), 0.0)
             last = int(np.argmax(value))
@@ -94,6 +101,16 @@ class ContactPoints:
             points.append(reading.action.poses[last:last + 1, :3, 3] + radius * reading.action.axis)
             size.append(value[last:last + 1])
         return np.concatenate(points), np.concatenate(size)
+
+
+def _came_near(vertices: np.ndarray, cloud: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """Which vertices (n, 3) [m] of a sensor are past the surface that was seen (m, 3) [m], or less than `STEP` before
+    it, along the press ``axis`` (3,): (n,) bool."""
+    across = np.linalg.svd(axis[None])[2][1:]
+    away, index = cKDTree(cloud @ across.T).query(vertices @ across.T, k=min(_NEIGHBOURS, len(cloud)))
+    away, index = away.reshape(len(vertices), -1), index.reshape(len(vertices), -1)
+    met = np.where(away < 2.0 * STEP, (cloud @ axis)[index], np.inf).min(axis=1)
+    return np.isfinite(vertices).all(axis=1) & (vertices @ axis > met - STEP)
 
 
 def _progress(action: Action) -> np.ndarray:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_failures import METHODS
 
+from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import touched_points
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
@@ -137,3 +138,23 @@ def test_a_touch_whose_last_frame_has_no_equilibrium_still_locates():
     rest = touched_points(view, [*readings[:2], *readings[3:]], depth=0.006)
     assert np.array_equal(touched_points(view, [*readings[:2], never, *readings[3:]], depth=0.006), rest)
     assert len(rest) < len(whole)
+
+
+def test_contact_points_know_nothing_of_where_a_dome_did_not_come_near():
+    """A rim that stays far above the object is no soft contact: only vertices at the surface that is seen, or under it,
+    count."""
+    view = mock_view(0).view
+    readings = [dataclasses.replace(r, surface=Surface(r.surface.vertices + [0.0, 0.0, 0.004], r.surface.force))
+                for r in pressed(touches=4)]
+    top = float(np.quantile(view.points()[:, 2], 0.5))
+    method = ContactPoints()
+    method.adapt(view, readings)
+    points, size = method._contacts()
+    every = np.concatenate([r.surface.vertices[-1] for r in readings])
+    pushed = np.concatenate([np.linalg.norm(r.surface.force[-1], axis=1) for r in readings])
+    over = np.concatenate([np.linalg.norm(view.points()[:, None, :2] - v[None, None, :2], axis=2).min(axis=0)
+                           for v in every])
+    assert (every[:, 2] > top + 0.004).any(), "the dome must have vertices that stay above"
+    assert len(points) and points[:, 2].max() < top + 0.004
+    met = (pushed > 0.0) & (over < 0.003)
+    assert met.any() and np.isin(pushed[met].round(9), size.round(9)).all()

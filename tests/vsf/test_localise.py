@@ -6,6 +6,7 @@ import pytest
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.pose.localise import KnownObject, contact_pose, register, stiffness_pose
+from vsfsim.vsf.pose.outline import outline_pose
 
 
 def box(low, high):
@@ -117,3 +118,18 @@ def test_errors_by_hand_and_refusals():
         KnownObject.of(wedge()[0], wedge()[1][:-1])
     with pytest.raises(VsfError, match="no triangle"):
         KnownObject.of(np.zeros((3, 3)), np.zeros((0, 3), int))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_outline_stays_with_the_few_columns_that_are_stiff(seed):
+    """Three stiff columns among soft ones that were touched around them: to cover them costs more than to cover none,
+    and beside the touched place every pose is as good as the next. The answer still lies on what was felt."""
+    known = KnownObject.of(*wedge())
+    x = np.arange(-0.04, 0.041, 0.004)
+    columns = np.stack(np.meshgrid(x, x, indexing="ij"), axis=-1).reshape(-1, 2)
+    stiffness = np.zeros(len(columns))
+    stiffness[np.argsort(np.linalg.norm(columns - [0.012, 0.008], axis=1))[:3]] = 1.0
+    found = outline_pose(known, columns, stiffness, area=0.3 * 0.3, top=0.0, seed=seed)
+    local = (np.c_[columns[stiffness > 0.0], np.zeros(3)] - found.transform[:3, 3]) @ found.transform[:3, :3]
+    assert known.contains(local * [1.0, 1.0, 0.0]).any()
+    assert np.linalg.norm(found.transform[:2, 3] - [0.012, 0.008]) < 0.07  # no farther than the object reaches

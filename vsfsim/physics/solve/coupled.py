@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,21 @@ import warp as wp
 from vsfsim.core.errors import SceneError
 from vsfsim.physics.contact.pair.contact import PairContact
 from vsfsim.physics.contact.pair.response import SENSOR_NODES
+from vsfsim.physics.contact.pair.sides import scale
 from vsfsim.physics.contact.pair.surfaces import farthest
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.linear.rest_factor import RestFactor
+from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
+from vsfsim.physics.solve import path
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
 from vsfsim.physics.solve.touches import FAR, Rows, Solver
 
-_STRIDE = 0.15  # of the sensor's height: way in one step, so that a wall that is met lies in its nearer part
+_STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
 _BACK = 0.05  # of the sensor's size: how far a first pose that is inside the object is drawn back at a time
 _TRIES = 60
+_ENOUGH = 200  # nodes of the sensor that are looked at
 
 
 @dataclass(frozen=True)
@@ -127,8 +132,7 @@ class CoupledSolver(Solver):
         self.object, self.sensor = model, sensor
         # displacements, friction state before the prediction, poses before
         self._predicted: tuple[torch.Tensor, Any, np.ndarray] | None = None
-        height = float(np.ptp(sensor.mesh.points[:, 2]))
-        self._stride = _STRIDE * height
+        self._stride = _STRIDE * scale(sensor)
 
     def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the sensor through all frames.
@@ -149,7 +153,8 @@ class CoupledSolver(Solver):
         return super().run(poses, keep=keep, progress=progress)
 
     def _make_contact(self, poses: np.ndarray) -> tuple[PairContact, np.ndarray]:
-        contact = PairContact(self.object, self.sensor, float(self.friction[0]), poses[:, :, 0], device=self.device,
+        way = _along_the_way(poses[:, :, 0], scale(self.sensor))
+        contact = PairContact(self.object, self.sensor, float(self.friction[0]), way, device=self.device,
                               stride=self._stride)
         return contact, self._outside(contact, poses[0])
 
@@ -163,7 +168,8 @@ class CoupledSolver(Solver):
             contact.begin_step(out, u)
             contact.move(out, every)
             contact.evaluate(every, contact.gather(u))
-            inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy() | self._within_sensor(out)
+            inside = (contact.touches(every) | (contact.wrong_side(every) > 0)).cpu().numpy()
+            inside |= self._within_sensor(out) | self._within_object(out)
             if not inside.any():
                 break
             out[inside, :, :3, 3] -= step * out[inside, :, :3, 2]
@@ -180,6 +186,17 @@ class CoupledSolver(Solver):
             local = (at - pose[b, 0, :3, 3]) @ pose[b, 0, :3, :3]
             local = local[(local > own.min(axis=0)).all(axis=1) & (local < own.max(axis=0)).all(axis=1)]
             out[b] = len(local) and np.isfinite(_along(local, sheet, np.array([0.0, 0.0, 1.0])))
+        return out
+
+    def _within_object(self, pose: np.ndarray) -> np.ndarray:
+        """Whether any node of the free sensor is inside the object at rest (B,) bool: a flat skin encloses nothing."""
+        points, faces = self.object.mesh.points, self.object.mesh.faces[:, :3]
+        used = points[np.unique(faces)]
+        out = np.zeros(len(pose), bool)
+        for b in range(len(pose)):
+            own = self.sensor.mesh.points @ pose[b, 0, :3, :3].T + pose[b, 0, :3, 3]
+            own = own[((own > used.min(axis=0)) & (own < used.max(axis=0))).all(axis=1)][:_ENOUGH]
+            out[b] = len(own) and bool((winding_number(points, faces, own) > 0.5).any())
         return out
 
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
@@ -254,6 +271,16 @@ class CoupledSolver(Solver):
             self.pressure.append(np.where(out["converged"], pressure, np.nan))
             self.volume.append(wp.to_torch(self.elasticity.volume).cpu().numpy().copy())
         return out
+
+
+def _along_the_way(poses: np.ndarray, longest: float) -> np.ndarray:
+    """Poses (T', B, 4, 4) with more between those (T, B, 4, 4) whose origins are further apart than ``longest`` [m]:
+    what lies between two distant frames may be met, too."""
+    out = [poses[:1]]
+    for before, after in pairwise(poses):
+        count = max(1, int(np.ceil(np.linalg.norm((after - before)[:, :3, 3], axis=1).max() / longest)))
+        out += [path.between(before, after, i / count)[None] for i in range(1, count)] + [after[None]]
+    return np.concatenate(out)
 
 
 def free_way(model: Model, sensor: Model, pose: np.ndarray, axis: np.ndarray) -> float:

@@ -7,9 +7,11 @@ touched points is compared with the outline at all angles and positions,
 
     L = sum over columns under the outline of max(threshold - K, 0) + threshold * (number of stiff columns outside it)
 
-on a grid first, then by a random search of shrinking steps. The threshold makes the same fraction of the columns stiff
-as the outline has of the area that can be touched, so that the cover's stiffness need not be known. An object turned
-over has nearly the same outline, mirrored; that is tried only on request.
+on a grid first, then by a random search of shrinking steps, of which only improvements are taken. An outline that
+covers no stiff column is no answer: it explains none of the contacts, and where nothing was touched it costs nothing.
+The threshold makes the same fraction of the columns stiff as the outline has of the area that can be touched, so that
+the cover's stiffness need not be known. An object turned over has nearly the same outline, mirrored; that is tried only
+on request.
 """
 
 from __future__ import annotations
@@ -66,12 +68,14 @@ def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray,
     shifts = _STEP * np.stack(np.meshgrid(*[np.arange(-_STEPS, _STEPS + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
 
     def covered(angle: float, face: int, places: np.ndarray, every: int = 1) -> np.ndarray:
-        """Gain (p,) of the outline at positions ``places`` (p, 2), from every ``every``-th column."""
+        """Gain (p,) of the outline at positions ``places`` (p, 2), from every ``every``-th column; -inf where it covers
+        no stiff one."""
         turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * [1.0, face] / known.cell
         index = (columns[::every] @ turn - known.low[:2] / known.cell)[None] - (places @ turn)[:, None]
         # Columns off the outline's grid fall into the zeros padded around it.
         index = np.clip(np.floor(index).astype(np.int32) + 1, 0, np.array(flat.shape, np.int32) - 1)
-        return (flat[index[..., 0], index[..., 1]] * gain[::every]).sum(axis=1)
+        under = flat[index[..., 0], index[..., 1]]
+        return np.where((under * stiff[::every]).any(axis=1), (under * gain[::every]).sum(axis=1), -np.inf)
 
     best, most, every = (0.0, 1, middle), -np.inf, -(-len(columns) // _COLUMNS)
     for face in (1, -1) if turned else (1,):
@@ -87,7 +91,7 @@ def outline_pose(known: KnownObject, columns: np.ndarray, stiffness: np.ndarray,
         trial = (best[0] + 0.15 * size * rng.standard_normal(), best[1],
                  best[2] + _STEP * size * rng.standard_normal(2))
         found = float(covered(trial[0], trial[1], trial[2][None])[0])
-        if found >= most:
+        if found > most:  # of equal poses the search would drift along
             best, most = trial, found
     angle, face, place = best
     high = known.low[2] + known.cell * (1 + int(np.flatnonzero(known.inside.any(axis=(0, 1)))[-1]))

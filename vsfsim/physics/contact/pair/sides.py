@@ -21,8 +21,11 @@ from vsfsim.physics.contact.patch import PENALTY
 from vsfsim.physics.model import Model
 
 _BULGE = 0.25
-"""Part of the sensor's height by which a surface may leave the space that the free sensor passes through: the sensor
-swells sideways, and the object bulges."""
+"""Part of `scale` by which a surface may leave the space that the free sensor passes through: the sensor swells
+sideways, and the object bulges."""
+_FLAT = 0.3
+"""Part of its least half width below which the height of a sensor says nothing about how far it may move: a slack
+skin is flat, and is pressed in until its housing stops it."""
 _AWAY = 0.5  # cosine between a face's normal and the sensor's axis above which the face has its back to the sensor
 _MOST_PARTS = 16  # along the edge of a face
 _SMOOTH = 0.7  # cosine between the normals of two faces that meet smoothly; faces that meet at an edge have a lower one
@@ -192,19 +195,26 @@ def _around(faces: np.ndarray, count: Sequence[int]) -> np.ndarray:
     return np.stack([np.pad(t, ((0, 0), (0, most - t.shape[1])), constant_values=-1) for t in tables])
 
 
+def scale(sensor: Model) -> float:
+    """Length [m] by which ways of a sensor are measured: its height, or 0.3 of its least half width if it is flatter
+    (12 mm of a Punyo without air)."""
+    size = np.ptp(sensor.mesh.points, axis=0)
+    return float(max(size[2], _FLAT * 0.5 * size[:2].min()))
+
+
 def reachable(model: Model, sensor: Model, poses: np.ndarray) -> list[np.ndarray]:
     """Boundary triangles of the object that each touch's sensor may meet (B).
 
-    They are those that the free sensor's surface, thickened by a margin, passes through, and that do not face away from
-    it. The set is kept small, since a column of the inverse is solved for every node of it.
+    They are those that the free sensor's surface, thickened by a margin, passes through on its way, and that do not
+    face away from it. The set is kept small, since a column of the inverse is solved for every node of it.
 
     Args:
         model: the object.
         sensor: the body with the touching surface.
-        poses: sensor to world (T, B, 4, 4).
+        poses: sensor to world (T, B, 4, 4), no further apart than `scale`.
     """
     mesh, own = model.mesh, sensor.mesh.points
-    margin = _BULGE * float(np.ptp(own[:, 2]))
+    margin = _BULGE * scale(sensor)
     over = cKDTree(own[:, :2])
     spots = _spots(model, sensor)
     corners = mesh.points[mesh.faces[:, :3]]
