@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene, parse_scene
 from vsfsim.core.shape import Box, Capsule, Cylinder, Plane, Sphere
 from vsfsim.core.shelf import find_scene
@@ -184,7 +185,8 @@ def test_a_box_pushed_deep_into_the_block_is_not_lost(device):
 
 @pytest.mark.slow
 def test_a_map_of_shapes_depths_and_tiers_has_no_silent_frame(device):
-    rng = np.random.default_rng(15)
+    """Small bodies ask for small elements under them; what is refused for its size is not silent either."""
+    rng, made = np.random.default_rng(15), 0
     shapes = [Sphere(0.001), Sphere(0.002), Box((0.004,) * 3), Cylinder(0.002, 0.03), Capsule(0.0015, 0.03),
               Box((0.013,) * 3), Cylinder(0.01, 0.02), Capsule(0.005, 0.04)]
     for shape in shapes:
@@ -193,9 +195,16 @@ def test_a_map_of_shapes_depths_and_tiers_has_no_silent_frame(device):
         turn = q * np.linalg.det(q) if rng.uniform() < 0.5 else np.eye(3)
         count, deepest = int(rng.integers(2, 6)), rng.uniform(0.004, 0.02)
         tier = str(rng.choice(["fem-coarse", "fem-coarse", "linear", "spring", "vsf"]))
-        frames, model, _ = s1(shape, deepest * np.arange(1, count + 1) / count, tier=tier, turn=turn,
-                              spot=tuple(rng.uniform(-0.01, 0.01, 2)), friction=float(rng.choice([0.0, 0.5])))
+        spot, friction = tuple(rng.uniform(-0.01, 0.01, 2)), float(rng.choice([0.0, 0.5]))
+        try:
+            frames, model, _ = s1(shape, deepest * np.arange(1, count + 1) / count, tier=tier, turn=turn, spot=spot,
+                                  friction=friction)
+        except SceneError as error:
+            assert "can be factorised" in str(error)
+            continue
+        made += 1
         assert not silent(frames, model).any(), (shape, tier, frames.force[:, 0, 2], frames.reason[:, 0])
+    assert made >= 6
 
 
 def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):
