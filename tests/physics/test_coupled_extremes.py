@@ -44,7 +44,7 @@ def press(body, sensor, depths, *, slant=0.0, device="cpu", friction=2.0):
                            options=dataclasses.replace(tiers.options("fem-coarse"), seconds=1e9, cg_frame=600))
     frames = solver.run(poses, keep=True)
     good = frames.converged
-    assert np.isnan(frames.contact_radius).all(), "no one element size tells how well two soft bodies' contact is resolved"
+    assert np.isnan(frames.contact_radius).all(), "two soft bodies have no one element size"
     numbers_stand_for_equilibria(dataclasses.replace(frames, contact_radius=np.zeros_like(frames.contact_radius)))
     for kept in (solver.pressure, solver.volume, solver.sensor_position, solver.sensor_force):
         assert np.isfinite(np.stack(kept)[good[:, 0]]).all()
