@@ -14,6 +14,7 @@ from vsfsim.core.plant import Plant
 from vsfsim.core.shape import Capsule
 from vsfsim.physics.rods.model import RodError, build
 from vsfsim.physics.rods.solver import RodFrames, RodSolver
+from vsfsim.physics.solve.frames import Reason
 
 
 def curve(body: Plant, frames: RodFrames, t: int) -> np.ndarray:
@@ -138,3 +139,17 @@ def test_a_capsule_that_would_pass_between_the_lines_of_a_blade_is_refused():
     with pytest.raises(RodError, match="pass between them"):
         RodSolver([build(leaf)], [Capsule(0.004, 0.1)])
     RodSolver([build(leaf)], [Capsule(0.01, 0.1)])
+
+
+def test_a_frame_whose_end_alone_is_in_equilibrium_is_marked(device):
+    """One frame carries a capsule from before a stem to behind it, in strides of 4 mm. Few Newton iterations, which no
+    division of a stride may add to, balance none of the loaded strides; free again, the stem stands straight, which is
+    an equilibrium of itself."""
+    way = crossing(np.array([0.0, 0.4]), height=0.33, start=-0.045)
+    hasty = touch(stem(10, radius=0.003), way, device=device, newton=4, work=0)
+    assert not hasty.converged[1, 0] and hasty.reason[1, 0] == Reason.PATH and np.linalg.norm(hasty.force[1]) == 0.0
+    # the same way in finer frames names the strides themselves, and what follows the stem's release is good again
+    finer = touch(stem(10, radius=0.003), crossing(np.linspace(0.0, 0.4, 6), height=0.33, start=-0.045), device=device,
+                  newton=4, work=0)
+    assert finer.reason.ravel().tolist() == [0, 1, 1, 1, 10, 0]
+    assert touch(stem(10, radius=0.003), way, device=device).converged.all()

@@ -134,6 +134,7 @@ def enter(
         w.progress.ended[b] = 0
         w.progress.wrong_side[b] = 0
         w.progress.used[b] = 0
+        w.progress.broken[b] = 0
         w.progress.total[b] = 0
         w.guard.phase[b] = Phase.AS_PLANNED
         w.guard.turning_frame[b] = 0

@@ -251,6 +251,8 @@ class Progress:
     """Next stride as a part of the frame, 0 for a new frame (B,) [-]."""
     used: wp.array(dtype=wp.int32)
     """Newton iterations of the present frame (B,)."""
+    broken: wp.array(dtype=wp.int32)
+    """1 if a stride of the present frame ended without an equilibrium (B,)."""
     total: wp.array(dtype=wp.int32)
     """Newton iterations of the frames before it (B,)."""
 

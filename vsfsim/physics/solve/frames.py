@@ -21,6 +21,7 @@ class Reason(IntEnum):
     INVERTED = 7
     INTRUSION = 8
     CRUSHED = 9
+    PATH = 10
 
     @property
     def text(self) -> str:
@@ -31,7 +32,8 @@ class Reason(IntEnum):
                 "the contact patch kept growing", "the surface slipped through a body",
                 "an element is inside out (det F <= 0)",
                 "a rigid body lies inside the object where no contact point feels it",
-                "an element is compressed below a tenth of its volume (det F < 0.1)")[self]
+                "an element is compressed below a tenth of its volume (det F < 0.1)",
+                "the frame itself is in equilibrium, but a step on the way to it was not")[self]
 
 
 @dataclass(frozen=True)

@@ -287,6 +287,7 @@ def advance(
         part = w.progress.part[b]
         h = w.progress.stride[b]
         used = w.progress.used[b]
+        broken = w.progress.broken[b]
         work = touch.work
         if touch.guarded == 1 and w.guard.failures[b] >= HOPELESS:
             work = 0
@@ -328,6 +329,8 @@ def advance(
                     if reason != Reason.PATCH:
                         side = 1 - side
                         commit_stride(tree, touch, w, me, side, count, weighs, wp.where(reason == Reason.NONE, 1, 0))
+                    if reason != Reason.NONE:
+                        broken = 1
                     part = to
                     h = wp.min(real(2.0) * h, base)
                     if touch.guarded == 1 and reason != Reason.NONE and work > 0 and used >= 2 * work:
@@ -346,6 +349,7 @@ def advance(
                 w.progress.part[b] = part
                 w.progress.stride[b] = h
                 w.progress.used[b] = used
+                w.progress.broken[b] = broken
                 w.progress.list[b] = side
                 w.progress.wrong_side[b] = wrong_side
         else:
@@ -373,11 +377,13 @@ def advance(
                 if kept == 1:
                     out.residual[b, t] = residual
                     out.iterations[b, t] = used
-                    out.reason[b, t] = reason
+                    # the guard goes by the end of the frame alone: what it does next needs no path
+                    out.reason[b, t] = wp.where(reason == Reason.NONE and broken == 1, int(Reason.PATH), reason)
                     out.where[b, t] = goal
                 w.progress.part[b] = ZERO
                 w.progress.stride[b] = ZERO
                 w.progress.used[b] = wp.where(kept == 1, 0, used)
+                w.progress.broken[b] = 0
                 w.progress.total[b] = wp.where(kept == 1, total_used, w.progress.total[b])
                 w.progress.next[b] = t + kept
                 w.progress.ended[b] = ended
