@@ -1,8 +1,10 @@
 """What limits a field of springs on plants: `vsfsim measure plant-learning`.
 
-`point-vsf` is fitted to the support touches of each plant and predicts its query touches, with settings changed one at
-a time; then to the query touches themselves, which shows what independent springs can represent at all. Nothing is
-learned from other plants.
+Springs are fitted to the support touches of each plant and predict its query touches, with settings changed one at a
+time. Where the springs start from matters most: at zero, at one value, or at a value that falls with the distance from
+the foot of the stem. Then come oracles: the same prediction with one best factor for each query or each frame, which
+says whether size or direction is wrong, and springs fitted to the query touches themselves, which says what independent
+springs can represent at all. Nothing is learned from other plants.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import dataclasses
 import multiprocessing
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -22,11 +25,17 @@ from vsfsim.bench.method import Reading
 from vsfsim.bench.protocol import Query, divide, record
 from vsfsim.bench.task import Task, load_task, open_dataset
 from vsfsim.data.records import ObjectView
+from vsfsim.vsf.features.registry import particle_features
+from vsfsim.vsf.meta.composition import GaussianPrior
 
-PRIOR_STD, LOOSE_STD = 30.0, 100.0
+PRIOR_STD, LOOSE_STD = 30.0, 300.0
 """Of a spring constant: of the preset `tuned`, and where the data are to decide alone [N/m]."""
-COMMON = 3.0
-"""One value for all springs, of the size that the average over other plants has [N/m]."""
+LOOSE_NOISE = 0.05
+"""Noise of a reading where the data are to decide alone [N m]; none in proportion to the force."""
+COMMON = (3.0, 6.0, 10.0)
+"""Values that all springs start from [N/m]."""
+FALLING = 2.0
+"""Springs that fall with the distance r from the foot start from this over r + 0.05 m [N]."""
 ALL = "all touches"
 
 
@@ -71,23 +80,45 @@ def ratios(task: Task, view: ObjectView) -> dict[str, float]:
             models[settings] = ParticleModel.behind(view.view, settings)
         return models[settings]
 
-    def ratio(readings: Sequence[Reading], *, std: float = PRIOR_STD, mean: float = 0.0, **changed: float) -> float:
-        settings = dataclasses.replace(PLANTS, **changed)  # type: ignore[arg-type]
-        model = model_of(settings)
-        return error_ratio([Posterior.of(model, readings, prior_mean=mean, prior_var=std**2)] * len(queries), queries)
+    def fit(readings: Sequence[Reading], *, std: float = PRIOR_STD, mean: float | np.ndarray = 0.0,
+            **changed: float) -> Posterior:
+        model = model_of(dataclasses.replace(PLANTS, **changed))  # type: ignore[arg-type]
+        plain = GaussianPrior.plain(0.0, std**2, len(model.particles))
+        return Posterior.under(model, readings, dataclasses.replace(plain, mean=plain.mean + mean))
 
-    alone = [Posterior.of(model_of(PLANTS), [reading], prior_mean=0.0, prior_var=LOOSE_STD**2) for reading in asked]
-    few = {f"{k} touches": ratio(support[:k]) for k in (5, 10, 20) if k < len(support)}
-    return {**few, ALL: ratio(support), "all, without noise": ratio(exact),
-            f"all, springs around {COMMON:g} N/m": ratio(support, mean=COMMON),
-            f"none, springs of {COMMON:g} N/m": ratio([], mean=COMMON),
-            "all, particles stick": ratio(support, friction=10.0),
-            "all, particles slide": ratio(support, friction=0.0),
-            "all, particles 20 mm apart": ratio(support, spacing=0.02, std=2.0 * PRIOR_STD),
-            "all, within 30 mm of the seen surface": ratio(support, band=0.03),
-            "the queries themselves, without noise": ratio(asked, std=LOOSE_STD),
-            "each query by itself, without noise": error_ratio(alone, queries),
-            "all touches and the queries, without noise": ratio([*exact, *asked], std=LOOSE_STD)}
+    def ratio(readings: Sequence[Reading], **how: Any) -> float:
+        return error_ratio([fit(readings, **how)] * len(queries), queries)
+
+    loose = {"std": LOOSE_STD, "noise_std": LOOSE_NOISE, "noise_share": 0.0}
+    place = particle_features("place", view.view, model_of(PLANTS).particles, spacing=PLANTS.spacing)
+    falling = FALLING / np.exp(place[:, 2].astype(float))
+    best = fit(support, mean=falling)
+    out = {f"{k} touches": ratio(support[:k]) for k in (5, 10, 20) if k < len(support)}
+    out |= {ALL: ratio(support), "all, without noise": ratio(exact)}
+    for mean in COMMON:
+        out |= {f"none, springs of {mean:g} N/m": ratio([], mean=mean),
+                f"all, springs around {mean:g} N/m": ratio(support, mean=mean)}
+    return {**out, "none, springs that fall with the distance": ratio([], mean=falling),
+            "all, around springs that fall": error_ratio([best] * len(queries), queries),
+            "the same, particles stick": ratio(support, mean=falling, friction=10.0),
+            "the same, every query with its best factor": scaled_ratio(best, queries, axis=None),
+            "the same, every frame with its best factor": scaled_ratio(best, queries, axis=1),
+            "all and the queries, without noise, loosely": ratio([*exact, *asked], **loose),
+            "each query by itself, without noise, loosely": error_ratio([fit([r], **loose) for r in asked], queries)}
+
+
+def scaled_ratio(posterior: Posterior, queries: Sequence[Query], *, axis: int | None) -> float:
+    """`error_ratio` after each query (``axis`` None), or each of its frames (1), is multiplied by the number, at least
+    0, that fits it best [-]."""
+    error = zero = 0.0
+    for query in queries:
+        truth = query.clean[query.scored]
+        given = posterior.predict([query.action])[0][query.scored]
+        size = np.maximum((given**2).sum(axis=axis, keepdims=True), 1e-12)
+        factor = np.maximum((given * truth).sum(axis=axis, keepdims=True), 0.0) / size
+        error += float(np.sqrt(np.mean((factor * given - truth) ** 2)))
+        zero += float(np.sqrt(np.mean(truth**2)))
+    return error / zero
 
 
 def error_ratio(posteriors: Sequence[Posterior], queries: Sequence[Query]) -> float:

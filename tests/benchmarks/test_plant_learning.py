@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.artificial_plants.learning import ALL, error_ratio, table
+from benchmarks.artificial_plants.learning import ALL, error_ratio, scaled_ratio, table
 
 
 class Share:
@@ -40,3 +40,16 @@ def test_differences_are_paired_over_plants():
     assert base["error"] == pytest.approx(0.2 / np.sqrt(3))
     assert other["change"] == pytest.approx(0.1) and other["change_error"] == pytest.approx(0.0, abs=1e-12)
     assert other["error"] == pytest.approx(base["error"])
+
+
+def test_the_best_factor_mends_size_and_not_direction():
+    """A prediction half as large as the truth has one factor; with frames of wrong size each needs its own; one that
+    points elsewhere is best multiplied by zero."""
+    rng = np.random.default_rng(1)
+    query = SimpleNamespace(clean=rng.normal(size=(9, 7)), scored=np.arange(9) < 6)
+    query.action = query
+    assert scaled_ratio(Share(0.5), [query], axis=None) == pytest.approx(0.0, abs=1e-9)
+    uneven = Share(np.linspace(0.1, 2.0, 9)[:, None])
+    whole, frames = (scaled_ratio(uneven, [query], axis=axis) for axis in (None, 1))
+    assert whole > 0.2 and frames == pytest.approx(0.0, abs=1e-9)
+    assert scaled_ratio(Share(-0.5), [query], axis=None) == pytest.approx(1.0, abs=1e-12)

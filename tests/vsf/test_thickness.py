@@ -65,3 +65,21 @@ def test_the_particles_get_fifteen_finite_numbers():
     plain = particle_features("local", view, particles, spacing=0.01)
     assert found.shape == (len(particles), plain.shape[1] + 4) and np.isfinite(found).all()
     assert np.isfinite(view_token("local-thick", view)).all()
+
+
+def test_place_is_thickness_and_place_alone_as_logarithms():
+    """On a stem of 20 mm, 0.25 m high, with an arm of 6 mm to the side near its top."""
+    depth = np.zeros((300, 220))
+    depth[40:290, 20:40] = 1.0
+    depth[60:66, 40:200] = 1.0
+    view = picture(depth)
+    ends = np.array([[-0.08, 0.0, 0.40], [-0.08, 0.0, 0.55], [0.08, 0.0, 0.5870]])  # low and high in the stem; the arm
+    found = particle_features("place", view, ends, spacing=0.01)
+    assert found.shape == (3, 6) and np.isfinite(found).all() and np.isfinite(view_token("place", view)).all()
+    thick, way, axis, height = np.exp(found[:, :4].T)
+    assert thick[:2] == pytest.approx(0.020, rel=0.1) and thick[2] == pytest.approx(0.006, rel=0.2)
+    assert axis - 0.05 == pytest.approx([0.0, 0.0, 0.16], abs=0.012)
+    assert height - 0.05 == pytest.approx([0.04, 0.19, 0.227], abs=0.012)
+    along = np.array([0.025, 0.175, 0.225 - 0.015 + 0.15])
+    # a voxel of 10 mm at the end, and some per cent more or less along the graph
+    assert (np.abs(way - 0.05 - along) < 0.010 + 0.12 * along).all()

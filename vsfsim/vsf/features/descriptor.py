@@ -58,11 +58,17 @@ class LocalDescriptor:
     def of_particles(self, view: View, projected: Projection) -> np.ndarray:
         """Position, logarithms of the depth behind the surface and of the distance to the nearest visible point, and
         in the full descriptor the height (n, 5 or 6)."""
-        away = cKDTree(view.points()).query(projected.points)[0]
-        behind = np.clip(projected.behind, 0.0, _DEEPEST)
-        depth = np.log1p(np.stack([behind, away], axis=1) / projected.spacing)
         height = projected.points[:, 2:][:, : int(self.full)]
-        return np.concatenate([normalised_position(view, projected.points), depth, height], axis=1)
+        return np.concatenate([normalised_position(view, projected.points), depth_and_distance(view, projected),
+                               height], axis=1)
+
+
+def depth_and_distance(view: View, projected: Projection) -> np.ndarray:
+    """Logarithms of the particles' depth behind the surface and of their distance to the nearest visible point, over
+    their spacing (n, 2) [-]."""
+    away = cKDTree(view.points()).query(projected.points)[0]
+    behind = np.clip(projected.behind, 0.0, _DEEPEST)
+    return np.log1p(np.stack([behind, away], axis=1) / projected.spacing)
 
 
 class _Blur:

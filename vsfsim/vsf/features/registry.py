@@ -4,6 +4,7 @@
     local       the default: colour, texture and position relative to the visible surface, see `descriptor`, 11 numbers
     local-thick the same with the thickness of the visible part and its place relative to the foot, see `thickness`, 15
                 numbers
+    place       thickness and place alone, as logarithms, for branching objects, 6 numbers
     local-full  those of local at more scales, with normals, curvature and the distance to the outline, 32 numbers
     dinov2-s    DINOv2 ViT-S/14 patch features (SBML's default), 384 numbers; needs weights, see `dinov2`
     dinov2-b    DINOv2 ViT-B/14, 768 numbers
@@ -19,7 +20,7 @@ from vsfsim.core.errors import VsfError, did_you_mean
 from vsfsim.data.records import View
 from vsfsim.vsf.features.descriptor import LocalDescriptor
 from vsfsim.vsf.features.interface import Extractor, project, projection
-from vsfsim.vsf.features.thickness import ThicknessDescriptor
+from vsfsim.vsf.features.thickness import PlaceDescriptor, ThicknessDescriptor
 from vsfsim.vsf.features.xyzrgb import XyzRgb
 
 
@@ -83,6 +84,7 @@ def _dinov2(size: str) -> Callable[[str, str], Extractor]:
 NAMES: Mapping[str, Callable[[str, str], Extractor]] = {
     "local": lambda _weights, _device: LocalDescriptor(),
     "local-thick": lambda _weights, _device: ThicknessDescriptor(),
+    "place": lambda _weights, _device: PlaceDescriptor(),
     "local-full": lambda _weights, _device: LocalDescriptor(full=True),
     "xyzrgb": lambda _weights, _device: XyzRgb(),
     "dinov2-s": _dinov2("small"),

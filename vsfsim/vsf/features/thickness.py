@@ -10,6 +10,9 @@ those of `local`:
     axis        horizontal distance from the foot of the stem [m]
     height      above the lowest visible point [m]
 
+`place` has these four alone, as logarithms, with how deep a particle lies behind the surface: a cantilever's stiffness
+is a product of powers of them, and a dozen plants do not teach a network to ignore the other columns of `local`.
+
 The foot is the mean of the lowest visible points. The way is the shortest path in a graph of voxels of 10 mm; voxels
 that a gap separates are joined at ten times their distance, since a part that hides behind another is not far away.
 """
@@ -22,7 +25,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from vsfsim.data.records import View
-from vsfsim.vsf.features.descriptor import LocalDescriptor
+from vsfsim.vsf.features.descriptor import LocalDescriptor, depth_and_distance
 from vsfsim.vsf.features.interface import FeatureImage, Projection
 
 DEPTH_EDGE = 0.008
@@ -31,6 +34,8 @@ LARGEST = 0.12
 """Largest thickness that is told apart [m]."""
 VOXEL = 0.010
 """Edge of a voxel of the surface graph [m]."""
+NEAR = 0.05
+"""Added to lengths before their logarithm is taken: places this near to the foot are not told apart [m]."""
 _NEIGHBOURS = 8
 _REACH = 0.025  # voxels further apart are not neighbours on a surface [m]
 _GAP = 10.0  # factor on the length of an edge across a gap
@@ -57,6 +62,25 @@ class ThicknessDescriptor:
     def of_particles(self, view: View, projected: Projection) -> np.ndarray:
         """As of `local` (n, c)."""
         return self._local.of_particles(view, projected)
+
+
+class PlaceDescriptor:
+    """Logarithms of thickness, way to the foot, distance from it and height, and how deep a particle lies."""
+
+    def image(self, view: View) -> FeatureImage:
+        """Dense features, one cell a pixel (H, W, 4)."""
+        mask = np.asarray(view.mask, bool)
+        values = np.zeros((*mask.shape, 4), np.float32)
+        values[mask, 0] = np.log(local_thickness(view)[mask])
+        values[mask, 1:] = np.log(place(view) + NEAR)
+        visible = values[mask].astype(np.float64)
+        token = np.concatenate([visible.mean(axis=0), visible.std(axis=0)]).astype(np.float32)
+        return FeatureImage(values, mask, token)
+
+    def of_particles(self, view: View, projected: Projection) -> np.ndarray:
+        """Logarithms of the depth behind the surface and of the distance to the nearest visible point, as of `local`
+        (n, 2)."""
+        return depth_and_distance(view, projected)
 
 
 def local_thickness(view: View) -> np.ndarray:
