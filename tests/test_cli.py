@@ -1,13 +1,17 @@
 """The command line as a user meets it: fast help, exit codes, one-paragraph errors."""
 
 import io
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
+from vsfsim.bench.mock import mock_view
 from vsfsim.cli.console import Progress
+from vsfsim.data.recipe import Recipe
+from vsfsim.data.writer import DatasetWriter
 
 HEAVY = ("warp", "torch", "mujoco", "numpy", "scipy", "h5py", "trimesh", "matplotlib", "rich")
 
@@ -108,43 +112,34 @@ def test_a_method_in_the_current_folder_is_found(tmp_path):
     assert out.returncode == 2 and "ZeroDivisionError" in out.stderr and "Traceback" not in out.stderr
 
 
-def test_verify_and_evaluate_through_the_command_line(tmp_path):
+def test_verify_and_evaluate_through_the_command_line(vsfsim, tmp_path):
+    views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
+    recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
+                    splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
+    with DatasetWriter(tmp_path / "toy", recipe, [v.name for v in views]) as writer:
+        for view in views:
+            writer.add(view)
+        writer.finish()
+    bench = Path(__file__).parent / "bench"
+    (tmp_path / "toy-v1.toml").write_text(runpy.run_path(str(bench / "conftest.py"))["TASK"])
     code = f"""
 import sys
-sys.path.insert(0, {str(Path(__file__).parent / "bench")!r})
+sys.path.insert(0, {str(bench)!r})
 sys.argv = ("vsfsim evaluate --method toy_methods:Constant --task toy-v1.toml --dataset toy --seeds 2 "
             "--set value=2.5").split()
 from vsfsim.cli.main import main
 main()
 """
-    build = f"""
-import sys
-sys.path.insert(0, {str(Path(__file__).parent / "bench")!r})
-import conftest
-from pathlib import Path
-from vsfsim.bench.mock import mock_view
-from vsfsim.data.recipe import Recipe
-from vsfsim.data.writer import DatasetWriter
-views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
-recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
-                splits={{"train": 1, "test": 2}}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-with DatasetWriter("toy", recipe, [v.name for v in views]) as writer:
-    for view in views:
-        writer.add(view)
-    writer.finish()
-Path("toy-v1.toml").write_text(conftest.TASK)
-"""
-    subprocess.run([sys.executable, "-c", build], check=True, cwd=tmp_path)
-    out = run("verify", "toy", cwd=tmp_path)
+    out = vsfsim("verify", "toy", cwd=tmp_path)
     assert out.returncode == 0 and out.stdout.rstrip().endswith("ok")
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path)
     assert out.returncode == 0, out.stderr
     assert "rmse [N]" in out.stdout and "all-shot" in out.stdout and "2 seeds instead of the task's 3" in out.stdout
     assert (tmp_path / "results" / "toy-v1" / "toy_methods.Constant.json").is_file()
-    board = run("leaderboard", "--task", "toy-v1.toml", cwd=tmp_path)
+    board = vsfsim("leaderboard", "--task", "toy-v1.toml", cwd=tmp_path)
     assert "toy_methods:Constant" in board.stdout, board.stderr
     broken = bytearray((tmp_path / "toy" / "mock-0001-v0.h5").read_bytes())
     broken[5000] ^= 1
     (tmp_path / "toy" / "mock-0001-v0.h5").write_bytes(bytes(broken))
-    out = run("verify", "toy", cwd=tmp_path)
+    out = vsfsim("verify", "toy", cwd=tmp_path)
     assert out.returncode == 2 and "mock-0001-v0.h5: was changed" in out.stdout

@@ -109,8 +109,8 @@ def test_four_tenths_of_the_thickness(device, nu):
     assert frames.converged.all() and (np.diff(frames.force[:, 0, 2]) > 0.0).all()
 
 
-@pytest.mark.parametrize("nu", [pytest.param(0.0, marks=pytest.mark.slow), 0.3,
-                                pytest.param(0.45, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("nu", [0.0, 0.3, 0.45])
 def test_eight_tenths_of_the_thickness(device, nu):
     """A frame that converged has the probe outside, pushed back the way it came, and no inverted element."""
     frames = press(body(nu=nu), np.linspace(0.1, 0.8, 8), device)

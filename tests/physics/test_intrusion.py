@@ -213,7 +213,7 @@ def test_a_plane_has_no_samples_and_presses_a_whole_face(model, device, line):
     assert frames.converged.all() and frames.penetration.max() < 0.01 * model.element_size
 
 
-@pytest.mark.parametrize("frames", [1, 4])
+@pytest.mark.parametrize("frames", [1, pytest.param(4, marks=pytest.mark.slow)])
 def test_a_ball_that_went_through_a_membrane_is_never_in_silence(frames):
     """A ball of 3 mm goes 20 mm into a bubble of 390 nodes, too fast for it: every frame has a push or is marked."""
     scene = parse_scene(BUBBLE.format(frames=frames), "bubble.toml").sample(0)

@@ -236,7 +236,8 @@ def broken(kind):
     return trimesh.util.concatenate([ball, other]), "overlap"
 
 
-@pytest.mark.parametrize("kind", ["hole", "inside out", "wound at random", "overlap"])
+@pytest.mark.parametrize("kind", ["hole", "inside out", "wound at random",
+                                  pytest.param("overlap", marks=pytest.mark.slow)])
 def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     mesh, word = broken(kind)
     mesh.export(tmp_path / "b.ply")

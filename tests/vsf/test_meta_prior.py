@@ -66,6 +66,7 @@ def test_training_learns_the_stiffness_from_the_feature(output, gain):
     assert np.median(found.total_std()) < 35.0
 
 
+@pytest.mark.slow
 def test_shared_components_learn_how_objects_differ_as_wholes():
     rows = objects(24, 2, level=15.0, structure="HE+HO")
     prior = build("HE+HO")

@@ -18,7 +18,7 @@ from vsfsim.core.errors import DatasetError, did_you_mean, no_such_file
 from vsfsim.core.interactive.html_table import html_table
 from vsfsim.core.plain_text import plain
 from vsfsim.data.disk import file_sha256
-from vsfsim.data.hdf5 import read_field, read_view
+from vsfsim.data.hdf5 import read_shown, read_view
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.records import ObjectView
 from vsfsim.data.safety import check_file, check_name, whole_number
@@ -142,21 +142,26 @@ class Dataset:
             DatasetError: no such name, or the file is missing or damaged.
         """
         path = self._checked_file(name)
-        view = read_view(path, blind=self.is_blind)
+        return self._as_listed(read_view(path, blind=self.is_blind), path, name)
+
+    def shown(self, name: str) -> tuple[ObjectView, np.ndarray]:
+        """One object view without its truth, and where the small cone was pressed on it, world (P, 3) [m]; nothing else
+        of the truth is read.
+
+        Raises:
+            DatasetError: as `load`.
+        """
+        path = self._checked_file(name)
+        view, places = read_shown(path)
+        return self._as_listed(view, path, name), places
+
+    def _as_listed(self, view: ObjectView, path: Path, name: str) -> ObjectView:
         (entry,) = (e for e in self.entries if e.name == name)
         for key in ("name", "split", "object_index", "view_index"):
             if getattr(view, key) != getattr(entry, key):
                 raise DatasetError(f"{path} says {key} = {getattr(view, key)!r}, and {MANIFEST} says "
                                    f"{getattr(entry, key)!r}. Delete the folder and generate the dataset again.")
         return view
-
-    def probe_points(self, name: str) -> np.ndarray:
-        """Where the small cone was pressed on an object view, world (P, 3) [m]; nothing else of its truth is read.
-
-        Raises:
-            DatasetError: as `load`.
-        """
-        return read_field(self._checked_file(name), "truth/probe_points")
 
     def _checked_file(self, name: str) -> Path:
         for entry in self.entries:

@@ -121,13 +121,28 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
     Raises:
         DatasetError: not an object file, another schema version, or a dataset that does not fit the schema.
     """
-    path = Path(path)
+    return _read(Path(path), blind=blind)[0]
+
+
+def read_shown(path: Path) -> tuple[ObjectView, np.ndarray]:
+    """An object file without its truth, but for the places where the small cone was pressed, world (P, 3) [m].
+
+    Raises:
+        DatasetError: as `read_view`.
+    """
+    view, places = _read(path, blind=True, places=True)
+    assert places is not None
+    return view, places
+
+
+def _read(path: Path, *, blind: bool, places: bool = False) -> tuple[ObjectView, np.ndarray | None]:
     if not path.is_file():
         raise DatasetError(f"{path} does not exist.")
     try:
         with h5py.File(path, "r") as file:
             items = check_tree(file, path)
             check_attributes(file, path)
+            found = _field(items, "truth/probe_points", path) if places else None
             view = View(**_read_group(items, "view", "view", f"{path} view"))
             touches = tuple(_read_touch(items, f"touches/{name}", f"{path} touches/{name}")
                             for name in sorted(items["touches"]))
@@ -137,9 +152,15 @@ def read_view(path: str | Path, *, blind: bool = False) -> ObjectView:
                               whole_number(attrs["object_index"], f"{path} @object_index"),
                               whole_number(attrs["view_index"], f"{path} @view_index"),
                               check_name(attrs["split"], f"{path} @split"),
-                              _probe(attrs["probe"], path), view, touches, truth)
+                              _probe(attrs["probe"], path), view, touches, truth), found
     except _DAMAGE as error:
         raise _damaged(path, error) from error
+
+
+def _field(items: Mapping[str, h5py.Group | h5py.Dataset], name: str, path: Path) -> np.ndarray:
+    """One field of the view or the truth, e.g. "truth/probe_points"; no other is read."""
+    (field,) = (f for f in FIELDS if f.path == name)
+    return check_array(field, read_array(items[name], field), f"{path} {name}", {})
 
 
 _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeError, OverflowError, MemoryError)
@@ -149,22 +170,6 @@ _DAMAGE = (OSError, KeyError, RuntimeError, ValueError, TypeError, AttributeErro
 def _damaged(path: Path, error: BaseException) -> DatasetError:
     return DatasetError(f"{path} cannot be read: {plain(error)}. It is damaged; delete it and run the same `vsfsim "
                         f"generate` again, which makes only what is missing.")
-
-
-def read_field(path: Path, field_path: str) -> np.ndarray:
-    """One field of the view or the truth of an object file, e.g. "truth/probe_points"; no other is read.
-
-    Raises:
-        DatasetError: as `read_view`.
-    """
-    (field,) = (f for f in FIELDS if f.path == field_path)
-    try:
-        with h5py.File(path, "r") as file:
-            items = check_tree(file, path)
-            check_attributes(file, path)
-            return check_array(field, read_array(items[field_path], field), f"{path} {field_path}", {})
-    except _DAMAGE as error:
-        raise _damaged(path, error) from error
 
 
 def check_attributes(file: h5py.File, path: Path) -> None:

@@ -69,8 +69,7 @@ class Subject:
         Raises:
             TaskError: it has too few touches, or not what the task reads.
         """
-        view = dataset.blind().load(name)
-        places = dataset.probe_points(name)
+        view, places = dataset.shown(name)
         draw, recording = divide(view, task.protocol), record(view, task)
         inclusions, ranked = None, task.metric.answer
         if ranked in (Answer.MASK, Answer.POSE):
