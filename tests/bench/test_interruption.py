@@ -36,7 +36,7 @@ def folder(tmp_path, toy_dataset):
     (tmp_path / "slow_method.py").write_text(
         "import os, time\nfrom toy_methods import Constant\n\n\nclass Slow(Constant):\n"
         "    def adapt(self, view, support):\n        super().adapt(view, support)\n"
-        f"        if os.path.exists({str(tmp_path / 'slow')!r}):\n            time.sleep(0.5)\n")
+        f"        if os.path.exists({str(tmp_path / 'slow')!r}):\n            time.sleep(0.2)\n")
     (tmp_path / "slow").touch()
     return tmp_path
 

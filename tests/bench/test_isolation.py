@@ -108,7 +108,7 @@ def test_prints_go_to_the_log(task, toy_dataset, tmp_path, capfd):
 
 
 @pytest.mark.parametrize(("name", "parameters", "isolation", "message"), [
-    ("Sleeps", {}, Isolation(timeout=5.0), r"predict for .* took longer than the 5 s of --timeout"),
+    ("Sleeps", {}, Isolation(timeout=2.0), r"predict for .* took longer than the 2 s of --timeout"),
     ("Allocates", {"gib": 4.0}, Isolation(memory=2.0), r"Error in predict for .*may allocate 2 GiB \(--memory\)"),
     ("Exits", {}, Isolation(), "the method raised SystemExit in predict for mock-0001-v0, 0-shot, seed 0"),
     ("Dies", {}, Isolation(), r"the method's process ended in predict for .*\(exit code 0\)"),
