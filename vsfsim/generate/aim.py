@@ -8,12 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from vsfsim.core import signed_distance
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import Scene, TouchSpec
-from vsfsim.core.shape import Plane, ProbeShape
+from vsfsim.core.shape import MeshFile, Plane, ProbeShape
 from vsfsim.data.records import View
 from vsfsim.generate.cloud import cloud_normals
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.body_samples import sharp_samples
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -57,19 +59,49 @@ def clearance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarra
               samples: np.ndarray | None = None) -> float:
     """How far the probe can go from ``pose`` (4, 4) along the unit ``axis`` (3,) before it meets the body at rest [m].
 
-    Conservative advancement on the signed distance; infinite if the probe meets nothing within 2 m.
+    Conservative advancement on the signed distance, without the fillet of edges; edges and corners that meet the
+    boundary between its samples count, too. Infinite if the probe meets nothing within 2 m.
     """
+    return min(_advance(model, probe, pose, axis, samples), _edges_first(model, probe, pose, axis))
+
+
+def _advance(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray,
+             samples: np.ndarray | None) -> float:
     points = surface_samples(model) if samples is None else samples
     gone = 0.0
     for _ in range(500):
         local = (points - pose[:3, 3] - gone * axis) @ pose[:3, :3]
-        gap = float(sdf.distance(probe, local).min())
+        gap = float((sdf.distance(probe, local) if isinstance(probe, MeshFile)
+                     else signed_distance.distance(probe, local)).min())
         if gap < 1e-6:
             return gone
         gone += gap
         if gone > 2.0:
             return float("inf")
     return gone
+
+
+def _edges_first(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.ndarray) -> float:
+    """The same for the edges and corners of the probe alone: their points against the triangles at rest."""
+    spot, outward, _ = sharp_samples(probe, 0.5 * model.element_size)
+    leading = outward @ (pose[:3, :3].T @ axis) > 0.0
+    spot = (spot @ pose[:3, :3].T + pose[:3, 3])[leading]
+    corner = model.mesh.points[model.mesh.faces[:, :3]]
+    side, up = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    meets = np.cross(side, up) @ axis < 0.0  # faces that look at the probe
+    corner, side, up = corner[meets, 0], side[meets], up[meets]
+    level = np.cross(axis, up)
+    share = np.einsum("fc,fc->f", side, level)
+    least = float("inf")
+    for p in spot:
+        # where the line along the axis meets the plane of every triangle (Moller and Trumbore 1997)
+        away = p - corner
+        turned = np.cross(away, side)
+        u, v = np.einsum("fc,fc->f", away, level) / share, turned @ axis / share
+        way = np.einsum("fc,fc->f", up, turned) / share
+        hit = (u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (way >= 0.0)
+        least = min(least, float(way[hit].min(initial=np.inf)))
+    return least
 
 
 def draw_aims(scene: Scene, view: View, stream: Callable[[int], np.random.Generator],

@@ -1,9 +1,10 @@
 """Points on the surface of a rigid body, edges and corners included, for the check that no body lies inside an
-object."""
+object, and those of its edges, corners and rims, which are contact points."""
 
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,8 @@ from vsfsim.physics.contact import sdf
 
 _MOST = 20_000  # points of one body
 _INNER = 4000  # random points for the inner radius of a mesh
+_MOST_SHARP = 2000  # points of its edges, corners and rims
+_CREASE = np.radians(30.0)  # turn of the outward side at an edge of a mesh
 _PROJECTIONS = 3  # steps along the normal onto the rounded surface
 
 
@@ -50,6 +53,93 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
         slope = np.stack([sdf.distance(shape, points + e) - sdf.distance(shape, points - e) for e in steps], axis=1)
         points = points - gap[:, None] * slope / np.maximum(np.linalg.norm(slope, axis=1), 1e-12)[:, None]
     return points
+
+
+def sharp_samples(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points on the edges, corners and rims of a body in its own frame, at most ``spacing`` [m] apart, wider where a
+    body would have more than 2,000 of them.
+
+    Returns:
+        The points (m, 3) [m] of the body without its fillet, the mean outward directions of the sides that meet there
+        (m, 3) [-], and the length of edge that each stands for (m,) [m], 0 at a corner.
+    """
+    while True:
+        points, outward, length = _sharp(shape, spacing)
+        if len(points) <= _MOST_SHARP:
+            break
+        spacing *= 1.1 * len(points) / _MOST_SHARP
+    return points, outward, length
+
+
+def _sharp(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    match shape:
+        case Box(size):
+            half = 0.5 * np.array(size)
+            corners = np.array(list(np.ndindex(2, 2, 2))) * 2.0 - 1.0
+            ends = [(a, b) for i, a in enumerate(corners) for b in corners[i + 1:] if (a != b).sum() == 1]
+            return _edges([(a * half, b * half, 0.5 * (a + b)) for a, b in ends],
+                          [(c * half, c) for c in corners], spacing)
+        case Cylinder(radius, height):
+            # between two points of a rim it bulges by less than a hundredth of their distance
+            ring = _ring(radius, 0.5 * height, min(spacing, np.sqrt(0.03 * radius * spacing)))
+            points = np.vstack([ring, ring * [1.0, 1.0, -1.0]])
+            outward = points / np.array([radius, radius, 0.5 * height])
+            return points, outward / np.sqrt(2.0), np.full(len(points), np.pi * radius / (len(ring) / 2.0))
+        case MeshFile():
+            grid = sdf.grid(shape)
+            return _creases(np.asarray(grid.vertices), np.asarray(grid.faces), spacing)
+    return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
+
+
+def _edges(edges: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]],
+           corners: Sequence[tuple[np.ndarray, np.ndarray]],
+           spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points of straight ``edges`` (two ends, outward), ends not included, and of ``corners`` (place, outward)."""
+    points, outward, length = [np.zeros((0, 3))], [np.zeros((0, 3))], [np.zeros(0)]
+    for a, b, out in edges:
+        way = float(np.linalg.norm(b - a))
+        count = max(1, int(np.ceil(way / spacing)) - 1)
+        points.append(a + (np.arange(1, count + 1) / (count + 1))[:, None] * (b - a))
+        outward.append(np.repeat(out[None], count, axis=0))
+        length.append(np.full(count, way / (count + 1)))
+    for place, out in corners:
+        points.append(place[None])
+        outward.append(out[None])
+        length.append(np.zeros(1))
+    out = np.vstack(outward)
+    return np.vstack(points), out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None], np.concatenate(length)
+
+
+def _creases(vertices: np.ndarray, faces: np.ndarray,
+             spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The same of a closed triangle mesh: edges where its outward side turns by more than `_CREASE`, convex ones, and
+    the corners where more than two of them meet or their line bends."""
+    across = np.cross(vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]])
+    normal = across / np.maximum(np.linalg.norm(across, axis=1), 1e-300)[:, None]
+    sides: dict[tuple[int, int], list[int]] = {}
+    for f, face in enumerate(faces.tolist()):
+        for i in range(3):
+            a, b = face[i], face[(i + 1) % 3]
+            sides.setdefault((min(a, b), max(a, b)), []).append(f)
+    edges, at = [], {}
+    for (a, b), both in sides.items():
+        if len(both) != 2 or normal[both[0]] @ normal[both[1]] > np.cos(_CREASE):
+            continue
+        far = next(v for v in faces[both[1]] if v not in (a, b))
+        if normal[both[0]] @ (vertices[far] - vertices[a]) > 0.0:
+            continue  # a concave crease meets nothing
+        out = normal[both[0]] + normal[both[1]]
+        edges.append((vertices[a], vertices[b], out))
+        way = (vertices[b] - vertices[a]) / max(float(np.linalg.norm(vertices[b] - vertices[a])), 1e-300)
+        at.setdefault(a, []).append((way, out))
+        at.setdefault(b, []).append((-way, out))
+    corners = [(vertices[v], np.sum([out for _, out in ways], axis=0)) for v, ways in at.items()]
+    points, outward, length = _edges(edges, corners, spacing)
+    # a corner on a line that goes on straight stands for half of each edge beside it
+    straight = [len(ways) == 2 and ways[0][0] @ ways[1][0] < -np.cos(_CREASE) for ways in at.values()]
+    if any(straight):
+        length[len(points) - len(corners):][straight] = min(spacing, float(np.median(length[length > 0.0])))
+    return points, outward, length
 
 
 def _points(shape: ProbeShape, spacing: float) -> np.ndarray:

@@ -19,13 +19,14 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point, sdf
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_samples import body_samples, inner_radius
-from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.contact.patch import shape_values, smooth_radius
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 DEEP = 0.05
 """Depth above which a body lies inside the object, over the element size [-]."""
 FINE = 0.03
 """Penetration above which a face gets more contact points, over the element size [-]."""
+_FINE_SHARP = 0.045  # the same under bodies with edges, whose own points act by then, see `body_points`
 _LOST = 4.0  # times that tolerance: a body in contact that is deeper inside has been lost
 _SMALL = 0.25  # the same over the inner radius of the smallest body
 _SPACING = 0.5  # of a body's samples over the element size, and over the inner radius of the body
@@ -71,7 +72,8 @@ class Intrusion:
         small = min(inner_radius(s) for s in bodies.shapes)
         self.tolerance = min(DEEP * size, _SMALL * small)
         self.lost = _LOST * self.tolerance
-        self.fine = FINE / DEEP * self.tolerance
+        sharp = any(smooth_radius(s) == 0.0 for s in bodies.shapes)
+        self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
         self._set, self._count = bodies.upload(k.sdf, device), len(bodies)
         samples = [body_samples(s, _SPACING * min(size, inner_radius(s))) for s in bodies.shapes]
         self._owner = np.repeat(np.arange(len(samples)), [len(s) for s in samples])

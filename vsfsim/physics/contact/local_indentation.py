@@ -78,7 +78,16 @@ class LocalIndentation:
         self._share = torch.ones(cover.shape, dtype=torch.float64, device=points.device)
         soft = np.minimum(SATURATED * edge, _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0))
         self._soft = torch.as_tensor(soft, device=points.device)
+        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor] | None = None
         self.arrays = (wp.from_torch(self._share), wp.from_torch(self._soft))
+
+    def set_parts(self, at: tuple[np.ndarray, np.ndarray], share: np.ndarray, soft: np.ndarray) -> None:
+        """Give some parts, ``at`` (touches, parts), a law of their own: the ``share`` of their stiffness (n,) [-] that
+        acts down to the depth ``soft`` (n,) [m], see `body_points`."""
+        where = tuple(torch.as_tensor(a, device=self._share.device) for a in at)
+        self._own = where, torch.as_tensor(share, device=self._share.device)[:, None]
+        self._share[where] = self._own[1]
+        self._soft[where] = torch.as_tensor(soft, device=self._share.device)
 
     def move(self, pose: np.ndarray) -> None:
         """Set the compliance for the bodies at poses (B, K, 4, 4)."""
@@ -97,18 +106,21 @@ class LocalIndentation:
         compliance = (self._factor / wide / (1.0 + RESOLVED * wide**3)).clamp(max=MOST)
         # w_q = PENALTY E area / (h / sqrt(2)), in series with area / c
         self._share.copy_(1.0 / (1.0 + np.sqrt(2.0) * PENALTY * compliance))
+        if self._own is not None:
+            self._share[self._own[0]] = self._own[1]
 
     def energy(self, gap: torch.Tensor, stiffness: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the local indentation of the touches ``columns`` (k,) [J], from the gaps (k, 6 f) [m] and
         the stiffness without it (k, f, 6) [N/m] of their points.
 
         In a press the compliance falls as d^(-1/2) while the energy at fixed compliance rises as d^(3/2), so that 2/3
-        of the latter is the work that was done on it.
+        of the latter is the work that was done on it. Parts with a law of their own are not counted.
         """
         share, soft = self._share[columns], self._soft[columns][:, :, None]
         depth = torch.minimum((-gap).clamp(min=0.0).view_as(share), soft)
         force = share * stiffness * depth
-        return 2.0 / 3.0 * (0.5 * force * depth * (1.0 - share)).flatten(1).sum(dim=1)
+        round_ = (self._edge[columns] > 0.0)[:, :, None]
+        return 2.0 / 3.0 * (0.5 * force * depth * (1.0 - share) * round_).flatten(1).sum(dim=1)
 
     def resolution(self, touching: torch.Tensor, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """How well the contact of the touches ``columns`` (k,) is resolved, from the points that touch (k, 6 f) bool:

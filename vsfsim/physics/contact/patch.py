@@ -25,6 +25,7 @@ CUTS = (1, 2, 3, 4, 6, 8)
 """Parts along the edge of a quadratic face that its contact may be integrated over."""
 _MOST_CUTS = 4  # of a linear face along its edge
 _A_PRIORI = 4  # most cuts of a quadratic face before a body was found between its points
+_SHARP = 2  # cuts of a quadratic face under a body with edges, whose own points do the rest, see `body_points`
 _FACTOR = (0.1, 20.0)  # bounds of the factor on the contact stiffness of a sheet
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973); the weights add up to 1.
@@ -79,16 +80,19 @@ def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False) -> np.nd
     """Parts along the edge of quadratic faces (f,) that a body of this ``radius`` [m] needs.
 
     The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /
-    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges, whose faces are
-    cut where it is found between the points.
+    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges: its flat sides need
+    few points, and its edges have points of their own. The more of both there are from the beginning, the less the
+    force of a punch depends on where the object was when more were added.
 
     Args:
         radius: of the body; 0 where it has edges, infinite for a plane.
         edge: of the faces (f,) [m].
         local: whether the contact is to be right where it is small against the faces, too.
     """
-    if radius <= 0.0 or not np.isfinite(radius):
+    if not np.isfinite(radius):
         return np.ones(len(edge), int)
+    if radius <= 0.0:
+        return np.full(len(edge), _SHARP)
     wanted = np.minimum(np.sqrt((2.2 if local else 1.6) * edge / radius), _A_PRIORI)
     return np.array(CUTS)[np.searchsorted(CUTS, wanted - 1e-9)]
 

@@ -13,17 +13,18 @@ import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact import condensed, rigid_kernels
+from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_points import BodyPoints
 from vsfsim.physics.contact.face_sums import FaceSums
 from vsfsim.physics.contact.friction import Relaxation
-from vsfsim.physics.contact.growth import carry, finer, neighbours
+from vsfsim.physics.contact.growth import grow, remembered
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import LocalIndentation
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
-from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble, gram
+from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble, gram, picked, rows_of
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
@@ -43,6 +44,7 @@ class RigidContact:
 
     potential_trusted_above, decrease = 0.05, 0.5
     friction_updated_below, deadline = 0.03, float("inf")
+    _begun: np.ndarray | None = None
     patience = 10**9  # never: the limit on iterations ends a touch
 
     patches: list[Patch]
@@ -73,11 +75,11 @@ class RigidContact:
         cuts, self._factor = (1, 1.0) if self._solid else sheet_contact(bodies, model.element_size)
         self._parts = cuts**2  # of a linear face; those of a quadratic one differ
         self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
-        self._shape = wp.array(self._table, dtype=wp.float64, device=device)
         # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
         self._fine = torch.as_tensor(np.zeros((0, 6)) if self._solid else shape_grid(3 * cuts), device=device)
         check = Intrusion if self._solid else SheetIntrusion
         self._passage = check(model.mesh, bodies, model.element_size, device=device)
+        self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
         self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local)
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
@@ -97,16 +99,9 @@ class RigidContact:
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels
-        faces = max(self._parts, max(len(p.part) for p in self.patches))
-        nodes = max(1, max(len(p.nodes) for p in self.patches))
-        listed = np.full((batch, nodes), -1, np.int64)
-        local = np.zeros((batch, faces, 6), np.int32)
-        stiffness, part = np.zeros((batch, faces, 6)), np.zeros((batch, faces), np.int32)
-        member = np.zeros((batch, len(self.model.mesh.faces)), bool)
-        for b, p in enumerate(self.patches):
-            f = len(p.local)
-            listed[b, :len(p.nodes)], local[b, :f] = p.nodes, p.local
-            stiffness[b, :f], part[b, :f], member[b, p.faces] = p.stiffness, p.part, True
+        padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points, self._table)
+        listed, local, part = padded.nodes, padded.local, padded.part
+        faces, nodes = local.shape[1], listed.shape[1]
 
         def tensor(values: np.ndarray) -> torch.Tensor:
             return torch.as_tensor(values, device=self.device)
@@ -124,13 +119,16 @@ class RigidContact:
         # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness. Added,
         # since the columns that a linear face does not use are 0 and may name any node
         at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-        values = tensor(self._table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
+        values = tensor(padded.table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
         self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
         self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
                               device=self.device) if not self._solid else None
-        self._member, self._part = tensor(member), wp.array(part, dtype=wp.int32, device=self.device)
+        self._shape = wp.array(padded.table, dtype=wp.float64, device=self.device)
+        self._of_body = tensor(padded.host >= 0)
+        self._hosts = [wp.array(a, dtype=d, device=self.device) for a, d in padded.hosts(k.vec3)]
+        self._member, self._part = tensor(padded.member), wp.array(part, dtype=wp.int32, device=self.device)
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
-        self._stiffness = wp.array(stiffness, dtype=wp.float64, device=self.device)
+        self._stiffness = wp.array(padded.stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
         self.gap = torch.full(size, 1e30, dtype=torch.float64, device=self.device)
         self._energy = zeros(batch, faces)
@@ -147,13 +145,12 @@ class RigidContact:
         self._relaxation = Relaxation(cut, self.device)
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
                                                    self._points @ self.rest.view(batch, nodes, 3), on=self._sinks)
-        scalars = {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner}
-        vectors = {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across}
-        matrices = {"rows": self._rows, "geometric": self._geometric}
-        self._arrays = {
-            **{name: wp.from_torch(t.view(cut)) for name, t in scalars.items()},
-            **{name: wp.from_torch(t.view(*cut, 3), dtype=k.vec3) for name, t in vectors.items()},
-            **{name: wp.from_torch(t.view(*cut, 3, 3), dtype=k.mat33) for name, t in matrices.items()},
+        self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
+        self._arrays = rigid_kernels.views(
+            cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner},
+            {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across},
+            {"rows": self._rows, "geometric": self._geometric})
+        self._arrays |= {
             "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
             "softening": wp.from_torch(self.softening)}
@@ -162,21 +159,33 @@ class RigidContact:
             self.compliance = self.response.compliance()
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
-        k = self.kernels
-        return (wp.array(pose[..., :3, 3], dtype=k.vec3, device=self.device),
-                wp.array(pose[..., :3, :3], dtype=k.mat33, device=self.device))
+        return (wp.array(pose[..., :3, 3], dtype=self.kernels.vec3, device=self.device),
+                wp.array(pose[..., :3, :3], dtype=self.kernels.mat33, device=self.device))
 
     def begin_step(self, before: np.ndarray, u: torch.Tensor) -> None:
         """See `Contact`."""
-        self._before, self._u_before = self._placed(before), u.clone()
+        self._before, self._u_before, self._begun = self._placed(before), u.clone(), before
         self._relaxation.begin_step()
+        self._body_points.begin_step()
         self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
         """See `Contact`."""
-        self._pose = self._placed(pose)
+        kept = self.friction_state()
+        if (self._begun is not None and columns is not None  # the first move of a step
+                and self._body_points.add(columns, (self._begun, pose), self._u_before, self.patches)):
+            self._renew(pose, kept)
+        self._pose, self._begun = self._placed(pose), None
         self._local_indentation.move(pose)
         self._overlap[:, slice(None) if columns is None else columns] = 0.0
+
+    def _renew(self, pose: np.ndarray, kept: tuple[Any, ...]) -> None:
+        """Go on with other contact points than those of the friction state ``kept``."""
+        self._upload()
+        self._local_indentation.move(pose)
+        if self.has_friction:
+            self.restore_friction(torch.arange(self.batch, device=self.device), kept)
+            self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -199,7 +208,8 @@ class RigidContact:
         self._x[columns] = (self.rest[columns] + displacement).view(len(columns), -1, 3)
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
-                      self._stiffness, *self._local_indentation.arrays, self._arrays["softening"], self.stick],
+                      self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
+                      self.stick],
                      "x anchor owner limit across gap body normal force rows geometric slips wrong_side energy")
 
     def update_friction(self, columns: torch.Tensor) -> None:
@@ -207,7 +217,8 @@ class RigidContact:
         if self.has_friction:
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
-                          *self._local_indentation.arrays, self._arrays["softening"], self._coefficient],
+                          *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
+                          self._coefficient],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
 
     def end_step(self, columns: torch.Tensor) -> None:
@@ -219,7 +230,8 @@ class RigidContact:
 
     def friction_state(self) -> tuple[Any, ...]:
         """See `Contact`; empty without friction."""
-        return (list(self.patches), *(t.clone() for t in self._friction_tensors())) if self.has_friction else ()
+        return (list(self.patches), list(self._body_points.met),
+                *(t.clone() for t in self._friction_tensors())) if self.has_friction else ()
 
     def _friction_tensors(self) -> tuple[torch.Tensor, ...]:
         return self._anchor, self._owner, self._limit, self._across
@@ -228,15 +240,18 @@ class RigidContact:
         """See `Contact`; a patch that has grown since takes what its old points remembered."""
         if not state:
             return
-        patches, *kept = state
+        patches, met, *kept = state
+        points, turn = self._body_points, self._before[1].numpy()
         for b in columns.tolist():
-            if patches[b] is self.patches[b] and kept[0].shape == self._anchor.shape:
+            if (patches[b] is self.patches[b] and met[b] is points.met[b]
+                    and kept[0].shape == self._anchor.shape):
                 for mine, theirs in zip(self._friction_tensors(), kept, strict=True):
                     mine[b] = theirs[b]
                 continue
             rest, u = self.model.mesh.points, self._u_before[:, b].to(torch.float64).cpu().numpy()
-            memory = carry(patches[b], self.patches[b], tuple(t[b].cpu().numpy() for t in kept), self._table,
-                           rest, rest + u.reshape(-1, 3), self._before[1].numpy()[b])
+            memory = remembered(
+                (patches[b], met[b]), (self.patches[b], points.met[b]), tuple(t[b].cpu().numpy() for t in kept),
+                self._table, points.body, self.model.mesh.faces, (rest, rest + u.reshape(-1, 3)), turn[b])
             for mine, values in zip(self._friction_tensors(), memory, strict=True):
                 mine[b] = -1 if mine is self._owner else 0
                 mine[b, :len(values)] = torch.as_tensor(values, device=self.device)
@@ -251,7 +266,8 @@ class RigidContact:
 
     def local_energy(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        return self._local_indentation.energy(self.gap[columns], wp.to_torch(self._stiffness)[columns], columns)
+        own = (self._energy[columns] * self._of_body[columns]).sum(dim=1)
+        return own + self._local_indentation.energy(self.gap[columns], wp.to_torch(self._stiffness)[columns], columns)
 
     def wrong_side(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -318,14 +334,9 @@ class RigidContact:
         return out
 
     def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
-        """The points in contact, padded to the largest number a: their shape values (k, a, s), 0 at padding, and a
-        function that picks them from a table (B, 6 f, ...)."""
-        active = (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
-        most = max(1, int(active.sum(dim=1).amax()))
-        on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
-        order = order[:, :most]
-        return (self._points[columns[:, None], order] * on[:, :most, None],
-                lambda table: table[columns[:, None], order])
+        """The points in contact: shape values (k, a, s), see `picked`, and what picks them from a table."""
+        points, order = picked(self._points, columns, (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0))
+        return points, lambda table: table[columns[:, None], order]
 
     def rows(self, columns: torch.Tensor) -> torch.Tensor:
         """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
@@ -334,9 +345,7 @@ class RigidContact:
         roots = which(self._rows)
         if not self.has_friction:
             roots = roots[:, :, :1]
-        k, a, s = points.shape
-        rows = (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)
-        return rows * self.free[columns][:, None, :]
+        return rows_of(points, roots) * self.free[columns][:, None, :]
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """See `Contact`."""
@@ -374,27 +383,18 @@ class RigidContact:
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
         """See `Contact`."""
-        cut = torch.zeros_like(self._member)
+        cut, moved, kept = torch.zeros_like(self._member), [], self.friction_state()
         if isinstance(self._passage, Intrusion):
             coarse = torch.as_tensor(self._cuts < CUTS[-1], device=self.device)
             self._overlap[:, columns], met, cut = self._passage.grow(columns, pose, u, coarse, touched)
+            moved, beside = self._body_points.renew(columns, pose, u, self.patches)
+            met |= torch.as_tensor(beside, device=self.device)
         else:
-            self._overlap[1, columns] = self._passage.check(columns, pose, u)
-            met = self._reach.met(pose, u)
+            self._overlap[1, columns], met = self._passage.check(columns, pose, u), self._reach.met(pose, u)
         met &= ~self._member  # (B, faces)
-        if not bool((met | cut)[columns].any()):
+        if not (moved or bool((met | cut)[columns].any())):
             return False
-        kept = self.friction_state()
-        for b in columns.tolist():
-            extra, split = np.flatnonzero(met[b].cpu().numpy()), cut[b].cpu().numpy()
-            if not (len(extra) or split.any()):
-                continue
-            faces = np.union1d(self.patches[b].faces, neighbours(self.model.mesh, extra))
-            self._cuts[b] = finer(self._cuts[b], split)
-            self.patches[b] = self._patch(b, faces)
-        self._upload()
-        self._local_indentation.move(pose)
-        if self.has_friction:
-            self.restore_friction(torch.arange(self.batch, device=self.device), kept)
-            self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
+        grow(self.patches, self._cuts, columns.tolist(), met.cpu().numpy(), cut.cpu().numpy(), self.model.mesh,
+             self._patch)
+        self._renew(pose, kept)
         return True

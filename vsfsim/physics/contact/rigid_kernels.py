@@ -2,9 +2,10 @@
 
     Pi_n = sum_q w_q/2 <-g(x_q)>^2,     f_n = -w_q g n     where g < 0
 
-g is the distance to the nearest rigid body at a Gauss point of the surface, w_q its stiffness (`patch`). Under round
-bodies the first part of the penetration is softer: it stands for the indentation that the mesh is too coarse for
-(`local_indentation`). Friction acts
+g is the distance to the nearest rigid body at a Gauss point of the surface, w_q its stiffness (`patch`); or that of a
+point on an edge of a body to a face (`body_points`: part f then has one point, on body ``host``). Under round bodies,
+edges and corners the first part of the penetration is softer: it stands for the indentation that the mesh is too
+coarse for (`local_indentation`). Friction acts
 as `friction` says, with the tangential stiffness STICK w_q: a stuck point gives way by a thousandth of an element at
 most. Slipping points drag their anchor along when the frame is done: stick-slip with history.
 
@@ -14,9 +15,11 @@ positions.
 """
 
 import functools
+from collections.abc import Mapping
 from types import SimpleNamespace
 from typing import Any
 
+import torch
 import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
@@ -28,6 +31,16 @@ width."""
 FACING = 0.5
 """Cosine between the object's and the body's outward normal above which a point inside the body is on its wrong
 side."""
+
+
+def views(cut: tuple[int, int, int], scalars: Mapping[str, torch.Tensor], vectors: Mapping[str, torch.Tensor],
+          matrices: Mapping[str, torch.Tensor]) -> dict[str, Any]:
+    """Values at contact points, their number in the second dimension of a tensor, as Warp arrays of the form ``cut``
+    (touches, parts, 6)."""
+    k = kernels()
+    return ({name: wp.from_torch(t.view(cut)) for name, t in scalars.items()}
+            | {name: wp.from_torch(t.view(*cut, 3), dtype=k.vec3) for name, t in vectors.items()}
+            | {name: wp.from_torch(t.view(*cut, 3, 3), dtype=k.mat33) for name, t in matrices.items()})
 
 
 @functools.cache
@@ -75,6 +88,9 @@ def kernels() -> Any:
         stiffness: wp.array3d(dtype=real),
         share: wp.array3d(dtype=real),
         soft: wp.array2d(dtype=real),
+        host: wp.array2d(dtype=wp.int32),
+        spot: wp.array2d(dtype=vec3),
+        leave: wp.array2d(dtype=vec3),
         softening: wp.array(dtype=real),
         stick: real,
         # state in
@@ -112,21 +128,27 @@ def kernels() -> Any:
             w = softening[b] * stiffness[b, f, q]
             if w > real(0.0):
                 p = place(shape, part, q, b, f, local, x_in)
-                near = int(0)  # noqa: UP018, RUF046
-                for j in range(count):
-                    g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
-                    if g < gap:
-                        gap = g
-                        near = j
+                near = host[b, f]
+                n = -leave[b, f]
+                if near >= 0:  # a point of body ``near`` against the face
+                    gap = wp.dot(n, p - (origin[b, near] + turn[b, near] * spot[b, f]))
+                else:
+                    near = int(0)  # noqa: UP018, RUF046
+                    for j in range(count):
+                        g = probe.gap(bodies, j, wp.transpose(turn[b, j]) * (p - origin[b, j]))
+                        if g < gap:
+                            gap = g
+                            near = j
+                    if gap < real(0.0):
+                        r = turn[b, near]
+                        inside = wp.transpose(r) * (p - origin[b, near])
+                        n = r * probe.normal(bodies, near, inside)
+                        geometric = -(r * probe.curvature(bodies, near, inside) * wp.transpose(r))
+                        if wp.dot(n, outward) > facing:
+                            # the nearest way out leads through the object: the surface has passed the body's middle
+                            wrong += 1
+                            gap = real(0.0)
                 body_out[b, f, q] = near
-                if gap < real(0.0):
-                    r = turn[b, near]
-                    spot = wp.transpose(r) * (p - origin[b, near])
-                    n = r * probe.normal(bodies, near, spot)
-                    if wp.dot(n, outward) > facing:
-                        # the nearest way out leads through the object: the surface has passed the body's middle
-                        wrong += 1
-                        gap = real(0.0)
                 if gap < real(0.0):
                     normal_out[b, f, q] = n
                     size, slope, work = push(w, share[b, f, q], soft[b, f], -gap)
@@ -134,8 +156,10 @@ def kernels() -> Any:
                     root = wp.sqrt(slope)
                     for c in range(3):
                         rows[0, c] = root * n[c]
-                    geometric = -size * (r * probe.curvature(bodies, near, spot) * wp.transpose(r))
+                    geometric = size * geometric
                     energy += work
+                else:
+                    geometric = mat33()
                 # the limit that was found last acts on points that have left since, too: only so there is a potential
                 limit = limit_in[b, f, q]
                 if limit > real(0.0):
@@ -172,6 +196,8 @@ def kernels() -> Any:
         stiffness: wp.array3d(dtype=real),
         share: wp.array3d(dtype=real),
         soft: wp.array2d(dtype=real),
+        host: wp.array2d(dtype=wp.int32),
+        spot: wp.array2d(dtype=vec3),
         softening: wp.array(dtype=real),
         coefficient: wp.array(dtype=real),
         # state in
@@ -215,7 +241,9 @@ def kernels() -> Any:
                     stop = wp.transpose(turn[b, j]) * (p0 - origin[b, j])
                     g0 = wp.max(probe.gap(bodies, j, start), real(0.0))
                     g1 = probe.gap(bodies, j, stop)
-                    if g1 < real(0.0):
+                    if host[b, f] >= 0:
+                        anchor_out[b, f, q] = spot[b, f]
+                    elif g1 < real(0.0):
                         anchor_out[b, f, q] = start + (g0 / (g0 - g1)) * (stop - start)
                     else:
                         p1 = place(shape, part, q, b, f, local, x_in)

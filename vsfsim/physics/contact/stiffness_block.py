@@ -112,3 +112,18 @@ def assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
     right = (stiff[:, :, :, :, None] * points[:, :, None, None, :]).reshape(k, q, 9 * s)
     out = points.mT @ right
     return out.view(k, s, 3, 3, s).permute(0, 1, 2, 4, 3).reshape(k, 3 * s, 3 * s)
+
+
+def picked(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """The ``active`` points (k, q) bool of the touches ``columns`` (k,), padded to the largest number a: their shape
+    values (k, a, s) of ``points`` (B, q, s), 0 at padding, and which they are (k, a)."""
+    most = max(1, int(active.sum(dim=1).amax()))
+    on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
+    order = order[:, :most]
+    return points[columns[:, None], order] * on[:, :most, None], order
+
+
+def rows_of(points: torch.Tensor, roots: torch.Tensor) -> torch.Tensor:
+    """Rows (k, a r, 3 s) of points with shape values (k, a, s) and roots of their stiffness (k, a, r, 3)."""
+    k, a, s = points.shape
+    return (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)

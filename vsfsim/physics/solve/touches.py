@@ -327,6 +327,10 @@ class Solver:
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
+            if time.perf_counter() > deadline:  # no time to look where the bodies are
+                host = columns.cpu().numpy()
+                balance.reason[host] = Reason.TIME
+                return
             grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
             intruded = columns[contact.intruded(columns)]
             if grown:

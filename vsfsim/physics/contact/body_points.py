@@ -1,0 +1,341 @@
+"""Edges, corners and rims of rigid bodies as contact points against the deformed faces of an object.
+
+The contact points of a face (`patch`) do not feel an edge or a corner that lies between them. So the sharp features of
+the bodies carry points of their own, and each acts on the face that it meets:
+
+    g = n . (p - x(xi)),   f = -k(g) g n     on the face at xi
+
+p is the point of the body, x(xi) the nearest point of the deformed boundary and n the direction between them, outward.
+Face, xi and n are found by geometry and are fixed while Newton's method runs, so that the step has a potential; they
+are found again at the equilibrium, which is repeated until they stay (`BodyPoints.renew`). So they depend on the state
+that is found and not on the way to it.
+
+A load on a point or a line sinks into a solid further than elements of size h can show. The stiffness k is therefore
+that of the indentation that is missing down to the depth `SOFT` h, and that of the penalty below it:
+
+    line of length l:  0.7 E/(1 - nu^2) l        (a wedge of 90 degrees: its force grows with its depth)
+    corner:            E/(1 - nu^2) times that depth     (a cone: its force grows with its depth squared)
+
+(Johnson 1985, Contact Mechanics, sections 5.2 and 5.3, without the logarithm of the wedge).
+"""
+
+import functools
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.core.shape import Plane
+from vsfsim.physics.contact import closest_point
+from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
+from vsfsim.physics.contact.growth import NONE, Met
+from vsfsim.physics.contact.local_indentation import poisson_ratio
+from vsfsim.physics.contact.patch import PENALTY, Patch
+from vsfsim.physics.model import Model
+
+SPACING = 0.15
+"""Distance of the points along an edge, over the element size [-]."""
+SOFT = 0.03
+"""Depth down to which a point sinks in locally, over the element size [-]: below what the check by geometry allows."""
+_SMALL = 0.15  # the same over the inner radius of the smallest body
+_AREA = 0.06  # of the face that a point stands for below that depth, over the square of the element size
+_LINE = 0.7  # stiffness of a line over E/(1 - nu^2) and its length
+_NEAR = 0.3  # gap up to which a point of a body is kept ready, over the element size
+_FACING = -0.1  # largest cosine between the outward directions of a body and of the object where they meet
+_GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over the size
+_TINY = 1e-4  # depth at which a point that was not ready is added, over the element size
+_RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
+
+
+class BodyPoints:
+    """The points of the bodies of a batch of B touches.
+
+    Args:
+        model: the object; a sheet meets none, since it has no inside.
+        bodies: the rigid bodies (K).
+        batch: B.
+        device: Warp device.
+    """
+
+    met: list[Met]
+    """What each touch meets (B)."""
+    spot: np.ndarray
+    """The points in the frames of their bodies (m, 3) [m]."""
+    body: np.ndarray
+    """Their bodies (m,)."""
+
+    def __init__(self, model: Model, bodies: RigidBodies, batch: int, *, device: str):
+        self.model, self.device = model, device
+        size = model.element_size
+        least = min(inner_radius(s) for s in bodies.shapes)
+        solid = model.mesh.faces.shape[1] == 6
+        found = [sharp_samples(s if solid else Plane(), SPACING * size) for s in bodies.shapes]
+        self.spot, self._outward, self._length = (np.concatenate([f[i] for f in found]) for i in range(3))
+        self.body = np.repeat(np.arange(len(found)), [len(f[0]) for f in found])
+        self._soft = min(SOFT * size, _SMALL * least)
+        self._size, self._near = size, min(_NEAR * size, 2.0 * least)
+        self.met = [NONE] * batch
+        self._renewals = 0
+        if len(self.spot):
+            self._kernels = kernels()
+            self._faces = torch.as_tensor(model.mesh.faces[None].astype(np.int32), device=device)
+            self._rest = torch.as_tensor(model.mesh.points, device=device)
+
+    def begin_step(self) -> None:
+        """A step begins: the points may be found again."""
+        self._renewals = 0
+
+    def stiffness(self, met: Met) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Stiffness below the soft depth (n,) [N/m], the part of it that acts down to there (n,) [-], and that depth
+        (n,) [m]."""
+        young = self.model.surface_modulus[met.face]
+        most = _AREA * PENALTY * young * self._size
+        length = self._length[met.sample]
+        plane = young / (1.0 - (poisson_ratio(self.model) or 0.0) ** 2)
+        soft = plane * np.where(length > 0.0, _LINE * length, self._soft)
+        return most, np.minimum(soft / most, 1.0), np.full(len(young), self._soft)
+
+    def renew(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor,
+              patches: Sequence[Patch]) -> tuple[list[int], np.ndarray]:
+        """Find the places of the points on the deformed boundary again.
+
+        Args:
+            columns: touches (k,).
+            pose: poses (B, K, 4, 4).
+            u: displacements (3 n, B) [m].
+            patches: of all touches (B).
+
+        Returns:
+            The touches whose points have changed, and faces outside their patches that are met (B, F) bool.
+        """
+        outside = np.zeros((len(self.met), len(self.model.mesh.faces)), bool)
+        if not len(self.spot) or self._renewals >= _RENEWALS:
+            return [], outside
+        changed = []
+        points = self.model.mesh.points
+        for b, new in zip(columns.tolist(), self._find(columns, pose, u, self._near), strict=True):
+            known = np.isin(new.face, patches[b].faces)
+            outside[b, new.face[~known & (new.gap < 0.0)]] = True
+            new = new.pick(known)
+            moved = points + u[:, b].to(torch.float64).cpu().numpy().reshape(-1, 3)
+            if outside[b].any() or self._differ(self.met[b], new, pose[b], moved):
+                self.met[b] = new
+                changed.append(b)
+        self._renewals += bool(changed)
+        return changed, outside
+
+    def add(self, columns: torch.Tensor, poses: tuple[np.ndarray, np.ndarray], u: torch.Tensor,
+            patches: Sequence[Patch]) -> bool:
+        """Add points that a step may meet, before it is made: their places are those of the boundary as it was.
+
+        A long step would otherwise begin without them and end deep in the object, where the nearest boundary is that
+        beside the body.
+
+        Args:
+            columns, u, patches: see `renew`; the displacements are those before the step.
+            poses: before and after the step (B, K, 4, 4).
+
+        Returns:
+            Whether any touch has more points.
+        """
+        more = False
+        if not len(self.spot):
+            return more
+        way = float(np.linalg.norm((poses[1] - poses[0])[..., :3, 3], axis=-1).max())
+        for b, new in zip(columns.tolist(), self._find(columns, poses[1], u, self._near + way), strict=True):
+            new = new.pick(np.isin(new.face, patches[b].faces) & ~np.isin(new.sample, self.met[b].sample))
+            if len(new.sample):
+                both = zip(astuple(self.met[b]), astuple(new), strict=True)
+                self.met[b], more = Met(*(np.concatenate(pair) for pair in both)), True
+        return more
+
+    def _differ(self, old: Met, new: Met, pose: np.ndarray, points: np.ndarray) -> bool:
+        """Whether the contact at ``new`` is another than that at ``old``, with the nodes at ``points`` (n, 3) [m] and
+        the bodies at ``pose`` (K, 4, 4)."""
+        faces, tolerance = self.model.mesh.faces, _GAP * self._soft
+        place = np.full(len(self.spot), -1)
+        place[old.sample] = np.arange(len(old.sample))
+        at = place[new.sample]
+        if (new.gap[at < 0] < -_TINY * self._size).any():
+            return True
+        both, known = new.pick(at >= 0), old.pick(at[at >= 0])
+        turn, origin = pose[self.body[both.sample], :3, :3], pose[self.body[both.sample], :3, 3]
+        spot = origin + np.einsum("nij,nj->ni", turn, self.spot[both.sample])
+        before = known.places(faces, points)
+        gap = np.einsum("nc,nc->n", known.normal, spot - before)
+        acts = (np.minimum(gap, both.gap) < 0.0)
+        shift = np.linalg.norm(before - both.places(faces, points), axis=1)
+        off = np.abs(np.minimum(gap, 0.0) - np.minimum(both.gap, 0.0))
+        if (acts & ((off > tolerance) | (shift > _SHIFT * self._size))).any():
+            return True
+        # one that acts and is no longer near any face
+        gone = old.pick(~np.isin(old.sample, new.sample))
+        turn, origin = pose[self.body[gone.sample], :3, :3], pose[self.body[gone.sample], :3, 3]
+        spot = origin + np.einsum("nij,nj->ni", turn, self.spot[gone.sample])
+        return bool((np.einsum("nc,nc->n", gone.normal, spot - gone.places(faces, points)) < 0.0).any())
+
+    def _find(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, near: float) -> list[Met]:
+        k, device, count = self._kernels, self.device, len(columns)
+        host = columns.cpu().numpy()
+        moved = u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+        x = (self._rest + moved).contiguous()
+        turn, origin = pose[host][:, :, :3, :3][:, self.body], pose[host][:, :, :3, 3][:, self.body]
+        spot = origin + np.einsum("kmij,mj->kmi", turn, self.spot)
+        outward = np.einsum("kmij,mj->kmi", turn, self._outward)
+        corner = x[:, self._faces[0].long()]  # (k, F, 6, 3)
+        middle = corner.mean(dim=2)
+        balls = torch.cat([middle, 1.5 * (corner - middle[:, :, None]).norm(dim=3).amax(dim=2)[:, :, None]], dim=2)
+        face = torch.full((count, len(self.spot)), -1, dtype=torch.int32, device=device)
+        values = torch.zeros((count, len(self.spot), 6), dtype=torch.float64, device=device)
+        normal = torch.zeros((count, len(self.spot), 3), dtype=torch.float64, device=device)
+        gap = torch.zeros((count, len(self.spot)), dtype=torch.float64, device=device)
+        wp.launch(k.find, dim=face.shape, device=device, inputs=[
+            wp.from_torch(self._faces.expand(count, -1, -1)), near, 1e-3 * self._size,
+            wp.array(spot, dtype=k.vec3, device=device), wp.array(outward, dtype=k.vec3, device=device),
+            wp.from_torch(x, dtype=k.vec3), wp.from_torch(balls.contiguous(), dtype=k.vec4), wp.from_torch(face),
+            wp.from_torch(values, dtype=k.vec6), wp.from_torch(normal, dtype=k.vec3), wp.from_torch(gap)])
+        out = []
+        for f, v, n, g in zip(*(t.cpu().numpy() for t in (face, values, normal, gap)), strict=True):
+            on = np.flatnonzero(f >= 0)
+            out.append(Met(on, f[on].astype(np.int64), v[on], n[on], g[on]))
+        return out
+
+
+@dataclass(frozen=True)
+class Padded:
+    """The patches of B touches and the points of bodies that they meet, padded to s nodes and f parts."""
+
+    nodes: np.ndarray
+    """Nodes of the patches (B, s); -1 is padding."""
+    local: np.ndarray
+    """Positions in `nodes` of the nodes of each part (B, f, 6)."""
+    stiffness: np.ndarray
+    """Of each contact point (B, f, 6) [N/m]; a point of a body is the first of a part of its own."""
+    part: np.ndarray
+    """Row of each part in `table` (B, f)."""
+    table: np.ndarray
+    """Shape values of the points of all parts (p, 6, 6)."""
+    member: np.ndarray
+    """Boundary triangles of the patches (B, F) bool."""
+    host: np.ndarray
+    """The body whose point a part is (B, f); -1 for parts of a face."""
+    spot: np.ndarray
+    """That point in the frame of its body (B, f, 3) [m]."""
+    normal: np.ndarray
+    """Direction in which it leaves the object (B, f, 3) [-]."""
+    share: np.ndarray
+    """Share of the stiffness that acts at first, of all points of bodies (n,) [-]."""
+    soft: np.ndarray
+    """Depth down to which it does (n,) [m]."""
+
+    def hosts(self, vec3: Any) -> tuple[tuple[np.ndarray, Any], ...]:
+        """What the kernels need of `host`, `spot` and `normal`, with their types."""
+        return (self.host, wp.int32), (self.spot, vec3), (self.normal, vec3)
+
+
+def pad(patches: Sequence[Patch], faces: np.ndarray, least: int, points: BodyPoints,
+        table: np.ndarray) -> Padded:
+    """The patches (B) of a mesh with the boundary triangles ``faces`` (F, 6 or 3), and the points of bodies that they
+    meet.
+
+    Args:
+        patches, faces: see above.
+        least: parts at the least.
+        points: of the bodies.
+        table: shape values of the parts of faces (p, 6, 6).
+    """
+    batch, met = len(patches), points.met
+    f = max(least, max(len(p.part) + len(m.sample) for p, m in zip(patches, met, strict=True)))
+    s = max(1, max(len(p.nodes) for p in patches))
+    out = Padded(np.full((batch, s), -1, np.int64), np.zeros((batch, f, 6), np.int32), np.zeros((batch, f, 6)),
+                 np.zeros((batch, f), np.int32), np.zeros((len(table) + sum(len(m.sample) for m in met), 6, 6)),
+                 np.zeros((batch, len(faces)), bool), np.full((batch, f), -1, np.int32), np.zeros((batch, f, 3)),
+                 np.zeros((batch, f, 3)), *(np.zeros(sum(len(m.sample) for m in met)) for _ in range(2)))
+    out.table[:len(table)] = table
+    done = 0
+    for b, (p, m) in enumerate(zip(patches, met, strict=True)):
+        own, count = len(p.part), len(m.sample)
+        out.nodes[b, :len(p.nodes)], out.local[b, :own], out.part[b, :own] = p.nodes, p.local, p.part
+        out.stiffness[b, :own], out.member[b, p.faces] = p.stiffness, True
+        at, rows = slice(own, own + count), slice(done, done + count)
+        out.local[b, at, :faces.shape[1]] = np.searchsorted(p.nodes, faces[m.face])
+        out.part[b, at] = len(table) + np.arange(done, done + count)
+        out.table[len(table) + done:len(table) + done + count, 0] = m.values
+        out.stiffness[b, at, 0], out.share[rows], out.soft[rows] = points.stiffness(m)
+        out.host[b, at], out.spot[b, at], out.normal[b, at] = points.body[m.sample], points.spot[m.sample], m.normal
+        done += count
+    return out
+
+
+@functools.cache
+def kernels() -> Any:
+    """The kernel that finds the places of points on a deformed boundary, and its types."""
+    real = wp.float64
+    vec3 = wp.types.vector(length=3, dtype=real)
+    vec4 = wp.types.vector(length=4, dtype=real)
+    vec6 = wp.types.vector(length=6, dtype=real)
+    module = "vsfsim_body_points"
+    closest = closest_point.functions(real, module)
+    facing = wp.constant(real(_FACING))
+
+    @wp.kernel(module=module, enable_backward=False)
+    def find(
+        # model
+        faces: wp.array3d(dtype=wp.int32),
+        near: real,
+        tiny: real,
+        # state in
+        spot: wp.array2d(dtype=vec3),
+        outward: wp.array2d(dtype=vec3),
+        x_in: wp.array2d(dtype=vec3),
+        ball_in: wp.array2d(dtype=vec4),
+        # state out
+        face_out: wp.array2d(dtype=wp.int32),
+        values_out: wp.array2d(dtype=vec6),
+        normal_out: wp.array2d(dtype=vec3),
+        gap_out: wp.array2d(dtype=real),
+    ):
+        # the nearest face; behind the middle of a sheet that is its far side, and the nearest that faces the body is
+        # taken
+        b, i = wp.tid()
+        p = spot[b, i]
+        least = near
+        least_facing = near
+        other = real(1.0)
+        face = int(-1)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
+        values = vec6()
+        at = vec3()
+        normal = vec3()
+        for f in range(faces.shape[1]):
+            ball = ball_in[b, f]
+            if wp.length(p - vec3(ball[0], ball[1], ball[2])) - ball[3] < least_facing:
+                v, c, n = closest.nearest(p, b, f, 6, faces, x_in)
+                away = wp.length(p - c)
+                if away < least:
+                    least = away
+                    other = wp.dot(n, p - c)
+                if away < least_facing and wp.dot(n, outward[b, i]) < facing:
+                    least_facing = away
+                    face = f
+                    values = v
+                    at = c
+                    normal = n
+        # outside the object, beside a face that does not face the body: no contact
+        if face >= 0 and not (least < least_facing and other >= real(0.0)):
+            gap = wp.dot(normal, p - at)
+            n = (at - p) + tiny * normal
+            if gap > real(0.0):
+                n = (p - at) + tiny * normal
+            n = wp.normalize(n)
+            face_out[b, i] = face
+            values_out[b, i] = values
+            normal_out[b, i] = n
+            gap_out[b, i] = wp.dot(n, p - at)
+
+    return SimpleNamespace(find=find, vec3=vec3, vec4=vec4, vec6=vec6)
