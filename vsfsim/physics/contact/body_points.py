@@ -48,7 +48,7 @@ _AREA = 0.06  # of the face that a point stands for below that depth, over the s
 _LINE = 0.7  # stiffness of a line over E/(1 - nu^2) and its length
 _NEAR = 0.3  # gap up to which a point of a body is kept ready, over the element size
 _FACING = -0.1  # largest cosine between the outward directions of a body and of the object where they meet
-_GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over the size
+_GAP, _SHIFT = 1.0, 0.3  # changes that ask for a new equilibrium: of a gap over the soft depth, of a place over h
 _TINY = 1e-4  # depth at which a point that was not ready is added, over the element size
 _RENEWALS = 3  # times in a step; a body that is then inside is marked all the same, see `intrusion`
 

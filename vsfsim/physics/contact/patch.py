@@ -80,9 +80,9 @@ def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False) -> np.nd
     """Parts along the edge of quadratic faces (f,) that a body of this ``radius`` [m] needs.
 
     The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /
-    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges: its flat sides need
-    few points, and its edges have points of their own. The more of both there are from the beginning, the less the
-    force of a punch depends on where the object was when more were added.
+    cuts)^2 / (2 R) deep, which these parts hold under 2 % of an edge. Radius 0 is a body with edges: its flat sides
+    need few points, and its edges have points of their own. The more of both there are from the beginning, the less
+    the force of a punch depends on where the object was when more were added.
 
     Args:
         radius: of the body; 0 where it has edges, infinite for a plane.
