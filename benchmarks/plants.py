@@ -83,7 +83,7 @@ def measure(*, device: str = "cpu", scene: str = "plants", objects: int | None =
     found: list[RodFrames] = []
     segments: list[int] = []
     planned = 0
-    with process_pool(len(jobs), count) as pool:
+    with process_pool(len(jobs), count, device=device) as pool:
         waiting: list[Future[tuple[ObjectView, Seconds]]] = []
         for _, subject, frames in touched(jobs, pool, device=device, spent=spent,
                                           until=None if seconds is None else start + _SOLVE_SHARE * seconds,

@@ -29,10 +29,11 @@ _LONGEST_FOLDER = 60
 """Of temporary files; the address of a socket has 108 characters."""
 
 
-def _processes() -> Any:
-    """How workers begin: as forks of a server that has imported `_PRELOAD` and does nothing else, where the system has
-    that, and anew otherwise. Never as forks of this process, whose threads and GPU they could not use."""
-    if "forkserver" not in multiprocessing.get_all_start_methods() or len(tempfile.gettempdir()) > _LONGEST_FOLDER:
+def _processes(device: str) -> Any:
+    """How workers begin: on a CPU as forks of a server that has imported `_PRELOAD` and does nothing else, where the
+    system has that, and anew otherwise. Never as forks of this process, whose threads and GPU they could not use."""
+    if (device != "cpu" or "forkserver" not in multiprocessing.get_all_start_methods()
+            or len(tempfile.gettempdir()) > _LONGEST_FOLDER):
         return multiprocessing.get_context("spawn")
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(_PRELOAD))
@@ -40,17 +41,17 @@ def _processes() -> Any:
 
 
 @contextlib.contextmanager
-def process_pool(jobs: int, workers: int | None, *, begin: Callable[..., None] | None = None,
+def process_pool(jobs: int, workers: int | None, *, device: str = "cpu", begin: Callable[..., None] | None = None,
                  given: Sequence[Any] = ()) -> Iterator[ProcessPoolExecutor]:
     """New processes of one thread each, ``workers`` of them (None: one for every core), and no more than ``jobs``.
 
     One thread, because a sum that is split over threads depends on how many there are. Each process calls ``begin``
-    with the operands ``given`` first.
+    with the operands ``given`` first. ``device`` is the one that they will use.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     pool = ProcessPoolExecutor(max(1, min(workers or os.cpu_count() or 1, jobs)),
-                               mp_context=_processes(), initializer=_set_up,
+                               mp_context=_processes(device), initializer=_set_up,
                                initargs=(dict(os.environ), begin, tuple(given)))
     before_us = set(multiprocessing.active_children())
     try:
@@ -96,8 +97,8 @@ def make_each(jobs: Sequence[Job], *, device: str, workers: int | None) -> Itera
         VsfsimError: of the first view that fails; the others are then cancelled.
     """
     count = workers or (None if device == "cpu" else 1)
-    queue = _processes().Queue()
-    with process_pool(len(jobs), count, begin=_begin, given=(queue,)) as pool:
+    queue = _processes(device).Queue()
+    with process_pool(len(jobs), count, device=device, begin=_begin, given=(queue,)) as pool:
         futures = [submit(pool, _make, job, device) for job in jobs]
         threading.Thread(target=_close, args=(futures, queue), daemon=True).start()
         while (item := queue.get()) is not None:

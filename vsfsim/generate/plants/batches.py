@@ -167,7 +167,7 @@ def make_together(jobs: Sequence[Job], *, device: str, workers: int | None,
         workers: processes, or None for one a core.
         part: touches that a process aims at a time.
     """
-    with process_pool(len(jobs), workers) as pool:
+    with process_pool(len(jobs), workers, device=device) as pool:
         writing: list[Future[None]] = []
         for k, subject, frames in touched(jobs, pool, device=device, spent=Seconds(), part=part):
             writing.append(submit(pool, _write, jobs[k], subject, frames, device))
