@@ -203,8 +203,9 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     out = []
     for part in (aims[k:k + width] for k in range(0, len(aims), width)):
         poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in part] for d in depth])
-        frames = Solver(model, scene.probe, friction=scene.object.friction, device=device,
-                        options=SolverOptions(tolerance=1e-3, local_indentation=True), linear=True).run(poses)
+        # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
+        frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, linear=True,
+                        options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
         vectors = np.where(frames.converged[..., None], frames.force, frames.unbalanced_force)
         force = np.linalg.norm(vectors, axis=-1)
         for k, a in enumerate(part):
