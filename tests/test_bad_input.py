@@ -79,16 +79,24 @@ def assert_refused(out, message):
     assert out.stdout == "" and "Traceback" not in out.stderr
 
 
-@pytest.fixture
-def toy(tmp_path, monkeypatch):
-    """A mock dataset and a task on it."""
+@pytest.fixture(scope="module")
+def mock_dataset(tmp_path_factory):
+    """The folder of a mock dataset that each test copies."""
+    folder = tmp_path_factory.mktemp("mock") / "toy"
     views = [mock_view(i, split="train" if i < 1 else "test", touches=12) for i in range(3)]
     recipe = Recipe(scene="mock", scene_text="mock", seed=0, objects=3, views=1, touches=12,
                     splits={"train": 1, "test": 2}, device="cpu", tier="vsf", precision="float64", renderer="warp")
-    with DatasetWriter(tmp_path / "toy", recipe, [view.name for view in views]) as writer:
+    with DatasetWriter(folder, recipe, [view.name for view in views]) as writer:
         for view in views:
             writer.add(view)
         writer.finish()
+    return folder
+
+
+@pytest.fixture
+def toy(mock_dataset, tmp_path, monkeypatch):
+    """A mock dataset and a task on it."""
+    shutil.copytree(mock_dataset, tmp_path / "toy")
     (tmp_path / "toy-v1.toml").write_text(TASK)
     monkeypatch.syspath_prepend(HERE / "bench")  # of toy_methods
     return tmp_path
