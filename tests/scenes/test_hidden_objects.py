@@ -85,5 +85,6 @@ def test_the_truth_knows_the_hidden_object(name: str) -> None:
 def test_a_rope_is_stiffer_than_its_bed_in_the_mesh() -> None:
     _, scene = of("rope-punyo", 0)
     _, values = tiers.body(scene, "fem-coarse")
-    assert values.min() == pytest.approx(3e4) and values.max() == pytest.approx(2e6)
-    assert 0.005 < (values.mean(axis=1) > 1e6).mean() < 0.2
+    # an element of 12 mm holds a part of a rope of 10 mm and a part of the bed: its modulus lies between theirs
+    assert values.min() == pytest.approx(3e4) and 10.0 * 3e4 < values.max() < 2e6
+    assert 0.005 < (values.mean(axis=1) > 2.0 * 3e4).mean() < 0.2
