@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
@@ -13,6 +14,9 @@ REACH = 0.005
 """A point counts as reached within this distance of the probe [m]: the spacing of the papers' particles on shoes."""
 
 
+SIMPLE = "touches of a dataset have a simple probe"
+
+
 def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.ndarray | None = None,
             reach: float = REACH) -> np.ndarray:
     """True where the probe comes within ``reach`` [m] of a point in any frame: (k,) bool.
@@ -21,26 +25,37 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
         points: world (k, 3) [m]. probe: its shape. poses: probe-to-world (T, 4, 4) [m]. q: joint angles (T, dof) [rad]
         of an arm, which is reached by all of its capsules.
     """
-    if isinstance(probe, Chain):
-        assert q is not None, "an arm's touch has joint angles"
-        at, out = probe.capsule_poses(probe.links(q)), np.zeros(len(points), bool)
-        for k, c in enumerate(probe.capsules):
-            if probe.moves(c.link).any():
-                out |= reached(points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k],
-                               reach=reach)
-        return out
     out = np.zeros(len(points), bool)
-    for pose in poses:
-        local = (points - pose[:3, 3]) @ pose[:3, :3]
-        out |= distance(local, probe) <= reach
+    if not len(points):
+        return out
+    tree = cKDTree(points)
+    if not isinstance(probe, Chain):
+        _mark(out, tree, probe, poses, reach)
+        return out
+    assert q is not None, "an arm's touch has joint angles"
+    at = probe.capsule_poses(probe.links(q))
+    for k, c in enumerate(probe.capsules):
+        if probe.moves(c.link).any():
+            _mark(out, tree, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach)
     return out
+
+
+def _mark(out: np.ndarray, tree: cKDTree, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
+    """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
+    capsules, most of them far from the object in every frame."""
+    assert not isinstance(probe, MeshFile | Chain), SIMPLE
+    far = float(np.linalg.norm(probe.points, axis=1).max()) if isinstance(probe, Dome) else signed_distance.reach(probe)
+    for pose, near in zip(poses, tree.query_ball_point(poses[:, :3, 3], 1.001 * (far + 2.0 * reach)), strict=True):
+        left = [k for k in near if not out[k]]
+        if left:
+            out[left] = distance((tree.data[left] - pose[:3, 3]) @ pose[:3, :3], probe) <= reach
 
 
 def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
     """Distance (k,) [m] from points (k, 3) [m] in the probe's frame to its solid; 0 or negative inside."""
     if isinstance(probe, Dome):
         return _from_dome(local, probe)
-    assert not isinstance(probe, MeshFile | Chain), "touches of a dataset have a simple probe"
+    assert not isinstance(probe, MeshFile | Chain), SIMPLE
     return signed_distance.distance(probe, local)
 
 
