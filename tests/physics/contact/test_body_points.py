@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stability.damaged_mesh import write_pyramid
 from vsfsim.core.shape import Box, Cylinder, MeshFile, Sphere
 from vsfsim.generate.aim import clearance
-from vsfsim.physics.contact.body_samples import sharp_samples
+from vsfsim.physics.contact.body_samples import has_edges, sharp_samples
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -102,6 +103,8 @@ def test_samples_of_edges(tmp_path):
     tip = points[:, 2].argmin()
     assert length[tip] == 0.0 and outward[tip] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
     assert (length == 0.0).sum() == 5, "the tip and four corners"
+    trimesh.creation.icosphere(subdivisions=3, radius=0.01).export(tmp_path / "ball.obj")
+    assert not has_edges(MeshFile(str(tmp_path / "ball.obj"))) and has_edges(MeshFile(str(tmp_path / "pyramid.obj")))
 
 
 @pytest.mark.parametrize("kind", SHARP)

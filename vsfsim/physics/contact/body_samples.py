@@ -55,6 +55,12 @@ def body_samples(shape: ProbeShape, spacing: float) -> np.ndarray:
     return points
 
 
+@functools.lru_cache(maxsize=64)
+def has_edges(shape: ProbeShape) -> bool:
+    """Whether a body has edges, corners or rims; the mesh of a smooth body has none."""
+    return len(_sharp(shape, float("inf"))[0]) > 0
+
+
 def sharp_samples(shape: ProbeShape, spacing: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points on the edges, corners and rims of a body in its own frame, at most ``spacing`` [m] apart, wider where a
     body would have more than 2,000 of them.

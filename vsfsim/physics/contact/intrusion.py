@@ -18,8 +18,8 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point, sdf
 from vsfsim.physics.contact.bodies import RigidBodies
-from vsfsim.physics.contact.body_samples import body_samples, inner_radius
-from vsfsim.physics.contact.patch import shape_values, smooth_radius
+from vsfsim.physics.contact.body_samples import body_samples, has_edges, inner_radius
+from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
 DEEP = 0.05
@@ -72,7 +72,7 @@ class Intrusion:
         small = min(inner_radius(s) for s in bodies.shapes)
         self.tolerance = min(DEEP * size, _SMALL * small)
         self.lost = _LOST * self.tolerance
-        sharp = any(smooth_radius(s) == 0.0 for s in bodies.shapes)
+        sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
         self._set, self._count = bodies.upload(k.sdf, device), len(bodies)
         samples = [body_samples(s, _SPACING * min(size, inner_radius(s))) for s in bodies.shapes]

@@ -9,6 +9,7 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import has_edges
 from vsfsim.physics.contact.patch import smooth_radius, solid_cuts
 from vsfsim.physics.model import Model
 
@@ -67,7 +68,10 @@ class Reach:
         if self.model.mesh.faces.shape[1] == 6:
             edge = np.sqrt(2.0 * self.model.mesh.face_area())
             for shape, gap in zip(self.bodies.shapes, gaps, strict=True):
-                wanted = solid_cuts(smooth_radius(shape), edge, local=self._local)
+                radius = smooth_radius(shape)
+                if radius == 0.0 and not has_edges(shape):
+                    radius = np.inf  # the mesh of a smooth body: faces are cut where it is found between the points
+                wanted = solid_cuts(radius, edge, local=self._local)
                 out = np.maximum(out, np.where(self._reachable(gap).cpu().numpy(), wanted, 1))
         return first, reachable, out
 
