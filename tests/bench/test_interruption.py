@@ -84,8 +84,8 @@ def npz(**arrays):
     return write
 
 
-def header(shape, dtype):
-    """An .npz whose header claims more than there is."""
+def header(shape, dtype, spoiled=b""):
+    """An .npz whose header claims more than there is; ``spoiled`` is written over its closing brace."""
     def write(path):
         import io
         import zipfile
@@ -93,7 +93,7 @@ def header(shape, dtype):
         out = io.BytesIO()
         np.lib.format.write_array_header_1_0(out, {"descr": dtype, "fortran_order": False, "shape": shape})
         with zipfile.ZipFile(path, "w") as file:
-            file.writestr("mock-0001-v0/0/0/003.npy", out.getvalue())
+            file.writestr("mock-0001-v0/0/0/003.npy", out.getvalue().replace(b"}", spoiled or b"}"))
     return write
 
 
@@ -105,6 +105,7 @@ def header(shape, dtype):
     (header((12, 1), "<f8"), "ends after 0 of 96 bytes"),
     (header((12, 1), "<U3"), "has shape .* and dtype <U3; it must be real numbers"),
     (header((12, 1), "|O"), "dtype object; it must be real numbers"),
+    (header((12, 1), "<f8", b" "), "cannot be read: "),  # numpy looks for the end of a Python statement
     (npz(x=np.zeros(3)), "have no 'mock-0001-v0/0/0/"),
 ])
 def test_predictions_that_are_not(task, toy_dataset, tmp_path, write, message):

@@ -11,6 +11,7 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 from zipfile import BadZipFile, ZipFile
 
@@ -164,7 +165,7 @@ class PredictionFile:
                 size = int(np.prod(shape)) * dtype.itemsize
                 content = file.read(size)
         except (OSError, ValueError, EOFError, KeyError, BadZipFile, NotImplementedError, RuntimeError, SyntaxError,
-                TypeError, zlib.error, lzma.LZMAError) as error:
+                TypeError, TokenError, zlib.error, lzma.LZMAError) as error:  # numpy parses a header as Python
             raise MethodError(f"predictions {self.path}: '{key}' cannot be read: {plain(error)}. Write the file "
                               f"again.") from error
         if len(content) != size:
