@@ -302,7 +302,7 @@ def plant_learning(task: Annotated[str, typer.Argument(metavar="TASK", help="Nam
                                                                             "path of its .toml file.")],
                    dataset: DatasetFolder = None,
                    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1, out: JsonFile = None) -> None:
-    """What limits a field of springs on plants: touches, noise, settings, or what springs can represent."""
+    """What limits a field of springs on plants: touches, noise, where springs start, or what they can represent."""
     from benchmarks.artificial_plants.learning import measure
 
     _report(measure(task, folder=dataset, workers=workers, progress=step), out)
