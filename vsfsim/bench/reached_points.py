@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
@@ -12,8 +11,6 @@ from vsfsim.core.shape import Capsule, MeshFile, ProbeShape
 
 REACH = 0.005
 """A point counts as reached within this distance of the probe [m]: the spacing of the papers' particles on shoes."""
-
-
 SIMPLE = "touches of a dataset have a simple probe"
 
 
@@ -26,29 +23,32 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
         of an arm, which is reached by all of its capsules.
     """
     out = np.zeros(len(points), bool)
-    if not len(points):
-        return out
-    tree = cKDTree(points)
     if not isinstance(probe, Chain):
-        _mark(out, tree, probe, poses, reach)
+        _mark(out, points, probe, poses, reach)
         return out
     assert q is not None, "an arm's touch has joint angles"
     at = probe.capsule_poses(probe.links(q))
     for k, c in enumerate(probe.capsules):
         if probe.moves(c.link).any():
-            _mark(out, tree, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach)
+            _mark(out, points, Capsule(c.radius, float(np.linalg.norm(np.subtract(c.stop, c.start)))), at[:, k], reach)
     return out
 
 
-def _mark(out: np.ndarray, tree: cKDTree, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
+def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
     capsules, most of them far from the object in every frame."""
     assert not isinstance(probe, MeshFile | Chain), SIMPLE
-    far = float(np.linalg.norm(probe.points, axis=1).max()) if isinstance(probe, Dome) else signed_distance.reach(probe)
-    for pose, near in zip(poses, tree.query_ball_point(poses[:, :3, 3], 1.001 * (far + 2.0 * reach)), strict=True):
-        left = [k for k in near if not out[k]]
-        if left:
-            out[left] = distance((tree.data[left] - pose[:3, 3]) @ pose[:3, :3], probe) <= reach
+    size = np.linalg.norm(probe.points, axis=1).max() if isinstance(probe, Dome) else signed_distance.reach(probe)
+    ball = 1.001 * (size + 2.0 * reach)
+    if not len(points):
+        return
+    middle = points.mean(axis=0)
+    own, at = points - middle, poses[:, :3, 3] - middle
+    away = (at**2).sum(axis=1)[:, None] + (own**2).sum(axis=1) - 2.0 * at @ own.T  # squared distances (T, k)
+    for pose, near in zip(poses, away <= ball**2, strict=True):
+        left = np.flatnonzero(near & ~out) if near.any() else ()
+        if len(left):
+            out[left] = distance((points[left] - pose[:3, 3]) @ pose[:3, :3], probe) <= reach
 
 
 def distance(local: np.ndarray, probe: ProbeShape) -> np.ndarray:
