@@ -85,6 +85,8 @@ def _edges_first(model: Model, probe: ProbeShape, pose: np.ndarray, axis: np.nda
     """The same for the edges and corners of the probe alone: their points against the triangles at rest."""
     spot, outward, _ = sharp_samples(probe, 0.5 * model.element_size)
     leading = outward @ (pose[:3, :3].T @ axis) > 0.0
+    if not leading.any():  # a ball, say
+        return float("inf")
     spot = (spot @ pose[:3, :3].T + pose[:3, 3])[leading]
     corner = model.mesh.points[model.mesh.faces[:, :3]]
     side, up = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
