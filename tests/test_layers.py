@@ -5,6 +5,7 @@ there.
 """
 
 import ast
+import functools
 import sys
 from collections import Counter
 from pathlib import Path
@@ -106,29 +107,31 @@ def is_for_types(node: ast.AST) -> bool:
     return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
 
 
-def imports(tree: ast.Module, module: str):
-    """(line, imported module, inside a function or for types alone) of every import; ``module`` resolves relative ones
-    and `from vsfsim import x`."""
-    inside = {id(node) for f in ast.walk(tree)
-              if isinstance(f, (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda)) or is_for_types(f)
-              for node in ast.walk(f)}
-    for node in ast.walk(tree):
+@functools.cache
+def imports(text: str, module: str):
+    """(line, imported module, inside a function or for types alone) of every import in a file's text; ``module``
+    resolves relative ones and `from vsfsim import x`."""
+    out = []
+    todo = [(node, False) for node in ast.parse(text).body]
+    while todo:
+        node, inside = todo.pop()
+        inside = (inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+                  or is_for_types(node))
+        todo += [(child, inside) for child in ast.iter_child_nodes(node)]
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name, id(node) in inside
+            out += [(node.lineno, alias.name, inside) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             origin = node.module or ""
             if node.level:
                 origin = ".".join([*module.split(".")[: -node.level], *([origin] if origin else [])])
-            for alias in node.names:
-                yield node.lineno, f"{origin}.{alias.name}", id(node) in inside
+            out += [(node.lineno, f"{origin}.{alias.name}", inside) for alias in node.names]
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute | ast.Name):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else node.func.id
             if name in ("import_module", "__import__") and node.args:
                 given = node.args[0].values[0] if isinstance(node.args[0], ast.JoinedStr) else node.args[0]
                 if isinstance(given, ast.Constant):  # else the name is a user's
-                    yield (node.lineno, f"{given.value}{'*' * isinstance(node.args[0], ast.JoinedStr)}",
-                           id(node) in inside)
+                    out.append((node.lineno, f"{given.value}{'*' * isinstance(node.args[0], ast.JoinedStr)}", inside))
+    return tuple(sorted(out))
 
 
 def violations(text: str, path: Path) -> list[str]:
@@ -136,7 +139,7 @@ def violations(text: str, path: Path) -> list[str]:
     layer = layer_of(path)
     module = module_name(path)
     out = []
-    for line, imported, in_function in imports(ast.parse(text), module):
+    for line, imported, in_function in imports(text, module):
         top = imported.split(".")[0]
         if top in ("vsfsim", *CHECKOUT):
             target = layer_of_module(imported) if top == "vsfsim" else top
@@ -172,7 +175,7 @@ def circles(texts: dict[str, str]) -> list[tuple[str, ...]]:
     number = {name: index for index, name in enumerate(names)}
     edges = set()
     for name in names:
-        for _, imported, _ in imports(ast.parse(texts[name]), name):
+        for _, imported, _ in imports(texts[name], name):
             while imported and imported not in number:
                 imported = imported.rpartition(".")[0]
             if imported not in ("", "vsfsim", name):
