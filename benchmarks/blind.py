@@ -21,11 +21,12 @@ from scipy import sparse
 
 from benchmarks.fields import neural_fitting
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from benchmarks.palpation import palpate
 from vsfsim.core.errors import VsfError
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit
-from vsfsim.vsf.fields.palpation import DenseTouch, palpate
+from vsfsim.vsf.fields.surface_touch import DenseTouch
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.pose.localise import KnownObject, contact_pose, stiffness_pose
 from vsfsim.vsf.sticking import Contacts, stick

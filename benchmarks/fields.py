@@ -23,11 +23,12 @@ from scipy.spatial import cKDTree
 
 from benchmarks.cost import most_memory, start_memory, wait
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from benchmarks.palpation import layer_with_inclusion, palpate
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit, save_field
-from vsfsim.vsf.fields.palpation import DenseTouch, layer_with_inclusion, palpate
+from vsfsim.vsf.fields.surface_touch import DenseTouch
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 

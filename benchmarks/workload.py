@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from benchmarks.palpation import layer_with_inclusion, palpate
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.fields.palpation import layer_with_inclusion, palpate
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.sticking import stick
 

@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "leaderboard": set(),
     "cli": {"core"},
     "benchmarks": {"core", "data", "physics", "robot", "sensing", "vsf", "generate", "press", "bench", "baselines",
-                   "scenes", "references"},
+                   "scenes", "references", "cli"},
     "references": set(),
     "top": {"cli"},
 }
@@ -57,7 +57,7 @@ HEAVY = {
     "vsf": {"numpy", "scipy", "warp", "torch", "trimesh", "sklearn", "safetensors"},
     "generate": {"numpy", "scipy", "warp", "matplotlib"},
     "press": {"numpy", "scipy", "warp", "matplotlib"},
-    "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib"},
+    "benchmarks": {"numpy", "scipy", "warp", "torch", "trimesh", "matplotlib", "typer"},
     "references": {"numpy", "scipy", "torch", "timm"},
     "bench": {"numpy", "h5py"},
     "baselines": {"numpy", "scipy", "torch"},

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.dense_force.calibration import PressRecord, calibrate, noisy, score
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.shape import Sphere
@@ -26,7 +27,6 @@ from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.sensing.bubble import gauge_pressure, readout_of
 from vsfsim.sensing.dense_force import BubbleCalibration, DenseForceEstimator, EstimatorOptions
-from vsfsim.sensing.dense_force_score import PressRecord, calibrate, noisy, score
 from vsfsim.sensing.membrane_fe import SensorError, nodal_normals
 
 NOISE = (0.0, 5e-5, 1e-4, 2e-4)

@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.dense_force import NOISE, Contender, Row, compare, contenders, errors_of, report
+from benchmarks.dense_force.calibration import PressRecord
 from benchmarks.measurement import Measurement, Progress
 from vsfsim.bench.noise import NOISE_KINDS, Noise
 from vsfsim.bench.noise_bubble import noisy_nodes, noisy_pressure
@@ -22,7 +23,6 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.records import ObjectView, Touch
 from vsfsim.sensing.bubble_touch import aligned_nodes, rim_of
 from vsfsim.sensing.dense_force import BubbleCalibration
-from vsfsim.sensing.dense_force_score import PressRecord
 
 DEEP = (0.0015, 0.0045, 0.0085)  # of the frames taken of a touch, the nearest ones [m]
 CALIBRATING = 4  # touches of the train split

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from test_failures import METHODS
 
+from benchmarks.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf
 from vsfsim.baselines.known_object import touched_points
@@ -15,8 +16,7 @@ from vsfsim.bench.method import Action, Reading, Specimen, Surface, build_method
 from vsfsim.bench.mock import mock_view
 from vsfsim.core.dome import Dome
 from vsfsim.core.errors import MethodError
-from vsfsim.vsf.fields.palpation import dome as cap
-from vsfsim.vsf.fields.palpation import palpate
+from vsfsim.vsf.fields.surface_touch import dome as cap
 
 AREA = np.pi * 0.03**2
 QUICK = {"iterations": 120, "batch": 400, "samples": 6}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from benchmarks.palpation import palpate
 from vsfsim.baselines.contact_points import ContactPoints
 from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
 from vsfsim.baselines.known_object import PoseSearch, locate
@@ -24,7 +25,7 @@ from vsfsim.core.errors import MethodError
 from vsfsim.core.material import Inclusion
 from vsfsim.core.shape import Box, Sphere
 from vsfsim.vsf.estimate.map import map_estimate
-from vsfsim.vsf.fields.palpation import dome, palpate
+from vsfsim.vsf.fields.surface_touch import dome
 from vsfsim.vsf.observe import dense_force_rows
 from vsfsim.vsf.sticking import stick
 

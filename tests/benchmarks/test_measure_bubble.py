@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from benchmarks.bubble import schedule
-from vsfsim.cli.measure import bubble
+from benchmarks.commands import bubble
 from vsfsim.core.errors import VsfsimError
 
 

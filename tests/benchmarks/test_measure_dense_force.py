@@ -10,9 +10,9 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "sensing"))
 from toy_bubble import bubble, patch
 
 from benchmarks import dense_force as bench
-from vsfsim.sensing import dense_force_score
+from benchmarks.dense_force import calibration as search
+from benchmarks.dense_force.calibration import PressRecord
 from vsfsim.sensing.dense_force import BubbleCalibration
-from vsfsim.sensing.dense_force_score import PressRecord
 
 
 def press(toy, name, centre, newtons):
@@ -26,8 +26,8 @@ def press(toy, name, centre, newtons):
 
 
 def test_rows_and_report(monkeypatch):
-    monkeypatch.setattr(dense_force_score, "STIFFNESSES", (1.0, 2.0))
-    monkeypatch.setattr(dense_force_score, "FORCE_SCALES", (0.02, 0.1))
+    monkeypatch.setattr(search, "STIFFNESSES", (1.0, 2.0))
+    monkeypatch.setattr(search, "FORCE_SCALES", (0.02, 0.1))
     toy = bubble(5)
     rim = np.zeros(len(toy.rest), bool)
     rim[toy.rim] = True

@@ -9,9 +9,9 @@ import pytest
 import references
 from benchmarks.estimators import batch_dense
 from benchmarks.openvsf import TARE, Palpation, export, punyo
+from benchmarks.openvsf.folder import Model, write_openvsf
 from benchmarks.workload import MEAN, NOISE, STD
 from vsfsim.core.errors import DatasetError, VsfError
-from vsfsim.data.openvsf import Model, write_openvsf
 from vsfsim.robot.arm import load_arm
 from vsfsim.vsf.sticking import stick
 

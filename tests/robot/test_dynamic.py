@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from benchmarks.arm import difference
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.robot.arm import ArmError, load_arm
-from vsfsim.robot.arm_modes import difference, inertial_torque
-from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, series, simulate
+from vsfsim.robot.dynamic import IMPEDANCE, POSITION, Drive, inertial_torque, series, simulate
 from vsfsim.robot.joint_torque import body_torque
 from vsfsim.robot.mujoco_model import JointParameters
 from vsfsim.robot.reach import straight_touch

@@ -7,10 +7,10 @@ import torch
 from scipy import sparse
 from test_localise import pose, wedge
 
+from benchmarks.palpation import palpate
 from vsfsim.core.rotation import pose_errors
 from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.fields.neural import Fitting, density, fit
-from vsfsim.vsf.fields.palpation import palpate
 from vsfsim.vsf.observe import dense_force_rows, force_sum_rows
 from vsfsim.vsf.pose.localise import KnownObject, contact_pose, stiffness_pose
 from vsfsim.vsf.sticking import stick

@@ -7,7 +7,7 @@ import pytest
 from vsfsim.bench.reached_points import reached
 from vsfsim.core.dome import Dome
 from vsfsim.vsf.dynamics import simulate
-from vsfsim.vsf.fields.palpation import dome as cap
+from vsfsim.vsf.fields.surface_touch import dome as cap
 from vsfsim.vsf.observe import pressure_rows
 
 

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.palpation import layer_with_inclusion, palpate
 from vsfsim.core.errors import VsfError
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 from vsfsim.vsf.fields.neural import Fitting, GridField, NerfField, density, fit, predict_totals, save_field
-from vsfsim.vsf.fields.palpation import DenseTouch, dome, layer_with_inclusion, oriented_areas, palpate
+from vsfsim.vsf.fields.surface_touch import DenseTouch, dome, oriented_areas
 
 torch.set_num_threads(1)
 BOUNDS = np.array([[-0.06, -0.06, -0.016], [0.06, 0.06, 0.004]])

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.fields.palpation import DenseTouch, oriented_areas
+from vsfsim.vsf.fields.surface_touch import DenseTouch, oriented_areas
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ from torch.nn import functional
 from vsfsim.core.errors import NoStiffnessError, VsfError
 from vsfsim.vsf.fields.graphed_step import GraphedStep
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
-from vsfsim.vsf.fields.palpation import DenseTouch
+from vsfsim.vsf.fields.surface_touch import DenseTouch
 
 
 class NerfField(nn.Module):

@@ -15,15 +15,15 @@ import numpy as np
 from scipy import sparse
 
 from benchmarks.measurement import Progress
+from benchmarks.openvsf.folder import Bubble, Model, Recorded, check_target, write_openvsf
+from benchmarks.palpation import layer_with_inclusion
 from benchmarks.workload import MEAN, NOISE, STD, Workload, volume_points
 from vsfsim.core.errors import VsfError
-from vsfsim.data.openvsf import Bubble, Model, Recorded, check_target, write_openvsf
 from vsfsim.physics.bubble.shape import HEIGHT, POWER
 from vsfsim.physics.mesh.membrane import READ_OUT, closed, ellipse
 from vsfsim.robot import gen3
 from vsfsim.robot.arm import Arm, load_arm
 from vsfsim.robot.reach import Unreachable, follow
-from vsfsim.vsf.fields.palpation import layer_with_inclusion
 from vsfsim.vsf.observe import dense_force_rows, pressure_rows
 from vsfsim.vsf.sticking import stick
 
@@ -120,8 +120,8 @@ class Palpation:
 
 def export(folder: Path, particles: int, touches: int, frames: int, *, urdf: Path | None = None, seed: int = 0,
            progress: Progress = lambda _: None) -> tuple[Workload, list[str]]:
-    """Write a palpation for openvsf (`vsfsim.data.openvsf`): the same readings for our estimators, and what the user
-    still has to do.
+    """Write a palpation for openvsf (see `benchmarks.openvsf.folder`): the same readings for our estimators, and what
+    the user still has to do.
 
     Raises:
         VsfError: sizes that are too small. DatasetError: the folder is not empty or cannot be written, or the URDF is
