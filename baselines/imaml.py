@@ -73,6 +73,7 @@ class Imaml:
         import torch
 
         from vsfsim.baselines import implicit_maml as im
+        from vsfsim.vsf.adam import Adam
 
         usable = [s for s in specimens if len(s.touches) >= 2]
         if not usable:
@@ -94,7 +95,7 @@ class Imaml:
         theta = [p.to(self.device) for p in start]
         for p in theta:
             p.requires_grad_(True)
-        optimiser = torch.optim.Adam(theta, lr=self.outer_rate, foreach=True)
+        optimiser = Adam(theta, self.outer_rate)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other

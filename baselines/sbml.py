@@ -230,7 +230,8 @@ class Sbml(PosteriorAnswers):
 
     def _near(self, model: ParticleModel, view: View) -> np.ndarray:
         """Particles within two spacings of the visible surface, where touches reach (n,) bool."""
-        return cKDTree(visible_cloud(view)).query(model.particles)[0] <= 2.0 * self.shelf.settings.spacing
+        far = 2.0 * self.shelf.settings.spacing
+        return cKDTree(visible_cloud(view)).query(model.particles, distance_upper_bound=1.001 * far)[0] <= far
 
     def _build(self, size: int, spread: Spread, seed: int, level_std: float = 0.0) -> MetaPrior:
         import torch

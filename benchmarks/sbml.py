@@ -18,6 +18,7 @@ from scipy import sparse
 from benchmarks.cost import most_memory, start_memory, wait
 from benchmarks.measurement import Column, Measurement, Progress, Table
 from benchmarks.workload import volume_points
+from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.prior import MetaPrior, Spread
 
@@ -105,7 +106,7 @@ def train(particles: int, presses: int, frames: int, *, device: str = "cpu",
         prior = MetaPrior(FEATURES, shared=False, spread=Spread(_MEAN, _MEAN)).to(device)
         features = torch.randn(len(evidence.touched), FEATURES).to(device)
     none = torch.zeros(0, FEATURES, device=device)
-    optimiser = torch.optim.Adam(prior.parameters(), lr=1e-4, foreach=True)
+    optimiser = Adam(prior.parameters(), 1e-4)
     best, values, begun = np.inf, [], time.perf_counter()
     while len(values) < _STEPS and (not values or time.perf_counter() - begun < _ENOUGH):
         start = time.perf_counter()

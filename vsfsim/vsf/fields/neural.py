@@ -24,6 +24,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
+from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.fields.graphed_step import GraphedStep
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 from vsfsim.vsf.fields.surface_touch import DenseTouch
@@ -153,7 +154,7 @@ def fit(kind: str, touches: Sequence[DenseTouch] | Sequence[TotalTouch], bounds:
     corner = torch.as_tensor(np.asarray(bounds), dtype=torch.float32, device=device)
     on_host = torch.device(device).type == "cpu"
     parameters = list(model.parameters())
-    optimiser = torch.optim.Adam(parameters, lr=s.rate, foreach=True, capturable=not on_host)
+    optimiser = Adam(parameters, s.rate, capturable=not on_host)
     draws = _Draws(len(forces.index), size, s.free_points, generator, device)
 
     def step() -> torch.Tensor:
