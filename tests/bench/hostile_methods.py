@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -55,18 +56,23 @@ class ReadsMemory(Hostile):
 
 
 class Device(Hostile):
-    """Says whether GPUs are hidden from it, and whether a trial is a fork of the process that learned."""
+    """Says whether GPUs are hidden from it, whether a trial is a fork of the process that learned, and whether a
+    gradient was taken before that fork, by something in PyTorch's place."""
 
     learned: ClassVar[list[int]] = []
+    gradients: ClassVar[list[int]] = []
 
     def __init__(self, *, device="auto", report=""):
         super().__init__(report=report)
+        number = SimpleNamespace(backward=lambda: self.gradients.append(1))
+        sys.modules["torch"] = SimpleNamespace(zeros=lambda *_, **__: number,
+                                               cuda=SimpleNamespace(is_initialized=lambda: False))
 
     def meta_fit(self, specimens):
         self.learned.append(1)
 
     def adapt(self, view, support):
-        self.found([os.environ.get("CUDA_VISIBLE_DEVICES"), len(self.learned)])
+        self.found([os.environ.get("CUDA_VISIBLE_DEVICES"), len(self.learned), len(self.gradients)])
 
 
 class OpensFiles(Hostile):

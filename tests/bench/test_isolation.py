@@ -151,14 +151,15 @@ def test_where_processes_cannot_be_forked_each_trial_gets_a_copy(task, toy_datas
     assert all(held == 1 for _, held in found), "what meta_fit learned is there, and nothing else"
 
 
-@pytest.mark.parametrize(("given", "visible", "forked"), [
-    ({}, "0", 1), ({"device": "cpu"}, "", 1), ({"device": "cuda:0"}, "0", 0)])
-def test_a_method_that_is_to_use_no_gpu_sees_none_and_one_that_is_to_use_it_is_not_forked(attack, monkeypatch, given,
-                                                                                          visible, forked):
-    """In a fork a GPU cannot be used, nor a gradient taken where PyTorch has seen one before."""
+@pytest.mark.parametrize(("given", "visible", "forked", "gradients"), [
+    ({}, "0", 1, 0), ({"device": "cpu"}, "", 1, 1), ({"device": "cuda:0"}, "0", 0, 0)])
+def test_a_method_that_is_to_use_no_gpu_sees_none_and_one_that_is_to_use_it_is_not_forked(
+        attack, monkeypatch, given, visible, forked, gradients):
+    """In a fork a GPU cannot be used, nor a gradient taken where PyTorch has seen one before. Where it sees none, the
+    first gradient is taken before the fork: in the fork it would ask the driver for GPUs and end by SIGSEGV."""
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
     _, found = attack("Device", **given)
-    assert len(found) == 8 and all(one == [visible, forked] for one in found)
+    assert len(found) == 8 and all(one == [visible, forked, gradients] for one in found)
 
 
 def test_methods_that_ship_use_no_gpu_unless_told_to(monkeypatch):

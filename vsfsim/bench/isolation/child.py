@@ -135,6 +135,7 @@ class _Server:
         return {}, (), b""
 
     def do_serve(self, _: Any) -> Any:
+        _first_gradient()
         for channel in self.channels[1:]:
             if os.fork() == 0:
                 _serve(self, channel)
@@ -230,6 +231,17 @@ def _hide_gpus(name: str, given: Mapping[str, Any]) -> None:
     ships = entry is not None and entry.value.startswith("vsfsim.baselines.")  # their device is a cpu if none is given
     if given.get("device", "cpu" if ships else None) == "cpu":
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
+
+def _first_gradient() -> None:
+    """Take PyTorch's first gradient before any fork, if GPUs are hidden.
+
+    With it a PyTorch built for CUDA asks the driver for the number of GPUs, also where all are hidden, and keeps the
+    answer. Where Warp has started the driver, asking it in a fork ends with SIGSEGV.
+    """
+    torch = sys.modules.get("torch")
+    if torch is not None and os.environ.get("CUDA_VISIBLE_DEVICES") == "":
+        torch.zeros((), requires_grad=True).backward()
 
 
 def _uses_gpu() -> bool:
