@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 import math
 import os
@@ -207,7 +208,12 @@ class Result:
         return out
 
     def rows(self) -> list[dict[str, Any]]:
-        """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.trials.rows.beside_zero`)."""
+        """`queries` as rows, each beside what predicting zero errs (`vsfsim.bench.trials.rows.beside_zero`). They
+        are made once, and are not the caller's to change."""
+        return self._rows
+
+    @functools.cached_property
+    def _rows(self) -> list[dict[str, Any]]:
         row = OBSERVATIONS.get(self.observation)
         return beside_zero(as_rows(self.queries), self.readings, 1 if row is None else row.size)
 

@@ -180,9 +180,21 @@ def _columns(where: str, value: Any, names: tuple[str, ...]) -> dict[str, list]:
             words = {item: _word(spot, item) for item in {item for item in given if isinstance(item, str)}}
             out[name] = [words[item] if isinstance(item, str) else _word(spot, item) for item in given]
             continue
-        out[name] = [(None if item is None else _number(spot, item)) if check is None else check(spot, item)
-                     for item in _list(spot, table[name])]
+        out[name] = _plain_numbers(_list(spot, table[name]), check) or [
+            (None if item is None else _number(spot, item)) if check is None else check(spot, item)
+            for item in table[name]]
     return out
+
+
+def _plain_numbers(column: list[Any], check: Callable[[str, Any], Any] | None) -> list[Any]:
+    """The column itself where none of its numbers needs a look of its own, since all are whole, or all finite and not
+    negative; else []."""
+    kinds = set(map(type, column))
+    if check is _count:
+        return column if kinds == {int} and min(column) >= 0 and max(column) < 1 << 53 else []
+    if kinds == {float} and all(map(math.isfinite, column)) and min(column) >= 0.0 and max(column) <= LARGEST_NUMBER:
+        return column
+    return []
 
 
 def _queries(where: str, value: Any) -> dict[str, list]:
