@@ -80,11 +80,11 @@ def test_each_probe_presses_a_soft_block(press, probe, half, low, fine, error):
 
 def test_a_scan_with_a_hole_in_millimetres(press, tmp_path):
     # a dome of 60 x 60 x 30 mm with a flat base, whole and with some of its faces missing
-    ball = trimesh.creation.icosphere(subdivisions=3, radius=30.0)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=30.0)
     ball.vertices[:, 2] = np.maximum(ball.vertices[:, 2], 0.0)
     ball.update_faces(ball.nondegenerate_faces())
     ball.export(tmp_path / "whole.stl")
-    ball.update_faces(np.arange(len(ball.faces)) > 3)
+    ball.update_faces(np.arange(len(ball.faces)) > 0)
     ball.export(tmp_path / "dome.stl")
     whole, result = (pressed(press("--plot", "p.png", "--json", "-", shape=f'mesh = "{name}.stl"', size=0.02,
                                    start=0.04, stop=0.037)) for name in ("whole", "dome"))

@@ -18,12 +18,22 @@ def result(task, toy_dataset):
     return evaluate("toy_methods:Constant", task, toy_dataset, check=False)
 
 
+@pytest.fixture(scope="module")
+def written(task, toy_dataset, result, plain_table, tmp_path_factory):
+    """The record of the toy dataset, the result as a file, and that file's table as text."""
+    folder = tmp_path_factory.mktemp("written")
+    fingerprint.write_record(task, toy_dataset, folder / "record.json")
+    result.save(folder / "r.json")
+    return folder / "record.json", folder / "r.json", json.dumps(plain_table(folder / "r.json"))
+
+
 @pytest.fixture
-def record(task, toy_dataset, tmp_path, monkeypatch):
+def record(task, written, tmp_path, monkeypatch):
     """The task ships the record of the toy dataset."""
     path = tmp_path / "records" / "toy-v1.json"
+    path.parent.mkdir()
+    path.write_bytes(written[0].read_bytes())
     monkeypatch.setattr(fingerprint, "record_path", lambda _: path)
-    fingerprint.write_record(task, toy_dataset, path)
     return fingerprint.shipped_record(task)
 
 
@@ -113,8 +123,10 @@ def test_numbers_that_disagree_are_not_ranked(task, record, result, tmp_path, wr
     wrong(result).save(tmp_path / "r.json")
     (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
     assert row.rank is None and reason in row.mark
-    result.save(tmp_path / "r.json")
-    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+
+
+def test_numbers_that_agree_are_ranked(task, record, result, written):
+    (row,) = leaderboard.collect(task, [written[1]]).rows
     assert row.rank == 1 and row.scores == result.scores
 
 
@@ -124,9 +136,8 @@ def test_fewer_seeds_are_not_ranked(task, toy_dataset, record, tmp_path):
     assert row.rank is None and row.mark == "1 of the task's 3 seeds"
 
 
-def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, plain_table, tmp_path):
-    result.save(tmp_path / "r.json")
-    table = plain_table(tmp_path / "r.json")
+def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, written, tmp_path):
+    table = json.loads(written[2])
     for name in ("package", "isolation", "data", "answers"):
         del table[name]
     (tmp_path / "r.json").write_text(json.dumps({**table, "schema_version": 1}))
@@ -146,9 +157,8 @@ def test_an_old_result_is_ranked_by_what_its_rows_give(task, record, result, pla
     lambda t: t.update(seeds=[]), lambda t: t["timing"].update(adapt_s=-1.0), lambda t: t.update(queries=7),
     lambda t: t["queries"]["sse"].__setitem__(0, 10**400), lambda t: t.update(shots="0"),
 ])
-def test_poisoned_results_are_refused_in_one_paragraph(result, plain_table, tmp_path, poison):
-    result.save(tmp_path / "r.json")
-    table = plain_table(tmp_path / "r.json")
+def test_poisoned_results_are_refused_in_one_paragraph(written, tmp_path, poison):
+    table = json.loads(written[2])
     poison(table)
     (tmp_path / "r.json").write_text(json.dumps(table))
     with pytest.raises(TaskError, match=r"r\.json (is malformed|cannot be read): "):

@@ -3,6 +3,7 @@
 import dataclasses
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -38,12 +39,24 @@ def build(path, views=VIEWS, recipe=RECIPE):
         return writer.finish()
 
 
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """A whole dataset, which nothing changes."""
+    return build(tmp_path_factory.mktemp("built") / "d").path
+
+
+@pytest.fixture
+def made(built, tmp_path):
+    """A copy of it in the test's own folder."""
+    return Path(shutil.copytree(built, tmp_path / "d"))
+
+
 def contents(path):
     return {p.name: p.read_bytes() for p in sorted(path.iterdir())}
 
 
-def test_open_iterate_blind(tmp_path):
-    dataset = build(tmp_path / "d")
+def test_open_iterate_blind(built):
+    dataset = Dataset.open(built)
     assert len(dataset) == 3 and dataset.names("train") == tuple(NAMES[:2])
     assert [view.name for view in dataset] == NAMES
     assert dataset.load(NAMES[0]).truth is not None
@@ -53,8 +66,7 @@ def test_open_iterate_blind(tmp_path):
         dataset.names("trian")
 
 
-def test_an_interrupted_run_resumes_to_the_same_bits(tmp_path):
-    build(tmp_path / "whole")
+def test_an_interrupted_run_resumes_to_the_same_bits(built, tmp_path):
     broken = tmp_path / "broken"
     with DatasetWriter(broken, RECIPE, NAMES) as writer:
         writer.add(VIEWS[1])
@@ -68,11 +80,10 @@ def test_an_interrupted_run_resumes_to_the_same_bits(tmp_path):
             write_view(writer.file_of(name), VIEWS[NAMES.index(name)])
         writer.finish()
     assert (broken / f"{NAMES[1]}.h5").stat().st_mtime_ns == before, "a whole file was made again"
-    assert contents(broken) == contents(tmp_path / "whole")
+    assert contents(broken) == contents(built)
 
 
-def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(tmp_path):
-    build(tmp_path / "whole")
+def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(built, tmp_path):
     script = tmp_path / "run.py"
     script.write_text(textwrap.dedent(f"""
         import sys, time
@@ -98,34 +109,32 @@ def test_sigkill_at_any_moment_then_rerun_gives_the_same_bits(tmp_path):
     with DatasetWriter(out, RECIPE, NAMES) as writer:
         assert any("died" in note for note in writer.notes)
     subprocess.run([sys.executable, str(script), str(out), "0"], check=True, stdout=subprocess.DEVNULL)
-    assert contents(out) == contents(tmp_path / "whole")
+    assert contents(out) == contents(built)
 
 
-def test_a_finished_dataset_is_left_alone_and_repaired_if_damaged(tmp_path):
-    build(tmp_path / "d")
-    before = contents(tmp_path / "d")
-    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+def test_a_finished_dataset_is_left_alone_and_repaired_if_damaged(made):
+    before = contents(made)
+    with DatasetWriter(made, RECIPE, NAMES) as writer:
         assert writer.missing() == [] and "finished already" in writer.notes[0]
         writer.finish()
-    assert contents(tmp_path / "d") == before
-    (tmp_path / "d" / f"{NAMES[0]}.h5").write_bytes(b"rot")
-    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+    assert contents(made) == before
+    (made / f"{NAMES[0]}.h5").write_bytes(b"rot")
+    with DatasetWriter(made, RECIPE, NAMES) as writer:
         assert writer.missing() == [NAMES[0]]
         writer.add(VIEWS[0])
         writer.finish()
-    assert contents(tmp_path / "d") == before
+    assert contents(made) == before
 
 
-def test_killed_between_the_manifest_and_the_last_clean_up(tmp_path):
-    build(tmp_path / "d")
-    before = contents(tmp_path / "d")
-    (tmp_path / "d" / "dataset.part.json").write_text("{}")
-    (tmp_path / "d" / "dataset.lock").write_text("123")
-    assert verify(tmp_path / "d").problems, "leftovers are told"
-    with DatasetWriter(tmp_path / "d", RECIPE, NAMES) as writer:
+def test_killed_between_the_manifest_and_the_last_clean_up(made):
+    before = contents(made)
+    (made / "dataset.part.json").write_text("{}")
+    (made / "dataset.lock").write_text("123")
+    assert verify(made).problems, "leftovers are told"
+    with DatasetWriter(made, RECIPE, NAMES) as writer:
         assert writer.missing() == []
         writer.finish()
-    assert contents(tmp_path / "d") == before
+    assert contents(made) == before
 
 
 @pytest.mark.parametrize("finished", [True, False])
@@ -134,9 +143,9 @@ def test_killed_between_the_manifest_and_the_last_clean_up(tmp_path):
     ({"tier": "fem"}, "tier 'vsf' there, 'fem' asked for"),
     ({"scene_text": 'name = "mock"\nseed = 2\n'}, "line 2: 'seed = 1' there, 'seed = 2' asked for"),
 ])
-def test_the_folder_of_another_recipe_is_refused(tmp_path, changes, message, finished):
+def test_the_folder_of_another_recipe_is_refused(built, tmp_path, changes, message, finished):
     if finished:
-        build(tmp_path / "d")
+        shutil.copytree(built, tmp_path / "d")
     else:
         DatasetWriter(tmp_path / "d", RECIPE, NAMES).close()
     before = contents(tmp_path / "d")
@@ -231,13 +240,12 @@ def test_finish_refuses_a_gap(tmp_path):
             writer.add(mock_view(9))
 
 
-def test_verify_is_content_with_a_good_dataset(tmp_path):
-    build(tmp_path / "d")
-    report = verify(tmp_path / "d")
+def test_verify_is_content_with_a_good_dataset(made):
+    report = verify(made)
     assert report.ok, report.text()
     assert (report.files, report.touches, report.untouched, report.unconverged) == (3, 12, 3, 0)
     with pytest.raises(DatasetError, match="there is no folder of a dataset"):
-        verify(tmp_path / "nothing")
+        verify(made / "nothing")
 
 
 def test_one_flipped_bit_anywhere_is_found(tmp_path):
@@ -291,21 +299,19 @@ def replace_data(file, name, data):
      "touches/000 frame 7: force and reaction differ by 1.0e-02"),
     (lambda f: f.attrs.__setitem__("split", "other"), "says split = 'other'"),
 ])
-def test_verify_names_what_is_wrong(tmp_path, change, message):
-    build(tmp_path / "d")
-    rewrite(tmp_path / "d", change)
-    report = verify(tmp_path / "d")
+def test_verify_names_what_is_wrong(made, change, message):
+    rewrite(made, change)
+    report = verify(made)
     assert len(report.problems) >= 1
     import re
     assert re.search(message, report.text()), report.text()
     assert report.problems[0].file == f"{NAMES[0]}.h5" and report.problems[0].todo
 
 
-def test_verify_finds_missing_and_foreign_files(tmp_path):
-    build(tmp_path / "d")
-    (tmp_path / "d" / f"{NAMES[0]}.h5").unlink()
-    (tmp_path / "d" / "notes.txt").write_text("x")
-    text = verify(tmp_path / "d").text()
+def test_verify_finds_missing_and_foreign_files(made):
+    (made / f"{NAMES[0]}.h5").unlink()
+    (made / "notes.txt").write_text("x")
+    text = verify(made).text()
     assert f"{NAMES[0]}.h5: is missing" in text and "notes.txt: is not listed" in text
 
 
@@ -320,9 +326,8 @@ def test_unconverged_frames_are_counted_not_complained_about(tmp_path):
     assert report.ok and report.unconverged == 2
 
 
-def test_summary_tells_the_main_figures(tmp_path):
-    build(tmp_path / "d")
-    text = summary(tmp_path / "d")
+def test_summary_tells_the_main_figures(made):
+    text = summary(made)
     assert "3 in 3 views: 2 train, 1 test" in text
     assert "12, 3 met nothing" in text
     top = max(t.normal_force().max() for v in VIEWS for t in v.touches)

@@ -241,7 +241,7 @@ def broken(kind):
 def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
     mesh, word = broken(kind)
     mesh.export(tmp_path / "b.ply")
-    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), cache=tmp_path / "cache")
+    grid = baked(MeshFile(str(tmp_path / "b.ply"), 1.0), spacing=2 * RADIUS / 40, cache=tmp_path / "cache")
     assert any(word in note for note in grid.notes), grid.notes
     centre = 0.5 * (mesh.bounds[0] + mesh.bounds[1])
     x = shell(4000, 0.0, 0.035)[0]
@@ -263,13 +263,12 @@ def test_broken_files_are_repaired_said_and_right(kind, tmp_path):
 def test_the_cache_is_by_content_and_a_damaged_file_is_made_again(tmp_path):
     # with a note; the filler of holes would take its time, and close them a little otherwise each time
     mesh, _ = broken("inside out")
-    mesh.apply_scale([2.5, 0.3, 0.3])  # long bodies have the smaller grids
     path = tmp_path / "b.ply"
     mesh.export(path)
     cache = tmp_path / "cache"
 
     def grid(path):
-        return baked(MeshFile(str(path), 1.0), cache=cache, slow=0.0)
+        return baked(MeshFile(str(path), 1.0), spacing=0.001, cache=cache, slow=0.0)
 
     first = grid(path)
     stored, = cache.glob("distance-*.npz")
