@@ -47,6 +47,13 @@ class Model:
     """Cube root of the mean volume of six tetrahedra, a hexahedron's worth [m]."""
     factor: RestFactor = field(repr=False)
     """Rest-state factor, shared by all touches."""
+    soft_factor: RestFactor | None = field(default=None, repr=False, kw_only=True)
+    """That of a nearly incompressible body with a lower bulk stiffness, see `elements.tet10.softened`."""
+
+    @property
+    def preconditioner(self) -> RestFactor:
+        """The factor for predictions and preconditioning at large deformation."""
+        return self.factor if self.soft_factor is None else self.soft_factor
 
     def least_force(self) -> float:
         """Force [N] under which a force counts as zero: a billionth of the softest modulus on one element face, or a
@@ -64,8 +71,10 @@ class Model:
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        factor = RestFactor(self.factor.stiffness, free, self.mesh.surface_nodes())
-        return dataclasses.replace(self, free=free, factor=factor)
+        surface, soft = self.mesh.surface_nodes(), self.soft_factor
+        return dataclasses.replace(
+            self, free=free, factor=RestFactor(self.factor.stiffness, free, surface, later=soft is not None),
+            soft_factor=None if soft is None else RestFactor(soft.stiffness, free, surface))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -198,8 +207,12 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
             f"A part inside is so stiff that it only moves and turns. It acts with a modulus {lowered:.2g} times "
             f"smaller, which lowers the force by 0.2 % at most.")))
     blocks = elements(placed, acting, poisson_ratio)
-    stiffness = assemble(len(placed.points), blocks)
+    stiffness, surface = assemble(len(placed.points), blocks), placed.surface_nodes()
+    softer = tuple(block.softened() for block in blocks)
+    compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
+    soft = None if compressible else RestFactor.of(assemble(len(placed.points), softer), free, surface)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 RestFactor.of(stiffness, free, placed.surface_nodes()))
+                 RestFactor.of(stiffness, free, surface, later=soft is not None),
+                 soft_factor=soft)

@@ -155,7 +155,8 @@ class RigidContact:
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
             "softening": wp.from_torch(self.softening)}
         if not same:  # the same nodes may have more points
-            self.response: Response = response(self.model.factor, self.dof, device=self.device, exact=self._exact)
+            factor = self.model.factor if self._exact else self.model.preconditioner
+            self.response: Response = response(factor, self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:

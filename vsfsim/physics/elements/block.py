@@ -31,6 +31,9 @@ numbers. Their arrays are
 An element may also provide ``matrices(block, state)``, its tangents (m, 3 a, 3 a) from their stored states
 (m, state_size). `matrices_at_rest` is then its rest stiffness, and a host solver can assemble the tangent at any state.
 
+An element may provide ``softened(block)``, a block whose stiffness at rest preconditions a deformed body better than
+its own.
+
 A block that couples all of its nodes through one number, as a gas does through its volume (elements/gas.py), has
 ``COLLECTIVE = True`` in its file:
 
@@ -75,6 +78,10 @@ class Block:
     def collective(self) -> bool:
         """Whether the block couples all of its nodes through one number."""
         return getattr(self.element, "COLLECTIVE", False)
+
+    def softened(self) -> Block:
+        """The block to precondition with: this one, unless its element says otherwise."""
+        return self.element.softened(self) if hasattr(self.element, "softened") else self
 
     def __len__(self) -> int:
         return len(self.nodes)

@@ -29,6 +29,7 @@ each with moduli of its own. Vectors are (3 n, B), degree of freedom by touch; n
 """
 
 import functools
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -43,6 +44,7 @@ from vsfsim.physics.elements.tet10_shape import shape_gradients
 NODES = 10
 POINTWISE = 4.0
 """Largest lambda at the Gauss points, in units of mu; 4 is all of lambda up to nu = 0.4."""
+_NEARLY_INCOMPRESSIBLE, _SOFT_BULK = 60.0, 30.0  # lambda_m over mu from which `softened` lowers it, and to which
 
 
 def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
@@ -68,6 +70,20 @@ def state_size(block: Block) -> int:
     """A tangent stores c, kappa and tau / J^2 at the Gauss points (12) and, where lambda_m acts, the gradient of Jbar
     (30)."""
     return 42 if block.parameters["mean_lam"].any() else 12
+
+
+def softened(block: Block) -> Block:
+    """The block with a lower bulk stiffness where it is nearly incompressible (nu above 0.492), to precondition with.
+
+    In a body that is strained by e, which volumes change under a displacement differs from that at rest by the order of
+    e. A preconditioner with the whole lambda is then wrong by a factor of 1 + (lambda/mu) e^2, both ways. With a lower
+    lambda it is too soft for volumes, which costs fewer iterations: S1 at nu = 0.499 takes 128 conjugate gradients in
+    its last frame with the whole of it and 45 with 30 mu, at nu = 0.4999 more than 1,500 and 83.
+    """
+    p = block.parameters
+    mu = p["mu"].mean(axis=1)
+    soft = np.where(p["mean_lam"] > _NEARLY_INCOMPRESSIBLE * mu, _SOFT_BULK * mu, p["mean_lam"])
+    return block if np.array_equal(soft, p["mean_lam"]) else replace(block, parameters={**p, "mean_lam": soft})
 
 
 def rest_stiffness(block: Block) -> np.ndarray:

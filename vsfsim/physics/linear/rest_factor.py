@@ -7,10 +7,11 @@ triangular solves would be slow.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import time
 from collections import OrderedDict
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -35,6 +36,7 @@ class RestFactor:
         stiffness: of all blocks of the model at rest, supports not held (3 n, 3 n) [N/m].
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
         surface_nodes: nodes (s,) that `compliance` may be asked for.
+        later: factorise at the first use.
     """
 
     size: int
@@ -42,21 +44,28 @@ class RestFactor:
     stiffness: sp.csr_matrix
     """The rest stiffness, supports not held (3 n, 3 n) [N/m]."""
     seconds: float
-    """Duration of the factorisation [s]."""
+    """Duration of the factorisation [s], 0 before it."""
     columns_bytes: float = 512e6
     """Memory for columns of the inverse, of the touches of one run [byte]."""
     _kept: type = np.float64  # of the whole columns
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray):
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False):
+        self.seconds = 0.0
+        self._begin(stiffness, free, surface_nodes)
+        if not later:
+            self._solver  # noqa: B018  the factor is made here
+
+    @functools.cached_property
+    def _solver(self) -> Any:
         import cholespy  # CHOLMOD; only a body that is solved needs it
 
         began = time.perf_counter()
-        self._begin(stiffness, free, surface_nodes)
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
-        self._solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
-                                                k.data.astype(np.float64), cholespy.MatrixType.COO)
+        solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
+                                          k.data.astype(np.float64), cholespy.MatrixType.COO)
         self.seconds = time.perf_counter() - began
+        return solver
 
     def _begin(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> None:
         self.stiffness, self.free = stiffness, free
@@ -73,14 +82,15 @@ class RestFactor:
         self._quick: RestFactor | None = None
 
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray) -> RestFactor:
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *,
+           later: bool = False) -> RestFactor:
         """The factor of this matrix: the one that this process made before, or a new one; arguments as the class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
             digest.update(np.ascontiguousarray(part).tobytes())
         key = digest.hexdigest()
         if key not in _factors:
-            _factors[key] = cls(stiffness, free, surface_nodes)
+            _factors[key] = cls(stiffness, free, surface_nodes, later=later)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)

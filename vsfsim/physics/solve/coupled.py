@@ -83,7 +83,12 @@ class PairModel:
         return cls(model, sensor, Points(np.concatenate([model.mesh.points, sensor.mesh.points])),
                    (*model.blocks, *moved),
                    np.concatenate([model.free, sensor.free]), np.concatenate([model.load, np.zeros_like(sensor.free)]),
-                   PairFactors(model.factor, sensor.factor, 3 * count))
+                   PairFactors(model.preconditioner, sensor.factor, 3 * count))
+
+    @property
+    def preconditioner(self) -> PairFactors:
+        """As `Model.preconditioner`."""
+        return self.factor
 
     def grounding(self) -> np.ndarray:
         """As `Model.grounding`."""
