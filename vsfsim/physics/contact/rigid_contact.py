@@ -1,7 +1,6 @@
 """Contact of a batch of touches with rigid bodies: what they can reach, gaps, forces, and the stiffness that they add.
 
-Each touch (column) has a patch: the boundary triangles that its bodies can reach. All tensors are over all touches,
-padded to the largest patch.
+Each touch (column) has a patch: the boundary triangles that its bodies can reach. Tensors are over all touches, padded.
 """
 
 from __future__ import annotations
@@ -155,8 +154,8 @@ class RigidContact:
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
             "softening": wp.from_torch(self.softening)}
         if not same:  # the same nodes may have more points
-            factor = self.model.factor if self._exact else self.model.preconditioner
-            self.response: Response = response(factor, self.dof, device=self.device, exact=self._exact)
+            self.response: Response = response(self.model.factor if self._exact else self.model.preconditioner,
+                                               self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
