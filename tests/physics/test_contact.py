@@ -115,7 +115,7 @@ def test_force_is_minus_the_gradient_of_the_energy(model, device, probe, pose):
     assert np.abs(slope - expected).max() < 1e-6 * np.abs(expected).max()
 
 
-@pytest.mark.parametrize("name", ["sphere", "capsule", "plane"])
+@pytest.mark.parametrize("name", PROBES)
 def test_rows_and_geometric_block_are_the_derivative_of_the_force(model, device, name):
     probe, pose = PROBES[name]
     rng = np.random.default_rng(3)

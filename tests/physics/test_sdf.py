@@ -71,17 +71,24 @@ def test_gap_is_the_hosts_distance_and_normal_its_gradient(probe, device):
     assert np.quantile(off, 0.95) < 1e-6
 
 
-@pytest.mark.parametrize("probe", [Sphere(0.02), Capsule(0.01, 0.03), Plane()], ids=["sphere", "capsule", "plane"])
+@pytest.mark.parametrize("probe", PROBES, ids=IDS)
 def test_curvature_is_the_derivative_of_the_normal(probe, device):
+    """On fillets, too: an edge that a membrane rolls over turns its normal by 90 degrees within the fillet."""
     x = near_surface(probe, 1000)
-    if isinstance(probe, Capsule):
+    if isinstance(probe, (Box, Cylinder)):  # most of them on the fillets, which are thin
+        fillet, rng = sdf.encode(probe)[1][3], np.random.default_rng(1)
+        half = np.array(probe.size) / 2 if isinstance(probe, Box) else np.array([0.0, probe.radius, probe.height / 2])
+        x = np.concatenate([x, half - rng.uniform(-0.5, 1.5, (2000, 3)) * fillet])
+    elif isinstance(probe, Capsule):
         x = x[np.abs(np.abs(x[:, 2]) - 0.015) > 1e-5]  # the seam, where it jumps
     curvature = evaluate(probe, x, device)[2]
-    h = 1e-7
+    h = 1e-9
     slope = np.stack([(evaluate(probe, x + h * e, device)[1] - evaluate(probe, x - h * e, device)[1]) / (2 * h)
                       for e in np.eye(3)], axis=2)
-    # curvatures are ~100 / m; rounding 1e-16 / h = 1e-9 absolute, truncation h^2 curvature^3 ~ 1e-8
-    assert np.abs(curvature - slope).max() < 1e-5
+    # rounding 1e-16 / h = 1e-7, truncation h^2 curvature^3; curvatures are ~100 / m, on fillets 5,000 / m and more
+    largest = np.abs(curvature).max(axis=(1, 2))
+    off = np.abs(curvature - slope).max(axis=(1, 2)) > 1e-5 + 1e-7 * largest + h**2 * largest**3
+    assert off.mean() < 1e-3, "but for points whose difference straddles the end of a fillet"
 
 
 @pytest.mark.parametrize("probe", PROBES, ids=IDS)

@@ -29,6 +29,10 @@ class FaceSums:
         self._products = (self._shares[:, :, None] * self._shares[:, None, :]).flatten(1)  # (6 parts, 9)
         self._faces, self._nodes = faces, nodes
         corners = [p.local[::len(table), :3] for p in patches]
+        padded = np.zeros((len(patches), faces, 3), np.int64)
+        for b, c in enumerate(corners):
+            padded[b, :len(c)] = c
+        self._corners = torch.as_tensor(padded, device=device)
         self._at_node = _slots([c.reshape(-1) for c in corners], nodes, 3 * faces, device)
         pairs = [(nodes * c[:, :, None] + c[:, None, :]).reshape(-1) for c in corners]
         known = [np.unique(p, return_inverse=True) for p in pairs]
@@ -38,6 +42,11 @@ class FaceSums:
         for b, (k, _) in enumerate(known):
             ends[:, b, :len(k)] = k // nodes, k % nodes
         self._one, self._other = torch.as_tensor(ends, device=device)
+
+    def places(self, x: torch.Tensor) -> torch.Tensor:
+        """Vectors at the nodes of all patches (B, s, 3) interpolated to the points (B, 6 f parts, 3)."""
+        at = self._corners.flatten(1)[:, :, None].expand(-1, -1, 3)
+        return (self._shares @ x.gather(1, at).view(len(x), self._faces, 3, 3)).reshape(len(x), -1, 3)
 
     def nodal(self, columns: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         """Forces at the points (k, 6 f parts, 3) [N] as forces on the nodes (k, 3 s) [N], f = F."""

@@ -38,6 +38,8 @@ class Contact(Protocol):
     compliance: Any
     """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair.links.Compliance`."""
 
+    symmetric: bool
+    """Whether the contact stiffness is symmetric."""
     potential_trusted_above: float
     """Measure under which a step is accepted for its residual alone, because rounding hides the potential [-]."""
     decrease: float

@@ -26,6 +26,7 @@ CUTS = (1, 2, 3, 4, 6, 8)
 _MOST_CUTS = 4  # of a linear face along its edge
 _A_PRIORI = 4  # most cuts of a quadratic face before a body was found between its points
 _SHARP = 2  # cuts of a quadratic face under a body with edges, whose own points do the rest, see `body_points`
+_ONSET = 0.01  # depth over which a sheet's contact with a body with edges stiffens, over the edge of its elements
 _FACTOR = (0.1, 20.0)  # bounds of the factor on the contact stiffness of a sheet
 
 # Degree-4 rule with six points on the triangle (Strang and Fix 1973; Cowper 1973); the weights add up to 1.
@@ -151,16 +152,23 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
     return Patch(faces, nodes, np.repeat(padded, parts, axis=0), np.repeat(stiffness, parts, axis=0), cuts, part)
 
 
-def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float]:
+def sheet_contact(bodies: RigidBodies, edge: float) -> tuple[int, float, float]:
     """How a sheet of linear faces with the mean ``edge`` [m] touches these bodies: number of parts along the edge of a
-    face, and factor on its contact stiffness [-].
+    face, factor on its contact stiffness [-], and depth over which the stiffness grows from zero [m].
 
     The six points of a part leave holes of radius 0.25 edge, and a dent stretches them by half. Over such a hole a
     ball of radius R is (0.4 edge)^2/(2 R) deep, under one per cent of an edge with these parts. The pressure under a
     body is that of the gas and of the sheet's tension over R, of the order E h/R, and few points carry it where a
     faceted sheet rests on its edges. So the penetration stays well under one per cent of an edge if the stiffness
     grows with edge / R: 10 times that suffices for a ball of 3 mm, and a plate needs a hundredth of it. A stiffer
-    contact costs iterations, since the sheet itself is soft. Bodies with edges get the most.
+    contact costs iterations, since the sheet itself is soft.
+
+    Bodies with edges get the most, for a few points bear an edge. Their flat sides are pressed a hundred times less:
+    there so stiff a contact with a kink at its onset makes points come and go without end, for each moves by less than
+    its neighbours' penetration. So its stiffness grows with the depth, in proportion, and the penetration as the root
+    of the pressure.
     """
     ratio = max(edge / max(smooth_radius(shape), 1e-9) for shape in bodies.shapes)
-    return int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR))
+    onset = _ONSET * edge if any(smooth_radius(shape) == 0.0 for shape in bodies.shapes) else 0.0
+    return (int(np.clip(np.ceil(3.0 * np.sqrt(ratio) - 1e-9), 1, _MOST_CUTS)), float(np.clip(10.0 * ratio, *_FACTOR)),
+            onset)

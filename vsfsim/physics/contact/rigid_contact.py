@@ -5,6 +5,7 @@ Each touch (column) has a patch: the boundary triangles that its bodies can reac
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from typing import Any
 
@@ -41,7 +42,7 @@ class RigidContact:
         exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
     """
 
-    potential_trusted_above, decrease = 0.05, 0.5
+    symmetric, potential_trusted_above, decrease = True, 0.05, 0.5
     friction_updated_below, deadline = 0.03, float("inf")
     _begun: np.ndarray | None = None
     patience = 10**9  # never: the limit on iterations ends a touch
@@ -71,7 +72,7 @@ class RigidContact:
         self._set = bodies.upload(self.kernels.sdf, device)
         corners = model.mesh.faces.shape[1]
         self._solid = corners == 6
-        cuts, self._factor = (1, 1.0) if self._solid else sheet_contact(bodies, model.element_size)
+        cuts, self._factor, self._onset = (1, 1.0, 0.0) if self._solid else sheet_contact(bodies, model.element_size)
         self._parts = cuts**2  # of a linear face; those of a quadratic one differ
         self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
         # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
@@ -101,13 +102,8 @@ class RigidContact:
         padded = body_points.pad(self.patches, self.model.mesh.faces, self._parts, self._body_points, self._table)
         listed, local, part = padded.nodes, padded.local, padded.part
         faces, nodes = local.shape[1], listed.shape[1]
-
-        def tensor(values: np.ndarray) -> torch.Tensor:
-            return torch.as_tensor(values, device=self.device)
-
-        def zeros(*size: int) -> torch.Tensor:
-            return torch.zeros(size, dtype=torch.float64, device=self.device)
-
+        tensor = functools.partial(torch.as_tensor, device=self.device)
+        zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
         same = hasattr(self, "dof") and np.array_equal(self.dof.cpu().numpy(), dof)
         self.dof = tensor(dof)
@@ -115,13 +111,14 @@ class RigidContact:
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
-        # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness. Added,
-        # since the columns that a linear face does not use are 0 and may name any node
-        at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-        values = tensor(padded.table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
-        self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
-        self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes,
-                              device=self.device) if not self._solid else None
+        self._sums: FaceSums | None = None
+        if self._solid:
+            # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
+            at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
+            values = tensor(padded.table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
+            self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
+        else:
+            self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device)
         self._shape = wp.array(padded.table, dtype=wp.float64, device=self.device)
         self._of_body = tensor(padded.host >= 0)
         self._hosts = [wp.array(a, dtype=d, device=self.device) for a, d in padded.hosts(k.vec3)]
@@ -129,21 +126,20 @@ class RigidContact:
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(padded.stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
-        self.gap = torch.full(size, 1e30, dtype=torch.float64, device=self.device)
+        self.gap = zeros(size) + 1e30
         self._energy = zeros(batch, faces)
-        self.body = torch.zeros(size, dtype=torch.int32, device=self.device)
-        self.slips = torch.zeros(size, dtype=torch.int32, device=self.device)
-        self._wrong_side = torch.zeros((batch, faces), dtype=torch.int32, device=self.device)
+        self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
+        self._wrong_side = zeros((batch, faces), dtype=torch.int32)
         self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
         self._rows, self._geometric = zeros(*size, 3, 3), zeros(*size, 3, 3)
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
-        self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(*size)
+        self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
         cut = (batch, faces, 6)
         self._relaxation = Relaxation(cut, self.device)
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
-                                                   self._points @ self.rest.view(batch, nodes, 3), on=self._sinks)
+                                                   self._places(self.rest.view(batch, nodes, 3)), on=self._sinks)
         self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
         self._arrays = rigid_kernels.views(
             cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner},
@@ -157,6 +153,10 @@ class RigidContact:
             self.response: Response = response(self.model.factor if self._exact else self.model.preconditioner,
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
+
+    def _places(self, x: torch.Tensor) -> torch.Tensor:
+        """Vectors at the nodes of the patches (B, s, 3) interpolated to the Gauss points (B, 6 f, 3)."""
+        return self._points @ x if self._sums is None else self._sums.places(x)
 
     def _placed(self, pose: np.ndarray) -> tuple[wp.array, wp.array]:
         return (wp.array(pose[..., :3, 3], dtype=self.kernels.vec3, device=self.device),
@@ -209,7 +209,7 @@ class RigidContact:
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
-                      self.stick],
+                      self._onset, self.stick],
                      "x anchor owner limit across gap body normal force rows geometric slips wrong_side energy")
 
     def update_friction(self, columns: torch.Tensor) -> None:
@@ -218,7 +218,7 @@ class RigidContact:
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
                           *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
-                          self._coefficient],
+                          self._onset, self._coefficient],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
 
     def end_step(self, columns: torch.Tensor) -> None:
@@ -289,7 +289,7 @@ class RigidContact:
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        places = self._points[columns] @ self._x[columns]
+        places = self._places(self._x)[columns]
         origin = wp.to_torch(self._pose[0])[columns]  # (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))

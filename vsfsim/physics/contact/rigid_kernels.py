@@ -5,9 +5,10 @@
 g is the distance to the nearest rigid body at a Gauss point of the surface, w_q its stiffness (`patch`); or that of a
 point on an edge of a body to a face (`body_points`: part f then has one point, on body ``host``). Under round bodies,
 edges and corners the first part of the penetration is softer: it stands for the indentation that the mesh is too
-coarse for (`local_indentation`). Friction acts
-as `friction` says, with the tangential stiffness STICK w_q: a stuck point gives way by a thousandth of an element at
-most. Slipping points drag their anchor along when the frame is done: stick-slip with history.
+coarse for (`local_indentation`). On a sheet under bodies with edges the stiffness grows with the depth down to h
+(`patch.sheet_contact`), and the force is w_q g^2 / (2 h) there. Friction acts as `friction` says, with the tangential
+stiffness STICK w_q: a stuck point gives way by a thousandth of an element at most. Slipping points drag their anchor
+along when the frame is done: stick-slip with history.
 
 A point that the body would push out through the object is on the wrong side of the body. It is not pushed, and a state
 with such a point is no solution. All numbers are float64: a contact force is a stiff spring on a small difference of
@@ -68,8 +69,16 @@ def kernels() -> Any:
         return out
 
     @wp.func(module=module)
-    def push(w: real, share: real, soft: real, depth: real):
+    def push(w: real, share: real, soft: real, onset: real, depth: real):
         # normal force, stiffness and energy of a point at a depth >= 0; the stiffness is share w down to the depth soft
+        # or, on a sheet, grows from 0 to w down to the depth onset
+        if depth < onset:
+            slope = w * depth / onset
+            return real(0.5) * slope * depth, slope, slope * depth * depth / real(6.0)
+        if onset > real(0.0):
+            more = depth - onset
+            force = real(0.5) * w * onset
+            return (force + w * more, w, w * onset * onset / real(6.0) + force * more + real(0.5) * w * more * more)
         if depth <= soft:
             return share * w * depth, share * w, real(0.5) * share * w * depth * depth
         more = depth - soft
@@ -92,6 +101,7 @@ def kernels() -> Any:
         spot: wp.array2d(dtype=vec3),
         leave: wp.array2d(dtype=vec3),
         softening: wp.array(dtype=real),
+        onset: real,
         stick: real,
         # state in
         origin: wp.array2d(dtype=vec3),
@@ -151,7 +161,7 @@ def kernels() -> Any:
                 body_out[b, f, q] = near
                 if gap < real(0.0):
                     normal_out[b, f, q] = n
-                    size, slope, work = push(w, share[b, f, q], soft[b, f], -gap)
+                    size, slope, work = push(w, share[b, f, q], soft[b, f], onset, -gap)
                     force = size * n
                     root = wp.sqrt(slope)
                     for c in range(3):
@@ -199,6 +209,7 @@ def kernels() -> Any:
         host: wp.array2d(dtype=wp.int32),
         spot: wp.array2d(dtype=vec3),
         softening: wp.array(dtype=real),
+        onset: real,
         coefficient: wp.array(dtype=real),
         # state in
         origin: wp.array2d(dtype=vec3),
@@ -228,7 +239,8 @@ def kernels() -> Any:
             g = gap_in[b, f, q]
             if g < real(0.0):
                 j = body_in[b, f, q]
-                size, _slope, _work = push(softening[b] * stiffness[b, f, q], share[b, f, q], soft[b, f], -g)
+                size, _slope, _work = push(softening[b] * stiffness[b, f, q], share[b, f, q],
+                                          soft[b, f], onset, -g)
                 limit = coefficient[j] * size
                 across_out[b, f, q] = wp.normalize(normal_in[b, f, q])
                 owner = owner_out[b, f, q]

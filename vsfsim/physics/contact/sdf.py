@@ -185,7 +185,8 @@ def functions(real: type, module: str) -> Any:
 
     @wp.func(module=module)
     def analytic_curvature(kind: int, s: vec4, x: vec3):
-        # flat parts have none; the fillets' own curvature is left out (it matters on no mesh that we can afford)
+        zero = real(0.0)
+        one = real(1.0)
         n = analytic_normal(kind, s, x)
         eye = mat33(real(1.0), real(0.0), real(0.0), real(0.0), real(1.0), real(0.0), real(0.0), real(0.0), real(1.0))
         if kind == 0:
@@ -196,6 +197,30 @@ def functions(real: type, module: str) -> Any:
             if wp.abs(x[2]) < s[1]:
                 c[2, 2] = real(0.0)
             return c / wp.max(wp.length(d), tiny)
+        if kind == 3:
+            # on a fillet, across the normal: of the directions that it rounds
+            q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
+            out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
+            c = wp.diag(vec3(wp.step(-q[0]), wp.step(-q[1]), wp.step(-q[2]))) - wp.outer(n, n)
+            far = wp.length(out)
+            if far > zero:
+                return c / wp.max(far, tiny)
+            return mat33()
+        if kind == 2:
+            c = mat33()
+            radial = wp.sqrt(x[0] * x[0] + x[1] * x[1])
+            q0 = radial - s[0] + s[3]
+            q1 = wp.abs(x[2]) - s[1] + s[3]
+            side = vec3(one, zero, zero)
+            if radial > zero:
+                side = vec3(x[0] / radial, x[1] / radial, zero)
+            around = vec3(-side[1], side[0], zero)
+            out_of = wp.dot(n, side)
+            c = out_of / wp.max(radial, tiny) * wp.outer(around, around)
+            if q0 > zero and q1 > zero:
+                along = wp.cross(around, n)
+                c = c + wp.outer(along, along) / wp.max(wp.sqrt(q0 * q0 + q1 * q1), tiny)
+            return c
         return mat33()
 
     @wp.func(module=module)

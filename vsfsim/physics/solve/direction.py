@@ -8,7 +8,7 @@ import warp as wp
 from vsfsim.physics import clock
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
-from vsfsim.physics.solve import pcg
+from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
 
 
@@ -16,7 +16,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
                      plain: bool = False, deadline: float = float("inf"),
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Solve (tangent + contact) d = residual by `pcg`.
+    """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
 
     Args:
         elasticity: elements, with the tangent of ``columns`` computed.
@@ -29,8 +29,8 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         plain, deadline: see `pcg.solve`.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool; the contact stiffness
-        used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool, none of `gmres`; the
+        contact stiffness used (k, 3 s, 3 s) [N/m].
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
@@ -76,6 +76,10 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                 y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
         return y.to(r.dtype)
 
+    if not contact.symmetric:
+        direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
+                                       deadline=deadline)
+        return direction, steps, torch.zeros_like(near), stiffness
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                            plain=plain, deadline=deadline)
     return direction, steps, negative, stiffness

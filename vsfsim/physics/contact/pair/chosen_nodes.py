@@ -57,12 +57,14 @@ def written(chosen: list[ChosenNodes], name: str) -> torch.Tensor:
 
 
 def links_of(surfaces: PairSurfaces, columns: torch.Tensor, chosen: list[ChosenNodes],
-             places: list[tuple[torch.Tensor, torch.Tensor]], directions: list[torch.Tensor]) -> Links | None:
+             places: list[tuple[torch.Tensor, torch.Tensor]], directions: list[torch.Tensor],
+             slopes: list[torch.Tensor] | None = None) -> Links | None:
     """Links of the chosen nodes to ``places`` on the other side; None if no node is chosen.
 
     Args:
         places: for each entry of ``chosen`` a face (k, a) and shape values (k, a, 6).
         directions: for each entry of ``chosen`` the directions (k, a, m, 3) in the world.
+        slopes: those along which a displacement counts, likewise; None for the same.
     """
     if not chosen:
         return None
@@ -80,6 +82,8 @@ def links_of(surfaces: PairSurfaces, columns: torch.Tensor, chosen: list[ChosenN
         spare = (0, width - node.shape[2])
         nodes.append(torch.nn.functional.pad(node, spare))
         weights.append(torch.nn.functional.pad(weight, spare))
+    turn = surfaces.turn[columns][:, None]
     world = torch.cat(directions, dim=1)
+    slope = world if slopes is None else torch.cat(slopes, dim=1)
     return Links.of(patch.split, patch.nodes.shape[1], torch.cat(nodes, dim=1), torch.cat(weights, dim=1), world,
-                    world @ surfaces.turn[columns][:, None])
+                    world @ turn, slope, slope @ turn)

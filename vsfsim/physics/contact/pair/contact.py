@@ -55,7 +55,7 @@ class PairContact:
     """
 
     # with blended normals the forces are not quite those of a potential
-    potential_trusted_above, decrease = 1.0, 0.9
+    symmetric, potential_trusted_above, decrease = False, 1.0, 0.9
     # rubber mostly sticks, and the limits of the prediction are nearly right
     friction_updated_below = 0.3
     # over flat facets a step may cycle, and half of such steps end elsewhere
@@ -165,7 +165,7 @@ class PairContact:
             self._launch(self._kernels.evaluate, side, columns, [
                 *side.arrays("facet stiffness faces smooth"), softening, self.stick, here,
                 *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
-                *side.arrays("gap face shape normal push drag slip rows slips wrong_side energy")])
+                *side.arrays("gap face shape normal slope push drag slip rows slips wrong_side energy")])
         self._evaluated = None
 
     def update_friction(self, columns: torch.Tensor) -> None:
@@ -253,7 +253,9 @@ class PairContact:
         chosen = choose(self._sides, columns, active)
         roots = [own.of("rows") * own.on[:, :, None, None] for own in chosen]
         normal = links_of(self.surfaces, columns, chosen, [(own.of("face"), own.of("shape")) for own in chosen],
-                          [r[:, :, :1] for r in roots])
+                          [r[:, :, :1] for r in roots],
+                          [r[:, :, :1].norm(dim=3, keepdim=True) * own.of("slope")[:, :, None]
+                           for own, r in zip(chosen, roots, strict=True)])
         across = None
         if normal is not None:
             push = self._share(columns, normal, written(chosen, "push"))
@@ -289,7 +291,7 @@ class PairContact:
         return torch.linalg.cross(lever, self._on_sensor(columns)).sum(dim=1, keepdim=True)
 
     def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> LinkStiffness:
-        """See `Contact`: an operator. It has no geometric term, and ``geometric`` is ignored."""
+        """See `Contact`: an operator, not symmetric. It has no geometric term, and ``geometric`` is ignored."""
         return LinkStiffness(self._all_links(columns), self.free[columns])
 
     def block(self, columns: torch.Tensor) -> LinkBlock:

@@ -11,8 +11,10 @@ is the node's share of the area of its faces times a pressure per metre.
 At the nearest point c the distance is stationary along the surface, so the force on x_q is -w_q g n and the one on the
 other surface is its opposite, distributed by the shape functions at c: forces balance exactly. n is not the normal of
 the face at c, which jumps where a node rolls from face to face, so that the forces would never settle. It is blended
-from the normals of the faces around where they meet smoothly, as they were when the step began. The change of n with
-the deformation is left out of the stiffness; where points stick, as they do on rubber, its part vanishes.
+from the normals of the faces around where they meet smoothly, as they were when the step began. The gap changes along
+the normal m of the face, so the stiffness is w_q n m^T, which is not symmetric: with n in place of m it is wrong by
+some per cent, and the gap of a point that slips by a hundred times its penetration is then wrong by several times itself. The change of n with the
+deformation is left out of the stiffness.
 
 Positions and forces are in the world; `pair.contact` rotates the sensor's into its own frame.
 """
@@ -188,6 +190,7 @@ def kernels() -> Any:
         face_out: wp.array2d(dtype=wp.int32),
         shape_out: wp.array2d(dtype=vec6),
         normal_out: wp.array2d(dtype=vec3),
+        slope_out: wp.array2d(dtype=vec3),
         push_out: wp.array2d(dtype=vec3),
         drag_out: wp.array2d(dtype=vec3),
         slip_out: wp.array2d(dtype=vec3),
@@ -209,11 +212,12 @@ def kernels() -> Any:
         face = int(-1)  # noqa: UP018, RUF046
         shape = vec6()
         n = vec3()
+        slope = vec3()
         w = softening[b] * stiffness[b, q]
         if w > real(0.0) and (candidates_in[b, q, 0] >= 0 or limit_in[b, q] > real(0.0)):
             p = x_in[b, first + q]
             if candidates_in[b, q, 0] >= 0:
-                face, shape, gap, n = meet(p, b, q, nodes, candidates_in, faces, x_in)
+                face, shape, gap, slope = meet(p, b, q, nodes, candidates_in, faces, x_in)
                 n = vec3()
                 for i in range(nodes):
                     n += shape[i] * smooth[b, face, i]
@@ -248,6 +252,7 @@ def kernels() -> Any:
         face_out[b, q] = face
         shape_out[b, q] = shape
         normal_out[b, q] = n
+        slope_out[b, q] = slope
         push_out[b, q] = push
         drag_out[b, q] = drag
         slip_out[b, q] = d

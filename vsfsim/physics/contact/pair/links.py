@@ -1,7 +1,8 @@
 """Links between the points in contact of two surfaces, as sparse rows over the displacements of the patches.
 
 A link is a point of one surface and its place on the other, with one or more directions; J v is the relative
-displacement along each. A row depends on a few nodes of the patch. A is the compliance of both bodies at rest.
+displacement along each. Where forces act along other directions than the one along which a displacement counts, J^T is
+short for the rows of the forces. A row depends on a few nodes of the patch. A is the compliance of both bodies at rest.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ import torch
 import warp as wp
 
 from vsfsim.physics.contact.pair import rows
+
+_OF_EACH = ("node", "weight", "world", "own", "slope_world", "slope_own", "table")  # tensors of `Links`
 
 
 @dataclass(frozen=True)
@@ -44,41 +47,44 @@ class Links:
     """Directions in the world, times any factor of the rows (k, a, m, 3)."""
     own: torch.Tensor
     """The same directions in the sensor's frame (k, a, m, 3)."""
+    slope_world: torch.Tensor
+    """Directions along which a displacement counts, in the world (k, a, m, 3); forces act along `world`."""
+    slope_own: torch.Tensor
+    """The same in the sensor's frame (k, a, m, 3)."""
     table: torch.Tensor
     """The weights of all patch nodes (k, a, s) [-]."""
 
     @classmethod
     def of(cls, split: int, count: int, node: torch.Tensor, weight: torch.Tensor, world: torch.Tensor,
-           own: torch.Tensor) -> Links:
+           own: torch.Tensor, slope_world: torch.Tensor, slope_own: torch.Tensor) -> Links:
         """Links on a patch with ``count`` nodes; the nodes of a link that have a weight must differ."""
         table = torch.zeros((*node.shape[:2], count), dtype=torch.float64, device=node.device)
         table.scatter_add_(2, node, weight)  # padding adds 0
-        return cls(split, node.to(torch.int32), weight, world, own, table)
+        return cls(split, node.to(torch.int32), weight, world, own, slope_world, slope_own, table)
 
     def pick(self, which: torch.Tensor) -> Links:
         """Those of some of the touches (j,)."""
-        return Links(self.split, *(some(getattr(self, name), which)
-                                   for name in ("node", "weight", "world", "own", "table")))
+        return Links(self.split, *(some(getattr(self, name), which) for name in _OF_EACH))
 
     def beside(self, other: Links) -> Links:
         """These links and others of the same patches, each direction as a link of its own."""
         one, two = self._single(), other._single()
-        return Links(self.split, *(torch.cat([getattr(one, name), getattr(two, name)], dim=1)
-                                   for name in ("node", "weight", "world", "own", "table")))
+        return Links(self.split, *(torch.cat([getattr(one, name), getattr(two, name)], dim=1) for name in _OF_EACH))
 
     def _single(self) -> Links:
         m = self.world.shape[2]
         if m == 1:
             return self
         node, weight, table = (getattr(self, name).repeat_interleave(m, dim=1) for name in ("node", "weight", "table"))
-        return Links(self.split, node, weight, self.world.flatten(1, 2)[:, :, None], self.own.flatten(1, 2)[:, :, None],
-                     table)
+        return Links(self.split, node, weight, *(d.flatten(1, 2)[:, :, None] for d in (
+            self.world, self.own, self.slope_world, self.slope_own)), table)
 
     def jump(self, v: torch.Tensor) -> torch.Tensor:
         """J v (k, a m) for displacements v (k, 3 s)."""
         x, split = v.view(len(v), -1, 3), self.split
         world, own = self.table[:, :, :split] @ x[:, :split], self.table[:, :, split:] @ x[:, split:]
-        return ((self.world * world[:, :, None]).sum(dim=3) + (self.own * own[:, :, None]).sum(dim=3)).flatten(1)
+        return ((self.slope_world * world[:, :, None]).sum(dim=3)
+                + (self.slope_own * own[:, :, None]).sum(dim=3)).flatten(1)
 
     def push(self, force: torch.Tensor) -> torch.Tensor:
         """J^T f (k, 3 s) for f (k, a m)."""
@@ -90,11 +96,10 @@ class Links:
         return torch.cat([self.table[:, :, :self.split].mT @ world, self.table[:, :, self.split:].mT @ own],
                          dim=1).flatten(1)
 
-    def _arrays(self) -> list[wp.array]:
+    def _arrays(self, world: torch.Tensor, own: torch.Tensor) -> list[wp.array]:
         vec3 = rows.kernels().vec3
         return [wp.from_torch(self.node.contiguous()), wp.from_torch(self.weight.contiguous()),
-                wp.from_torch(self.world.contiguous(), dtype=vec3),
-                wp.from_torch(self.own.contiguous(), dtype=vec3)]
+                wp.from_torch(world.contiguous(), dtype=vec3), wp.from_torch(own.contiguous(), dtype=vec3)]
 
     def responses(self, compliance: Compliance, columns: torch.Tensor) -> torch.Tensor:
         """J A (k, a m, s, 3) [m/N]: displacements of the patches of ``columns`` (k,) under a unit force along each
@@ -103,7 +108,8 @@ class Links:
         out = torch.empty((k, a * m, s, 3), dtype=torch.float64, device=self.node.device)
         wp.launch(kernels.responses, dim=(k, a * m, s), device=str(out.device), inputs=[
             wp.from_torch(columns.to(torch.int32)), self.split, wp.from_torch(compliance.on_object),
-            wp.from_torch(compliance.on_sensor), *self._arrays(), wp.from_torch(out, dtype=kernels.vec3)])
+            wp.from_torch(compliance.on_sensor), *self._arrays(self.world, self.own),
+            wp.from_torch(out, dtype=kernels.vec3)])
         return out
 
     def gram(self, x: torch.Tensor) -> torch.Tensor:
@@ -111,7 +117,8 @@ class Links:
         kernels, (k, a, m, _) = rows.kernels(), self.world.shape
         out = torch.empty((k, a * m, x.shape[1]), dtype=torch.float64, device=self.node.device)
         wp.launch(kernels.gram, dim=(k, x.shape[1], a), device=str(out.device), inputs=[
-            self.split, *self._arrays(), wp.from_torch(x, dtype=kernels.vec3), wp.from_torch(out)])
+            self.split, *self._arrays(self.slope_world, self.slope_own), wp.from_torch(x, dtype=kernels.vec3),
+            wp.from_torch(out)])
         return out
 
 
@@ -150,7 +157,9 @@ class LinkBlock:
 
     links: Links
     inner: torch.Tensor
-    """Cholesky factor of 1 + J A J^T (k, r, r)."""
+    """LU factors of 1 + J A J^T (k, r, r)."""
+    pivots: torch.Tensor
+    """Their pivots (k, r)."""
     free: torch.Tensor
     """1 where the patches may move (k, 3 s) [-]."""
 
@@ -160,13 +169,13 @@ class LinkBlock:
         (k,)."""
         inner = links.gram(links.responses(compliance, columns))
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
-        return cls(links, torch.linalg.cholesky(0.5 * (inner + inner.mT)), free)
+        return cls(links, *torch.linalg.lu_factor(inner), free)
 
     def pick(self, which: torch.Tensor) -> LinkBlock:
         """That of some of the touches (j,)."""
-        return LinkBlock(self.links.pick(which), some(self.inner, which), self.free[which])
+        return LinkBlock(self.links.pick(which), some(self.inner, which), some(self.pivots, which), self.free[which])
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
-        inside = torch.cholesky_solve(self.links.jump(v * self.free)[:, :, None], self.inner)[:, :, 0]
+        inside = torch.linalg.lu_solve(self.inner, self.pivots, self.links.jump(v * self.free)[:, :, None])[:, :, 0]
         return self.links.push(inside) * self.free

@@ -157,7 +157,7 @@ def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarra
         return torch.as_tensor(np.array(values), dtype=torch.int32, device=device)
 
     state = {"gap": zeros() + 1e30, "face": zeros(dtype=torch.int32) - 1, "shape": zeros(6), "normal": zeros(3),
-             "push": zeros(3), "drag": zeros(3), "slip": zeros(3), "rows": zeros(3, 3),
+             "slope": zeros(3), "push": zeros(3), "drag": zeros(3), "slip": zeros(3), "rows": zeros(3, 3),
              "slips": zeros(dtype=torch.int32), "wrong_side": zeros(dtype=torch.int32), "energy": zeros()}
     memory = {"anchored": zeros(dtype=torch.int32), "anchor_face": zeros(dtype=torch.int32),
               "anchor_shape": zeros(6), "limit": zeros(), "across": zeros(3)}
@@ -166,7 +166,7 @@ def _side(first: int, facet: np.ndarray, stiffness: np.ndarray, faces: np.ndarra
              "count": whole(count), "candidates": zeros(CANDIDATES, dtype=torch.int32) - 1}
     smooth = torch.zeros((*faces.shape, 3), dtype=torch.float64, device=device)
     types = {"shape": k.vec6, "anchor_shape": k.vec6, "rows": k.mat33,
-             **dict.fromkeys(("normal", "push", "drag", "slip", "across", "smooth"), k.vec3)}
+             **dict.fromkeys(("normal", "slope", "push", "drag", "slip", "across", "smooth"), k.vec3)}
     named = {**model, "smooth": smooth, **state, **memory}
     views = {**{name: wp.from_torch(t, dtype=types.get(name)) for name, t in named.items()},
              **dict(zip(("anchorings", "damping", "change", "residual"), relaxation.arrays, strict=True))}
