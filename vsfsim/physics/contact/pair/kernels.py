@@ -13,8 +13,8 @@ other surface is its opposite, distributed by the shape functions at c: forces b
 the face at c, which jumps where a node rolls from face to face, so that the forces would never settle. It is blended
 from the normals of the faces around where they meet smoothly, as they were when the step began. The gap changes along
 the normal m of the face, so the stiffness is w_q n m^T, which is not symmetric: with n in place of m it is wrong by
-some per cent, and the gap of a point that slips by a hundred times its penetration is then wrong by several times itself. The change of n with the
-deformation is left out of the stiffness.
+some per cent, and the gap of a point that slips by a hundred times its penetration is then wrong by several times
+itself. The change of n with the deformation is left out of the stiffness.
 
 Positions and forces are in the world; `pair.contact` rotates the sensor's into its own frame.
 """
