@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from vsfsim.baselines.particle_model import digest
+from vsfsim.baselines.digest import digest
 from vsfsim.bench.method import Action, Reading, Specimen, check_support
 from vsfsim.core.errors import MethodError, did_you_mean
 from vsfsim.data.records import View
@@ -38,8 +38,8 @@ class Imaml:
         regularisation: lambda.
         cg_damping, cg_steps: of the implicit gradient.
         features: of the view's vector, for `imaml-vision`. weights: file of pretrained weights for the DINOv2 features.
-        device: torch device of the network and of the DINOv2 features. Random numbers are drawn on the host, so that
-            they are the same for every device.
+        device: torch device of the training and of the DINOv2 features; touches adapt on the host, where trials can
+            be forks. Random numbers are drawn on the host, so that they are the same for every device.
         precision: "float64" or "float32", which takes about half the time where an object has thousands of readings.
     """
 
@@ -63,6 +63,7 @@ class Imaml:
         self.features, self.weights, self.device = features, weights, device
         self._scale: dict[str, np.ndarray] | None = None
         self._tokens: dict[bytes, np.ndarray] = {}  # by view: every shot and seed has the same views
+        self._at = "cpu"  # device of batches
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the start of all adaptations.
@@ -92,6 +93,7 @@ class Imaml:
                        "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
         self._network = self._build(x.shape[1], y.shape[1])
         start = self._network.start(torch.Generator().manual_seed(self.seed), dtype=getattr(torch, self.precision))
+        self._at = self.device
         theta = [p.to(self.device) for p in start]
         for p in theta:
             p.requires_grad_(True)
@@ -114,7 +116,8 @@ class Imaml:
                     optimiser.step()
         finally:
             torch.set_num_threads(before)
-        self._theta = [p.detach() for p in theta]
+            self._at = "cpu"
+        self._theta = [p.detach().cpu() for p in theta]
         if not all(torch.isfinite(p).all() for p in self._theta):
             self._scale = None
             raise MethodError("imaml diverged in training: its weights are no longer finite. Lower outer_rate or "
@@ -175,7 +178,7 @@ class Imaml:
         if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
             raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
         real = getattr(torch, self.precision)
-        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), dtype=real, device=self.device)
+        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), dtype=real)
                        for i in range(sum(name.startswith("theta") for name in list(arrays)))]
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
@@ -221,7 +224,7 @@ class Imaml:
             x[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"]
             y[i, :len(own_y)], weight[i, :len(own_x)] = own_y / s["y_std"], 1.0
         token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
-        return Batch(*(torch.as_tensor(a, dtype=getattr(torch, self.precision), device=self.device)
+        return Batch(*(torch.as_tensor(a, dtype=getattr(torch, self.precision), device=self._at)
                        for a in (x, token, y, weight)))
 
 

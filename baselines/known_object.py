@@ -11,6 +11,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,8 +21,9 @@ from vsfsim.bench.method import Reading
 from vsfsim.bench.reached_points import reached
 from vsfsim.core.errors import MethodError, VsfError, did_you_mean
 from vsfsim.data.records import View
-from vsfsim.vsf.pose.localise import KnownObject, stiffness_pose
-from vsfsim.vsf.pose.outline import outline_pose
+
+if TYPE_CHECKING:  # it starts Warp, and with it the driver of a GPU, which a fork could no longer use
+    from vsfsim.vsf.pose.localise import KnownObject
 
 POSES = ("outline", "registration")
 """How a known object is found: by the outline of the stiff columns, or by the papers' procedure."""
@@ -63,6 +65,9 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
     Raises:
         MethodError: the view shows no object.
     """
+    from vsfsim.vsf.pose.localise import stiffness_pose
+    from vsfsim.vsf.pose.outline import outline_pose
+
     cloud = visible_cloud(view)
     upright = np.eye(4)
     upright[:3, 3] = cloud.mean(axis=0)
@@ -91,6 +96,8 @@ def locate(vertices: np.ndarray, triangles: np.ndarray, points: np.ndarray, stif
 @functools.lru_cache(maxsize=16)
 def _known(vertices: tuple[tuple[int, ...], bytes], triangles: tuple[tuple[int, ...], bytes]) -> KnownObject:
     # The same object is located at every shot and seed, and its inside test takes seconds to build.
+    from vsfsim.vsf.pose.localise import KnownObject
+
     return KnownObject.of(np.frombuffer(vertices[1], float).reshape(vertices[0]),
                           np.frombuffer(triangles[1], np.int64).reshape(triangles[0]))
 

@@ -6,7 +6,6 @@ in one trial, a touch costs one simulation. `vsfsim.baselines.posterior` estimat
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -14,6 +13,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from vsfsim.baselines.digest import digest
 from vsfsim.baselines.sensor_surface import dense_touch
 from vsfsim.baselines.visible_cloud import visible_cloud
 from vsfsim.bench.method import Action, Reading, check_support
@@ -199,11 +199,3 @@ class ObjectShelf:
         if key not in self.objects:
             self.objects[key] = ParticleModel.behind(view, self.settings)
         return self.objects[key]
-
-
-def digest(*arrays: np.ndarray) -> bytes:
-    """A hash of the arrays' bytes."""
-    out = hashlib.blake2b()
-    for array in arrays:
-        out.update(np.ascontiguousarray(array).tobytes())
-    return out.digest()

@@ -16,6 +16,7 @@ from typing import ClassVar
 import numpy as np
 from toy_methods import Constant
 
+from vsfsim.bench.isolation import child
 from vsfsim.bench.method import Estimate
 
 
@@ -62,8 +63,10 @@ class Device(Hostile):
     learned: ClassVar[list[int]] = []
     gradients: ClassVar[list[int]] = []
 
-    def __init__(self, *, device="auto", report=""):
+    def __init__(self, *, device="auto", driver=False, report=""):
         super().__init__(report=report)
+        if driver:
+            child._driver_is_loaded = lambda: True
         number = SimpleNamespace(backward=lambda: self.gradients.append(1))
         sys.modules["torch"] = SimpleNamespace(zeros=lambda *_, **__: number,
                                                cuda=SimpleNamespace(is_initialized=lambda: False))

@@ -1,4 +1,4 @@
-"""A method whose process says that it cannot be forked, as one does that uses a GPU."""
+"""Methods whose process says that it cannot be forked, as one does that uses a GPU."""
 
 import os
 
@@ -6,14 +6,21 @@ from hostile_methods import Hostile
 
 from vsfsim.bench.isolation import child
 
-child._uses_gpu = lambda: True
 
+class LearnsOnGpu(Hostile):
+    """Uses a GPU to learn, and none after."""
 
-class Unforkable(Hostile):
     def meta_fit(self, specimens):
         self.learned = len(specimens)
+        child._uses_gpu = lambda: True
 
     def adapt(self, view, support):
         super().adapt(view, support)
-        self.found([os.getpid(), self.learned])
+        self.found([os.getpid(), os.getppid(), self.learned])
         self.learned += 1
+
+
+class Unforkable(LearnsOnGpu):
+    def __init__(self, *, report="", value=1.5):
+        super().__init__(report=report, value=value)
+        child._uses_gpu = lambda: True

@@ -152,16 +152,25 @@ def test_workers_give_the_same_result(task, toy_dataset):
 def test_where_processes_cannot_be_forked_each_trial_gets_a_copy(task, toy_dataset, attack, honest):
     scores, found = attack("hostile_state:Unforkable", brief=True)
     assert scores == {metric: {shot: by_shot[shot] for shot in ("0", "all")} for metric, by_shot in honest.items()}
-    assert len({pid for pid, _ in found}) == 4
-    assert all(held == 1 for _, held in found), "what meta_fit learned is there, and nothing else"
+    assert len({pid for pid, _, _ in found}) == 4
+    assert all(held == 1 for _, _, held in found), "what meta_fit learned is there, and nothing else"
+
+
+def test_trials_are_forks_of_one_copy_of_what_a_gpu_learned(attack, honest):
+    scores, found = attack("hostile_state:LearnsOnGpu", brief=True)
+    assert scores == {metric: {shot: by_shot[shot] for shot in ("0", "all")} for metric, by_shot in honest.items()}
+    assert len({pid for pid, _, _ in found}) == 4 and len({parent for _, parent, _ in found}) == 1
+    assert all(held == 1 for _, _, held in found)
 
 
 @pytest.mark.parametrize(("given", "visible", "forked", "gradients"), [
-    ({}, "0", 1, 0), ({"device": "cpu"}, "", 1, 1), ({"device": "cuda:0"}, "0", 0, 0)])
-def test_a_method_that_is_to_use_no_gpu_sees_none_and_one_that_is_to_use_it_is_not_forked(
+    ({}, "0", 1, 0), ({"device": "cpu"}, "", 1, 1), ({"device": "cuda:0"}, "0", 1, 0),
+    ({"device": "cuda:0", "driver": True}, "0", 0, 0)])
+def test_a_method_that_is_to_use_no_gpu_sees_none_and_one_that_has_begun_to_use_it_is_not_forked(
         attack, monkeypatch, given, visible, forked, gradients):
-    """In a fork a GPU cannot be used, nor a gradient taken where PyTorch has seen one before. Where it sees none, the
-    first gradient is taken before the fork: in the fork it would ask the driver for GPUs and end by SIGSEGV."""
+    """In a fork a GPU cannot be used if its driver was loaded before, nor a gradient taken where PyTorch has seen one
+    before. Where it sees none, the first gradient is taken before the fork: in the fork it would ask the driver for
+    GPUs and end by SIGSEGV."""
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
     _, found = attack("Device", brief=True, **given)
     assert len(found) == 4 and all(one == [visible, forked, gradients] for one in found)

@@ -82,7 +82,9 @@ def evaluate(task: TaskName,
                                                                    "module:attribute. Give it again for more methods.")
                                ] = None,
              every: Annotated[bool, typer.Option("--all", help="All methods that ship, with all their presets; results "
-                                                               "that are there already are kept.")] = False,
+                                                               "that are there already are kept. With --set "
+                                                               "device=cuda:0 those use the GPU that it makes faster.")
+                             ] = False,
              preset: Annotated[str, typer.Option(help="Settings of a method that ships: paper or tuned; default: those "
                                                       "of its constructor.")] = "",
              dataset: DatasetFolder = None,
@@ -116,9 +118,9 @@ def evaluate(task: TaskName,
     given, names = parameters_of(parameters), list(method or [])
     if every == bool(names):
         raise MethodError("give --method NAME, or --all for every method that ships.")
-    if ((every or len(names) > 1) and given) or (len(names) > 1 and out is not None):
+    if (every and given.keys() - {"device"}) or (len(names) > 1 and (given or out is not None)):
         raise MethodError("--out and --set belong to one method, but several are asked for. Give one --method, or "
-                          "leave them away (--out FOLDER goes with --all).")
+                          "leave them away (--out FOLDER and --set device=cuda:0 go with --all).")
     if every and preset and preset not in presets.PRESETS:
         raise MethodError(f"--preset is '{preset}'; it is one of {', '.join(presets.PRESETS)}.")
     for name in names:
@@ -127,7 +129,8 @@ def evaluate(task: TaskName,
     shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
               "sandbox": sandbox, "processes": processes}
     if every:
-        rows = [row for row in presets.choices(wanted.observation.name) if preset in ("", row.preset)]
+        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")))
+        rows = [row for row in every_row if preset in ("", row.preset)]
         folder = out or Path("results") / wanted.name
         result_path(folder / "row.json", wanted.name, "row")
         show = str(json) != "-"

@@ -37,8 +37,9 @@ def evaluate_all(task: Task, rows: list[Choice], folder: Path, *, dataset: Path 
                  progress: Callable[[int, int, str], None] = lambda *_: None, **options: Any) -> Iterator[Made]:
     """Make the results that are missing in a folder.
 
-    A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete. An
-    interrupted evaluation goes on where it stopped. A method that fails is reported, and the next one runs.
+    A result is kept if it is of the same text of the task, the same dataset and the same parameters, and complete, on
+    whatever device it was made. An interrupted evaluation goes on where it stopped. A method that fails is reported,
+    and the next one runs.
 
     Args:
         task: the task. rows: what to evaluate. folder: of the result files. dataset: as of `evaluate`. seeds: as of
@@ -93,5 +94,5 @@ def _kept(path: Path, task: Task, dataset_sha256: str, choice: Choice, seeds: in
     same = (result.task_sha256, result.dataset_sha256, result.method, result.preset) == (
         task.sha256, dataset_sha256, choice.method, choice.preset)
     runs = len(task.protocol.runs(seeded="seed" in result.parameters)) if seeds is None else seeds
-    asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items())
+    asked = all(result.parameters.get(key) == value for key, value in choice.parameters.items() if key != "device")
     return result if same and asked and len(result.seeds) == runs else None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from vsfsim.core.errors import MethodError, did_you_mean
@@ -54,10 +54,16 @@ def preset(method: str, name: str, observation: str) -> Choice:
     return Choice(method, name, {**settings, **given.get(observation, {})})
 
 
-def choices(observation: str) -> list[Choice]:
-    """All methods with all their presets that can predict an observation, the one with the papers' settings first."""
+def choices(observation: str, device: str = "") -> list[Choice]:
+    """All methods with all their presets that can predict an observation, the one with the papers' settings first.
+
+    Args:
+        observation: its name. device: that the methods use which a GPU makes faster; "" for their own.
+    """
     out = []
     for method, table in _table().items():
         if observation in table.get("observations", [observation]):
-            out += [preset(method, name, observation) for name in PRESETS if name in table]
+            made = [preset(method, name, observation) for name in PRESETS if name in table]
+            more = {"device": device} if device and table.get("gpu") else {}
+            out += [replace(one, parameters={**one.parameters, **more}) for one in made]
     return out

@@ -4,8 +4,9 @@
 it learn; ``serve`` then forks one process for each other channel, which forks again for each trial. What a trial
 receives is read after that fork, so no process that outlives the trial ever holds it.
 
-Where a process cannot be forked, because a GPU is in use, the scorer starts a new one for each trial and hands it the
-state that ``state`` returned: the pickled method, or the files of its `save`.
+Where that process cannot be forked, because a GPU is in use, the scorer hands the state that ``state`` returned (the
+pickled method, or the files of its `save`) to a new process, which forks for the trials if no GPU is in use in it, or
+to a new one for each trial.
 """
 
 from __future__ import annotations
@@ -123,16 +124,19 @@ class _Server:
 
     def do_meta_fit(self, specimens: Any) -> Any:
         self.method.meta_fit(specimens)
-        # a method that is to use a GPU may not have begun to, and in a fork it no longer could
-        gpu = str(self.parameters.get("device", "")).startswith("cuda") or _uses_gpu()
-        return {"fork": hasattr(os, "fork") and not gpu, "peak_mib": peak_memory_mib()}, (), b""
+        return {"fork": self._may_fork(), "peak_mib": peak_memory_mib()}, (), b""
+
+    def _may_fork(self) -> bool:
+        """Whether trials may be forks of this process: what they are to use, it must not have begun to use."""
+        asked = str(self.parameters.get("device", "")).startswith("cuda")
+        return hasattr(os, "fork") and not (_driver_is_loaded() if asked else _uses_gpu())
 
     def do_state(self, _: Any) -> Any:
         return {}, (), _packed(self.method)
 
     def do_restore(self, state: bytes) -> Any:
         self.method = _unpacked(state, self.method)
-        return {}, (), b""
+        return {"fork": self._may_fork()}, (), b""
 
     def do_serve(self, _: Any) -> Any:
         _first_gradient()
@@ -242,6 +246,14 @@ def _first_gradient() -> None:
     torch = sys.modules.get("torch")
     if torch is not None and os.environ.get("CUDA_VISIBLE_DEVICES") == "":
         torch.zeros((), requires_grad=True).backward()
+
+
+def _driver_is_loaded() -> bool:
+    """Whether the library of a GPU's driver is loaded here, so that a fork may not use a GPU."""
+    try:
+        return "libcuda.so" in Path("/proc/self/maps").read_text()
+    except OSError:
+        return True  # a system that does not tell
 
 
 def _uses_gpu() -> bool:

@@ -14,7 +14,7 @@ import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +70,7 @@ class MethodProcess:
         self.name, self.parameters, self.isolation, self.log, self.hidden = name, parameters, isolation, log, hidden
         self._folder = Path(tempfile.mkdtemp(prefix="vsfsim-method-")).resolve()
         self._state: bytes | None = None  # what the method learned, where it cannot be forked
+        self._copy: MethodProcess | None = None  # which received that state and can be forked
         self._seed: int | None = None
         self._process: subprocess.Popen[bytes] | None = None
         if os.name == "nt":
@@ -96,6 +97,8 @@ class MethodProcess:
 
     def close(self) -> None:
         """End the process, whatever it does. Safe to call twice."""
+        if self._copy is not None:
+            self._copy.close()
         self._kill()
         if self._process is not None:
             self._process.wait()
@@ -140,12 +143,35 @@ class MethodProcess:
         start = time.perf_counter()
         reply = self._ask(control, "meta_fit", specimens, f"meta_fit on {len(specimens)} objects")
         took = time.perf_counter() - start
-        if reply.head.get("fork") is True and len(self._channels) > 1:
-            self._ask(control, "serve", None, "the start of its trials")
-            self._free = self._channels[1:]
-        else:
+        if not self._serves(reply):
             self._state = self._ask(control, "state", None, "a copy of what it learned", most=_STATE).blob
+            copy = self._restored(self.isolation.workers)
+            if copy._free:
+                self._copy = copy
+            else:
+                copy.close()
         return took
+
+    def _serves(self, learned: Reply) -> bool:
+        """Have the process fork for trials, if it says in its answer that it can."""
+        if learned.head.get("fork") is not True or len(self._channels) < 2:
+            return False
+        self._ask(self._channels[0], "serve", None, "the start of its trials")
+        self._free = self._channels[1:]
+        return True
+
+    def _restored(self, workers: int) -> MethodProcess:
+        """A new process with what the method learned; it serves trials if it can be forked."""
+        process = MethodProcess(self.name, self.parameters, replace(self.isolation, workers=workers), self.log,
+                                hidden=self.hidden)
+        try:
+            control = process._channels[0]
+            process._ask(control, "build", self._seed, "its constructor")
+            process._serves(process._ask(control, "restore", self._state, "the copy of what it learned"))
+        except BaseException:
+            process.close()
+            raise
+        return process
 
     # ------------------------------------------------------------------ trials
 
@@ -156,14 +182,14 @@ class MethodProcess:
         Args:
             view: of the object. support: the touches that were made. where: for messages.
         """
+        if self._copy is not None:
+            with self._copy.trial(view, support, where) as one:
+                yield one
+            self.peak_memory_mib = max(self.peak_memory_mib, self._copy.peak_memory_mib)
+            return
         if self._state is not None:
-            with MethodProcess(self.name, self.parameters, Isolation(self.isolation.sandbox, self.isolation.timeout,
-                                                                     self.isolation.memory),
-                               self.log, hidden=self.hidden) as process:
-                control = process._channels[0]
-                process._ask(control, "build", self._seed, "its constructor")
-                process._ask(control, "restore", self._state, "the copy of what it learned")
-                yield from process._one_trial(control, view, support, where)
+            with self._restored(1) as process:
+                yield from process._one_trial(process._channels[0], view, support, where)
             return
         with self._waiting:
             while not self._free:
