@@ -30,6 +30,8 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
                              ] = 1,
           variant: Annotated[list[str] | None, typer.Option(help="Make this variant only; may be given again.")
                              ] = None,
+          device: Annotated[str, typer.Option(help="Torch device, cuda:0 for instance, of the methods that a GPU makes "
+                                                   "faster.")] = "",
           show: Annotated[bool, typer.Option("--show", help="Print what is stored and make nothing.")] = False,
           json: JsonFile = None) -> None:
     """Make a table of the papers: the variants of one evaluation, compared object by object.
@@ -56,7 +58,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
     if not show:
         quiet = str(json) == "-"
         with Progress("study") as progress:
-            for name, message in make_missing(wanted, size, workers, progress=progress):
+            for name, message in make_missing(wanted, size, workers, progress=progress, device=device):
                 failed += [(name, message)] if message else []
                 if not quiet:
                     print(f"{name}: {message or 'made'}", flush=True)

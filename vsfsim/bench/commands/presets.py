@@ -54,6 +54,12 @@ def preset(method: str, name: str, observation: str) -> Choice:
     return Choice(method, name, {**settings, **given.get(observation, {})})
 
 
+def on_device(choice: Choice, device: str) -> Choice:
+    """A choice on this device if it makes the method faster; "" for its own."""
+    gpu = device and _table().get(choice.method, {}).get("gpu")
+    return replace(choice, parameters={**choice.parameters, "device": device}) if gpu else choice
+
+
 def choices(observation: str, device: str = "") -> list[Choice]:
     """All methods with all their presets that can predict an observation, the one with the papers' settings first.
 
@@ -63,7 +69,5 @@ def choices(observation: str, device: str = "") -> list[Choice]:
     out = []
     for method, table in _table().items():
         if observation in table.get("observations", [observation]):
-            made = [preset(method, name, observation) for name in PRESETS if name in table]
-            more = {"device": device} if device and table.get("gpu") else {}
-            out += [replace(one, parameters={**one.parameters, **more}) for one in made]
+            out += [on_device(preset(method, name, observation), device) for name in PRESETS if name in table]
     return out

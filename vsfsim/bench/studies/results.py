@@ -11,6 +11,7 @@ from pathlib import Path
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board.compare import ByObject, by_object
 from vsfsim.bench.commands.evaluate import finish
+from vsfsim.bench.commands.presets import on_device
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.metrics import Answer
 from vsfsim.bench.result import Result, readings_apart
@@ -99,8 +100,11 @@ def _counted(study: Study, variant: Variant, task: Task) -> frozenset[str] | Non
                      if models and study.classes.get(models[k % len(models)]) == variant.only)
 
 
-def evaluation(study: Study, variant: Variant, size: str) -> Evaluation:
+def evaluation(study: Study, variant: Variant, size: str, device: str = "") -> Evaluation:
     """What makes the result of a variant.
+
+    Args:
+        study: the study. variant: of it. size: of its tasks. device: that methods use which a GPU makes faster.
 
     Raises:
         VsfsimError: the dataset is missing, with the command that makes it, or does not fit.
@@ -109,7 +113,7 @@ def evaluation(study: Study, variant: Variant, size: str) -> Evaluation:
     row = study.is_row(variant)
     if row:
         task = load_task(task.name)  # without the study's shots and runs
-    dataset, choice = study.dataset_of(variant, task), study.choice(variant, task)
+    dataset, choice = study.dataset_of(variant, task), on_device(study.choice(variant, task), device)
     training = study.training(variant, task, size)
     if row:
         path = MADE / task.name / f"{choice.stem}.json"
@@ -130,12 +134,13 @@ def _finish(method: str, task: Task, dataset, path: Path, slim: bool, **options)
 
 def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: int,
                  boards: dict[str, leaderboard.Board] | None = None,
-                 progress: Callable[[int, int, str], None] = lambda *_: None) -> Iterator[tuple[str, str]]:
+                 progress: Callable[[int, int, str], None] = lambda *_: None,
+                 device: str = "") -> Iterator[tuple[str, str]]:
     """Make the results of some variants that are not there, several trainings at a time.
 
     Args:
         wanted: variants with their studies. size: of the tasks. processes: trainings at a time. boards: as of `stored`,
-        as they are before. progress: called with (done, of how many, what is going on).
+        as they are before. progress: called with (done, of how many, what is going on). device: as of `evaluation`.
 
     Yields:
         "study, variant" and "" or the message of a failure, as they are ready.
@@ -150,7 +155,7 @@ def make_missing(wanted: Sequence[tuple[Study, Variant]], size: str, processes: 
             continue
         name = f"{study.name}, {variant.name}"
         try:
-            one = evaluation(study, variant, size)
+            one = evaluation(study, variant, size, device)
         except VsfsimError as error:
             yield name, str(error)
             continue
