@@ -181,7 +181,7 @@ def test_touches_of_other_lengths_are_filled_up(dataset):
     assert batch["name"] == ["mock-0000-v0"] * 2
 
 
-@pytest.mark.parametrize(("start", "workers"), [("fork", 2), ("spawn", 1)])  # one that is spawned imports torch
+@pytest.mark.parametrize(("start", "workers"), [("fork", 2), pytest.param("spawn", 1, marks=pytest.mark.slow)])
 def test_a_torch_view_works_with_workers(dataset, start, workers):
     torch = pytest.importorskip("torch")
     touches = dataset.torch()

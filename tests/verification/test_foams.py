@@ -82,7 +82,7 @@ def test_a_block_of_foam_under_a_plane_is_the_closed_form(block, device, name):
 
 def scene(tmp_path, text):
     path = tmp_path / "foam.toml"
-    path.write_text(f"[object]\nshape = {{ box = [0.04, 0.04, 0.04] }}\n{text}\n")
+    path.write_text(f"[object]\nshape = {{ box = [0.04, 0.04, 0.04] }}\nresolution = 0.02\n{text}\n")
     return load_scene(path)
 
 
