@@ -53,12 +53,16 @@ class VsfSettings:
     max_particles: int = 0
     """The most particles, drawn at random from those in the volume; 0 for all. SBML appendix B.2 takes 10,000 to 30,000
     by the size of the object."""
+    reach: float = 0.0
+    """Width of the neighbourhoods over which spring constants are averages of common ones [m]; 0: they are independent,
+    as in the papers. With it a touch says something of springs that it did not move."""
 
     def __post_init__(self) -> None:
         if self.max_particles < 0:
             raise MethodError(f"max_particles is {self.max_particles!r}; it must be a number of particles, or 0 "
                               f"for all.")
-        for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres")):
+        for name, value, unit in (("noise_share", self.noise_share, "a fraction"), ("band", self.band, "in metres"),
+                                  ("reach", self.reach, "in metres")):
             if not 0.0 <= value < np.inf:
                 raise MethodError(f"{name} is {value!r}; it must be 0 or greater, {unit}.")
 
@@ -79,6 +83,8 @@ class ParticleModel:
     """Rows (r, n) and values (r,) of touches with a sensor surface."""
     features: dict[str, np.ndarray] = field(default_factory=dict)
     """Of the particles, by kind."""
+    near: sparse.csr_matrix | None = None
+    """`knots`, once asked (n, s)."""
 
     @classmethod
     def behind(cls, view: View, settings: VsfSettings) -> ParticleModel:
@@ -108,6 +114,24 @@ class ParticleModel:
                               f"and the particles are {1e3 * settings.spacing:g} mm apart. Give a smaller "
                               f"spacing{wider}.")
         return cls(particles, settings, volume / len(particles))
+
+    def knots(self) -> sparse.csr_matrix:
+        """Weights with which particles average the springs of knots (n, s); the weights of a particle sum to 1.
+
+        The knots are the mean places of the particles in the cells of a grid of `VsfSettings.reach`, the weights
+        Gaussians of that width. Where knots are independent, particles a width apart have a correlation of about 0.8,
+        and of 0.4 at two.
+        """
+        if self.near is None:
+            reach, points = self.settings.reach, self.particles
+            cell, of = np.unique(np.floor(points / reach).astype(np.int64), axis=0, return_inverse=True)
+            members = sparse.csr_matrix((np.ones(len(points)), (of.ravel(), np.arange(len(points)))))
+            centres = (members @ points) / np.asarray(members.sum(axis=1))
+            apart = cKDTree(points).sparse_distance_matrix(cKDTree(centres), 2.5 * reach, output_type="coo_matrix")
+            weights = sparse.csr_matrix((np.exp(-0.5 * (apart.data / reach) ** 2), (apart.row, apart.col)),
+                                        shape=(len(points), len(cell)))
+            self.near = sparse.csr_matrix(weights.multiply(1.0 / np.asarray(weights.sum(axis=1))))
+        return self.near
 
     def observe(self, action: Action) -> sparse.csr_matrix:
         """W (T d, n) of a touch, frame by frame: readings = W K.

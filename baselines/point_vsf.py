@@ -34,6 +34,7 @@ class PointVsf(PosteriorAnswers):
         table_height: z of the table the object stands on [m].
         noise_share: fraction of a touch's largest reading by which the particle model errs besides [-].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
+        reach: width of the neighbourhoods in which spring constants are alike [m]; 0: independent, as in the papers.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: Warp device.
         estimator: "batch", the quadratic program, or "filter", the diagonal Kalman filter, which assimilates one frame
@@ -46,17 +47,21 @@ class PointVsf(PosteriorAnswers):
 
     def __init__(self, *, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 1.0,
                  prior_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0, noise_share: float = 0.0,
-                 band: float = 0.0, max_particles: int = 0, device: str = "cpu", estimator: str = "batch",
-                 replay: int = 0, pose: str = "outline"):
+                 band: float = 0.0, reach: float = 0.0, max_particles: int = 0, device: str = "cpu",
+                 estimator: str = "batch", replay: int = 0, pose: str = "outline"):
         if estimator not in ESTIMATORS:
             raise MethodError(f"point-vsf: estimator is '{estimator}'. {did_you_mean(estimator, ESTIMATORS)}")
         if replay < 0 or (replay and estimator != "filter"):
             raise MethodError(f"point-vsf: replay is {replay!r} with estimator '{estimator}'; it must be 0 or greater, "
                               f"and belongs to the filter. Give --set estimator=filter, or leave replay away.")
+        if reach and estimator == "filter":
+            raise MethodError(f"point-vsf: reach is {reach!r} with estimator 'filter', whose springs are independent. "
+                              f"Give --set estimator=batch, or leave reach away.")
         self.prior_std, self.estimator, self.replay = prior_std, estimator, replay
         self._search = PoseSearch(pose=pose)
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band, max_particles=max_particles))
+                                             noise_share=noise_share, band=band, reach=reach,
+                                             max_particles=max_particles))
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Nothing to learn."""

@@ -15,6 +15,7 @@ from vsfsim.bench.method import Action, Estimate, Reading, check_support
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.data.records import View
 from vsfsim.vsf.estimate.kalman import DiagonalFilter
+from vsfsim.vsf.estimate.map import map_estimate
 from vsfsim.vsf.estimate.structured import reading_std, structured_map, structured_std
 from vsfsim.vsf.meta.composition import GaussianPrior
 from vsfsim.vsf.meta.width import Missed, Width
@@ -42,11 +43,35 @@ class Posterior:
 
     @classmethod
     def under(cls, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
-        """MAP by the quadratic program of SBML eq. 16, K >= 0."""
+        """MAP by the quadratic program of SBML eq. 16, K >= 0; with `VsfSettings.reach`, of springs that are alike."""
+        if model.settings.reach:
+            return cls._alike(model, support, prior)
         rows, z = model.stack(support)
         if rows.shape[0] == 0:
             return cls(model, np.maximum(prior.total_mean(), 0.0), rows, prior)
         return cls(model, structured_map(rows, z, noise_std=model.settings.noise_std, prior=prior).mean, rows, prior)
+
+    @classmethod
+    def _alike(cls, model: ParticleModel, support: Sequence[Reading], prior: GaussianPrior) -> Posterior:
+        """MAP of springs that deviate from the prior's means together with those near them.
+
+        K = diag(h) B phi with phi >= 0 of the knots, h the prior's means and phi around 1, or h = 1 and phi around 0
+        where these are 0. The variance of phi is the one with which the springs have the prior's variance in the mean.
+        """
+        mean, weights = np.maximum(prior.total_mean(), 0.0), model.knots()
+        around = float(mean.any())
+        shape = np.maximum(mean, 1e-3 * mean.max()) if around else np.ones(len(mean))
+        scaled = sparse.csr_matrix(sparse.diags_array(shape) @ weights)
+        count = weights.shape[1]
+        common = np.full(count, float((prior.total_std() ** 2).sum() / scaled.power(2).sum()))
+        known = GaussianPrior(around * shape, np.full(len(mean), 1e-9 * common[0] * float(np.mean(shape**2))), scaled,
+                              np.zeros(count), common)
+        rows, z = model.stack(support)
+        if rows.shape[0] == 0:
+            return cls(model, around * shape, rows, known)
+        knots = map_estimate(sparse.csr_matrix(rows @ scaled), z, noise_std=model.settings.noise_std,
+                             prior_mean=np.full(count, around), prior_var=common).mean
+        return cls(model, scaled @ knots, rows, known)
 
     def touched(self) -> np.ndarray:
         """Particles that the support displaced (n,) bool."""

@@ -64,6 +64,8 @@ class Sbml(PosteriorAnswers):
         margin: widening of the box around the visible cloud [m].
         table_height: z of the table the object stands on [m].
         band: particles further from every visible point are left out [m]; 0 keeps the whole hidden volume.
+        reach: width of the neighbourhoods in which springs deviate together from what the networks say [m]; 0:
+            independently, as in the paper.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
         device: "cpu" or "cuda:0", for Warp and torch.
     """
@@ -73,7 +75,7 @@ class Sbml(PosteriorAnswers):
                  patience: int = 40, dropout: float = 0.1, output: str = "softplus", second: str = "std",
                  validation: float = 0.25, spacing: float = 0.005, friction: float = 0.0, noise_std: float = 3.0,
                  noise_share: float = 0.0, fit_std: float = 1000.0, margin: float = 0.01, table_height: float = 0.0,
-                 band: float = 0.0, max_particles: int = 0, device: str = "cpu"):
+                 band: float = 0.0, reach: float = 0.0, max_particles: int = 0, device: str = "cpu"):
         if structure not in STRUCTURES:
             raise MethodError(f"sbml: structure is '{structure}'. {did_you_mean(structure, STRUCTURES)}")
         if features not in NAMES:
@@ -92,7 +94,8 @@ class Sbml(PosteriorAnswers):
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
         self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
-                                             noise_share=noise_share, band=band, max_particles=max_particles))
+                                             noise_share=noise_share, band=band, reach=reach,
+                                             max_particles=max_particles))
         self._search = PoseSearch(seed=seed)
         self._priors: dict[int, GaussianPrior] = {}  # by object on the shelf, which keeps them alive
         self._normaliser: Normaliser | None = None

@@ -306,6 +306,17 @@ def plant_sheet(scene: Annotated[str, typer.Argument(help="Name of a scene with 
     _report(measure(scene, picture=picture, objects=objects, seed=seed, progress=step), out)
 
 
+@app.command(name="plant-likeness")
+def plant_likeness(scene: Annotated[str, typer.Option(help="Scene of plants, with [arm].")] = "plants-v3-mini",
+                   objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,
+                   touches: Annotated[int, typer.Option(min=1, help="Touches of each plant.")] = 5,
+                   seed: Annotated[int, typer.Option(min=0, help="Of the dataset.")] = 1, out: JsonFile = None) -> None:
+    """How alike touches are that pass some millimetres beside each other."""
+    from benchmarks.artificial_plants.likeness import measure
+
+    _report(measure(scene=scene, objects=objects, touches=touches, seed=seed, progress=step), out)
+
+
 @app.command(name="plant-yield")
 def plant_yield(scene: Annotated[str, typer.Option(help="Scene of artificial plants.")] = "plants-v3-mini",
                 objects: Annotated[int | None, typer.Option(min=1, help="Plants; default: the scene's.")] = None,

@@ -106,7 +106,7 @@ def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
     kind = KINDS[named.kind]
     wild = options.plant == "random"
     f = np.exp((math.log(1.3) if wild else math.log1p(options.variation)) * rng.uniform(-1.0, 1.0, 8))
-    size, girth = named.size * f[0], named.girth * f[1]
+    size, girth = options.size * named.size * f[0], named.girth * f[1]
 
     def scaled(stalk: Stalk, by: float) -> Stalk:
         return replace(stalk, length=size * by * stalk.length, diameter=girth * stalk.diameter)
@@ -116,7 +116,7 @@ def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
     length, width, thick = kind.leaves.blade
     petiole = kind.leaves.petiole
     blade = named.leaf * f[5]
-    leaves = replace(kind.leaves, count=max(1, round(kind.leaves.count * named.dense * f[6])),
+    leaves = replace(kind.leaves, count=max(1, round(options.leaves * kind.leaves.count * named.dense * f[6])),
                      petiole=None if petiole is None else replace(petiole, length=blade * petiole.length,
                                                                   diameter=girth * petiole.diameter),
                      blade=(blade * length, blade * width, thick), midrib=girth * kind.leaves.midrib)

@@ -6,10 +6,12 @@ import inspect
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 from vsfsim.baselines.gaussian import GaussianAverage, GaussianZero
 from vsfsim.baselines.particle_model import ParticleModel, VsfSettings
 from vsfsim.baselines.point_vsf import DenseVsf, PointVsf
+from vsfsim.baselines.posterior import Posterior
 from vsfsim.baselines.sbml import Sbml
 from vsfsim.core.errors import MethodError
 from vsfsim.data.records import View
@@ -55,6 +57,33 @@ def test_a_sample_of_the_particles_stands_for_all_of_them(twig):
     np.testing.assert_array_equal(many.particles, whole.particles)
     with pytest.raises(MethodError, match="max_particles is -1"):
         VsfSettings(**SETTINGS, max_particles=-1)
+
+
+def test_springs_that_are_alike_are_means_of_knots_and_a_touch_tells_of_those_beside_it(twig, monkeypatch):
+    """A field of 20 N/m, of which a touch reads the lower half of the twig: independent springs above stay at 0."""
+    found = {}
+    for reach in (0.0, 0.05):
+        model = ParticleModel.behind(twig, VsfSettings(**SETTINGS, reach=reach))
+        low = (model.particles[:, 2] < np.median(model.particles[:, 2])).astype(float)
+        rows = sparse.csr_matrix(sparse.diags_array(low))
+        monkeypatch.setattr(model, "stack", lambda _, rows=rows, low=low: (rows, 20.0 * low))
+        found[reach] = Posterior.of(model, [], prior_mean=0.0, prior_var=100.0**2)
+        height = model.particles[:, 2] - np.median(model.particles[:, 2])
+        beside, far = (height > 0.0) & (height < 0.02), height > 0.3
+        near = found[reach].stiffness
+        assert near[height < -0.05] == pytest.approx(20.0, abs=0.1)
+        assert beside.any() and np.abs(near[beside] - (20.0 if reach else 0.0)).max() < 4.0
+        assert not far.any() or np.abs(near[far]).max() < 1e-6
+        # what is not touched has the prior's standard deviation, in the mean over particles
+        untouched = Posterior(model, near, found[reach].rows[:0], found[reach].prior)
+        assert np.mean(untouched._std() ** 2) == pytest.approx(100.0**2, rel=1e-6)
+    weights = model.knots()
+    assert weights is model.knots() and weights.shape[1] < 0.1 * len(model.particles)
+    assert np.asarray(weights.sum(axis=1)).ravel() == pytest.approx(1.0) and weights.data.min() > 0.0
+    with pytest.raises(MethodError, match="reach is -1"):
+        VsfSettings(**SETTINGS, reach=-1.0)
+    with pytest.raises(MethodError, match="estimator 'filter', whose springs are independent"):
+        PointVsf(estimator="filter", reach=0.05)
 
 
 @pytest.mark.parametrize("method", [GaussianAverage, GaussianZero, PointVsf, DenseVsf, Sbml])
