@@ -6,6 +6,9 @@ import os
 import subprocess
 import sys
 
+if "PYTEST_XDIST_WORKER" in os.environ:
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy and torch: the processes share the cores already
+
 import numpy as np
 import pytest
 
@@ -21,10 +24,6 @@ LONGEST = ("test_bad_input.py", "test_isolation.py", "test_generate.py", "test_d
            "test_observations.py", "test_fields.py", "test_touch_bubble.py", "test_folds.py", "test_interruption.py")
 """Files that take 10 s of a core or more, the longest first. The whole suite begins with them, so that its processes
 end together; by default those with few tests come last, and one of these has a single test of 20 s."""
-
-if "PYTEST_XDIST_WORKER" in os.environ:
-    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before torch is imported: the processes share the cores already
-
 
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device of the physics tests: cpu or cuda:0.")

@@ -108,7 +108,7 @@ def test_a_probe_that_misses_is_reported_and_one_inside_is_refused(press):
 
 
 def test_two_lines_of_toml_give_force_picture_file_and_statement(press, tmp_path):
-    trimesh.creation.capsule(radius=8.0, height=14.0).export(tmp_path / "tip.stl")
+    trimesh.creation.capsule(radius=8.0, height=14.0, count=[16, 16]).export(tmp_path / "tip.stl")
     scene = ('[object]\nshape = { box = [0.06, 0.06, 0.03] }\nyoung_modulus = 5e4\nresolution = 0.012\n[probe]\nshape '
              '= { mesh = "tip.stl", scale = 0.001 }\n')
     out = press("--picture", "p.png", "--save", "s.npz", text=scene)

@@ -177,6 +177,7 @@ def test_sigkill_half_way_then_again_gives_the_same_bits(made, scene, tmp_path):
     assert verify(out).ok
 
 
+@pytest.mark.slow
 def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(made, scene, tmp_path):
     """One worker writes the first of two views; then the interrupt comes, as a terminal sends it, to all processes."""
     out = tmp_path / "d"

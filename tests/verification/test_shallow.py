@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.shallow import errors
+from benchmarks import shallow
 from vsfsim.core.shape import Box, Plane, Sphere
 from vsfsim.physics.contact.local_indentation import poisson_ratio
 from vsfsim.physics.solve.frames import SolverOptions
@@ -11,15 +11,17 @@ from vsfsim.physics.solve.touches import Solver
 
 
 def worst(tier, resolution):
-    rows, spent = errors(tier, resolution)
+    rows, spent = shallow.errors(tier, resolution)
     found = [max(abs(row["least"]), abs(row["most"])) for row in rows]
     print(f"{tier} {resolution}: errors {np.round(found, 3)} at 0.5, 1, 2.5 and 5 mm, {spent:.1f} s of processor")
     assert all(row["converged"] == 1.0 for row in rows)
     return np.array(found)
 
 
-def test_elements_of_ten_millimetres():
-    """Observed 6.6, 6.4, 1.4 and 1.9 %; 37 to 70 % at 0.5 mm and 37 % at 1 mm without the local indentation."""
+def test_elements_of_ten_millimetres(monkeypatch):
+    """Observed 5.1, 5.9, 1.1 and 1.3 %; 37 to 70 % at 0.5 mm and 37 % at 1 mm without the local indentation. At
+    three of the six places, among which are the worst of each depth."""
+    monkeypatch.setattr(shallow, "PLACES", shallow.PLACES[[0, 2, 3]])
     assert (worst("fem", 0.010) < [0.10, 0.08, 0.025, 0.025]).all()
 
 
