@@ -52,7 +52,9 @@ def pytest_cmdline_main(config):
 
 
 def pytest_collection_finish(session):
-    gc.freeze()  # the libraries' 400,000 objects stay: looking through them again and again took 3 % of the time
+    """Fewer searches for circles, which leave out the libraries' 400,000 objects: a tenth of the time of some files."""
+    gc.set_threshold(50_000, 20, 50)
+    gc.freeze()
 
 
 @pytest.hookimpl(trylast=True)
