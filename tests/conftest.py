@@ -25,6 +25,7 @@ LONGEST = ("test_bad_input.py", "test_extremes.py", "test_bubble.py", "test_isol
 """Files that take 8 s of a core or more, the longest first. The whole suite begins with them, so that its processes
 end together; by default those with few tests come last, and one of these has a single test of 20 s."""
 
+
 def pytest_addoption(parser):
     parser.addoption("--device", default="cpu", help="Warp device of the physics tests: cpu or cuda:0.")
     parser.addoption("--seeds", type=int, default=1, help="Seeds of the tests that search at random (`trial_seed`): "

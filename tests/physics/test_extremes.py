@@ -83,6 +83,7 @@ def test_nearly_incompressible(device, nu):
     assert press(body(nu=nu), [0.05, 0.1], device).converged.all()
 
 
+@pytest.mark.slow
 def test_a_nearly_incompressible_body_converges_within_its_iterations(device):
     """Preconditioned with the whole of its bulk stiffness, nu = 0.4999 needed more than 1,500 conjugate gradients."""
     frames = {nu: press(body(nu=nu, resolution=0.0075), [0.02, 0.1], device) for nu in (0.49, 0.499, 0.4999)}

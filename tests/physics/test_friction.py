@@ -38,7 +38,7 @@ def plate(line, down, sideways):
 def test_a_dragged_plate_slides_at_mu_times_the_normal_force(coarse, line, device):
     mu = 0.3
     solver = Solver(coarse, Plane(), friction=mu, device=device, options=TIGHT)
-    frames = solver.run(plate(line, 0.001, [0.001, 0.002, 0.004, 0.006]))
+    frames = solver.run(plate(line, 0.001, [0.002, 0.006]))
     assert frames.converged.all()
     along, normal = frames.force[:, 0, 0], frames.force[:, 0, 2]
     # every point slips the same way, so the sum of the limits is the limit of the sum

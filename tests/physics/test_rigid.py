@@ -98,12 +98,12 @@ def test_a_meshed_ball_converges_to_the_ball_with_its_facets():
     # facets lie up to edge^2 / (8 R) under the sphere: mesh and grid refined together are of second order
     worst = []
     x, r = shell(4000, 0.9 * RADIUS, 1.03 * RADIUS)
-    for subdivisions, cells in ((2, 16), (3, 32), (4, 64)):
+    for subdivisions, cells in ((1, 8), (2, 16), (3, 32)):
         grid = bake(*icosphere(subdivisions), spacing=2 * RADIUS / cells)
         worst.append(np.abs(grid.distance(x) - (r - RADIUS)).max())
     orders = np.log2(np.array(worst)[:-1] / np.array(worst)[1:])
     assert orders.min() > 1.8, (orders, worst)
-    assert worst[-1] < 2e-3 * RADIUS
+    assert worst[-1] < 8e-3 * RADIUS, worst
 
 
 @pytest.mark.parametrize("place", ["surface", "edge of the grid"])

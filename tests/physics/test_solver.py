@@ -224,7 +224,7 @@ def test_linear_tier_scales_with_the_modulus(block, line, device):
     assert forces[1] == pytest.approx(2.0 * forces[0], rel=1e-6)
 
 
-@pytest.mark.parametrize("linear", [False, True])
+@pytest.mark.parametrize("linear", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, linear):
     """A ball rises from below against a plate that sags by its weight: it meets it where, at rest, it would never have
     been in reach."""

@@ -191,6 +191,7 @@ def test_everything_wrong_at_once(tmp_path: Path) -> None:
         assert any(said in note for note in solid.notes), (said, solid.notes)
 
 
+@pytest.mark.slow
 def test_thin_walls_survive_a_coarse_fill(tmp_path: Path) -> None:
     """A hollow ball with walls of 2 mm, elements of 20 mm: an envelope of half the wall on each side would eat it."""
     inner = ball(radius=SIZE - 0.002)
