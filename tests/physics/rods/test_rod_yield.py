@@ -79,8 +79,9 @@ from vsfsim.physics.rods.kernels.yielding import segment_energy, segment_moment,
 
 def law(tree, work, phi):
     n = len(phi)
-    out = wp.zeros(n, dtype=wp.float64), wp.zeros(n, dtype=wp.vec3d), wp.zeros(n, dtype=wp.mat33d)
-    wp.launch(_law, dim=n, inputs=[tree, work, wp.array(phi, dtype=wp.vec3d)], outputs=list(out), device="cpu")
+    out = tuple(wp.zeros(n, dtype=kind, device="cpu") for kind in (wp.float64, wp.vec3d, wp.mat33d))
+    wp.launch(_law, dim=n, inputs=[tree, work, wp.array(phi, dtype=wp.vec3d, device="cpu")], outputs=list(out),
+              device="cpu")
     return tuple(a.numpy() for a in out)
 
 
