@@ -7,6 +7,7 @@ import pytest
 
 import references
 from references.closed_forms import comparisons
+from references.flat_punch import stiffness
 from references.soft_block import Block, Press, curve, s1
 from references.soft_block_inclusion import half_block, s2
 
@@ -28,6 +29,12 @@ def test_closed_forms_give_the_stored_values():
     assert len(found) > 30
     # the stored values have five digits or more
     assert {what: computed for what, computed, stored in found if computed != pytest.approx(stored, rel=3e-5)} == {}
+
+
+def test_a_flat_punch_gives_the_stored_values():
+    stored = references.load("flat_punch")
+    for side, found in zip(stored["side_m"][:2], stored["stiffness_by_cells_N_per_m"], strict=False):
+        assert stiffness(side, stored["cells_over_half"][0]) == pytest.approx(found[0], rel=1e-6)
 
 
 @pytest.fixture(scope="module")

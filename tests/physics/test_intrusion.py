@@ -186,16 +186,6 @@ def test_a_box_pushed_deep_into_the_block_is_not_lost(device):
 
 
 @pytest.mark.slow
-def test_the_force_of_a_small_flat_punch_falls_with_the_elements(device):
-    """The box of 13 mm, 5 mm deep: 11.5, 10.8 and 10.0 N on elements of 10.6, 8.4 and 6.4 mm (docs/limits.md)."""
-    made = [s1(Box((0.013,) * 3), np.array([0.001, 0.0025, 0.005]), tier=tier, seconds=1e9)[0]
-            for tier in ("fem-coarse", "fem", "fem-fine")]
-    assert all(frames.converged.all() for frames in made)
-    # rounding moves them in the fourth digit; the force of the infinitely fine mesh lies below
-    assert [frames.force[-1, 0, 2] for frames in made] == pytest.approx([11.48, 10.83, 9.99], rel=0.01)
-
-
-@pytest.mark.slow
 def test_a_map_of_shapes_depths_and_tiers_has_no_silent_frame(device):
     """Small bodies ask for small elements under them; what is refused for its size is not silent either."""
     rng, made = np.random.default_rng(15), 0

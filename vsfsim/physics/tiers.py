@@ -16,6 +16,7 @@ from vsfsim.core.solid import Solid
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.foundation import MOST_POISSON_RATIO, foundation
 from vsfsim.physics.mesh.discretise import build_solid
+from vsfsim.physics.mesh.edge_refine import EdgePath, refine_near
 from vsfsim.physics.mesh.inclusions import snap_to_inclusions
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.model import Elements, Model, build_model, foam_tetrahedra, regional_tetrahedra, tetrahedra
@@ -158,7 +159,7 @@ def placement(spec: ObjectSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-         cache: Path | None = None) -> tuple[Solid, np.ndarray]:
+         cache: Path | None = None, edges: EdgePath | None = None) -> tuple[Solid, np.ndarray]:
     """The object of a scene at a tier, in its own frame, and Young's modulus at its Gauss points (m, 4) [Pa].
 
     Args:
@@ -167,6 +168,7 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         seed: of what a family draws (materials, appearance).
         focus: points near which a box is meshed finely (k, 3) [m], world.
         cache: folder of filled meshes.
+        edges: the way of the probe's edges, world, along which elements of a solid are small, see `edge_refine`.
 
     Raises:
         SceneError, MeshError: the object cannot be built.
@@ -179,6 +181,8 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
     # 0.05 % off. A ball of equal volume would be 1-2 % of its radius too high, and so would its first contact
     solid = build_solid(spec, resolution=element_size(spec, tier, scene.probe), rng=np.random.default_rng(seed),
                         cache=cache, focus=local, equal_volume=isinstance(spec.shape, (Rod, Cylinder)))
+    if edges is not None and TIERS[tier].elements is tetrahedra:
+        solid = _with_edges(solid, dataclasses.replace(edges, places=(edges.places - shift) @ turn), scene, tier)
     field = spec.young_modulus
     modulus = None
     if len(solid.region_names) > 1 or solid.young_modulus is not None or field.base is None:
@@ -187,6 +191,18 @@ def body(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, foc
         return solid, field.evaluate(gauss_points(solid), _spread(solid, 4), modulus)
     solid, _ = snap_to_inclusions(solid, field)
     return solid, np.repeat(_mixed(solid, field, modulus)[:, None], 4, axis=1)
+
+
+def _with_edges(solid: Solid, edges: EdgePath, scene: Scene, tier: str) -> Solid:
+    """The solid with small elements where edges (in its own frame) meet it, as part of their body's half-width; smaller
+    by as much as the scene's resolution is smaller than the tier's."""
+    own = element_size(dataclasses.replace(scene.object, resolution=None), tier, scene.probe)
+    finer = min(1.0, element_size(scene.object, tier, scene.probe) / own)
+    divided, part = refine_near(solid, edges, TIERS[tier].probe * finer)
+    if len(divided.tets) == len(solid.tets):
+        return solid
+    return dataclasses.replace(divided, notes=(*divided.notes, (
+        f"Elements are smaller along the probe's edges, down to {1e3 * part * float(edges.half.min()):.2g} mm.")))
 
 
 def _spread(solid: Solid, points: int) -> np.ndarray:
@@ -230,11 +246,11 @@ def foot_note(solid: Solid, tolerance: float) -> str:
 
 
 def build(scene: Scene, tier: str, *, seed: int | np.random.SeedSequence = 0, focus: np.ndarray | None = None,
-          cache: Path | None = None) -> Model:
+          cache: Path | None = None, edges: EdgePath | None = None) -> Model:
     """The model of a scene at a tier, in the world frame; arguments and errors as `body`."""
     spec = scene.object
     where = f"{scene.source} [object]"
-    solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache)
+    solid, values = body(scene, tier, seed=seed, focus=focus, cache=cache, edges=edges)
     turn, shift = placement(spec)
     height = float(np.ptp(solid.vertices[:, 2]))
     tolerance = (FOOT if isinstance(spec.shape, MeshFile) else 1e-6) * height

@@ -40,6 +40,8 @@ from vsfsim.generate.presses.verdict import (
 from vsfsim.physics import tiers
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.contact.body_samples import inner_radius, sharp_samples
+from vsfsim.physics.mesh.edge_refine import EdgePath
 from vsfsim.physics.model import Model
 from vsfsim.physics.runtime import compile_kernels
 from vsfsim.physics.solve.kernels import solver_kernels
@@ -50,6 +52,7 @@ from vsfsim.sensing.surface import Surface
 from vsfsim.sensing.tessellate import tessellate
 
 RATIO = 1.3  # of the edges of two meshes: three meshes span 1.69, the finest has 4.8 times the tetrahedra of the first
+SPACING = 0.1  # of the points of a body's edges, over its half-width
 PICTURE = (640, 512)  # width and height of a view [px]
 
 
@@ -132,9 +135,30 @@ def prepare(scene: Scene, request: PressRequest) -> Prepared:
 def _discretise(scene: Scene, tier: str, request: PressRequest, notes: tuple[str, ...]) -> Prepared:
     began = time.perf_counter()
     focus = None if scene.press is None else tip(scene, np.array(scene.press.stop), direction(scene.press))[None]
-    model = tiers.build(scene, tier, seed=request.seed, cache=request.cache, focus=focus)
-    scene, more = with_press(scene, model)
+
+    def build(edges: EdgePath | None) -> Model:
+        return tiers.build(scene, tier, seed=request.seed, cache=request.cache, focus=focus, edges=edges)
+
+    model = build(edge_path(scene))
+    given, (scene, more) = scene.press, with_press(scene, model)
+    if given is None and (edges := edge_path(scene)) is not None:
+        model = build(edges)
     return Prepared(scene, model, tier, (*notes, *more), time.perf_counter() - began)
+
+
+def edge_path(scene: Scene) -> EdgePath | None:
+    """The way in of points on the edges, corners and rims of the probe and its parts, close enough for every tier; None
+    without any, or without a path."""
+    if scene.press is None:
+        return None
+    inward = np.stack([pose_at(scene.press, scene.probe, k) for k in range(scene.press.inward + 1)])
+    places, half = [], []
+    for k, shape in enumerate(scene.bodies[:1 + len(scene.parts)]):
+        width = inner_radius(shape)
+        pose, spot = body_poses(scene, inward)[:, k], sharp_samples(shape, SPACING * width)[0]
+        places.append(pose[:, None, :3, 3] + np.einsum("tij,kj->tki", pose[:, :3, :3], spot))
+        half.append(np.full(len(spot), width))
+    return EdgePath(np.concatenate(places, axis=1), np.concatenate(half)) if sum(map(len, half)) else None
 
 
 def solve(prepared: Prepared, request: PressRequest) -> PressResult:

@@ -69,6 +69,9 @@ class BodyPoints:
     """The points in the frames of their bodies (m, 3) [m]."""
     body: np.ndarray
     """Their bodies (m,)."""
+    least: float
+    """Least element size for the stiffness of the faces under these bodies [m], 0 without any point, see
+    `patch.make_patch`."""
 
     def __init__(self, model: Model, bodies: RigidBodies, batch: int, *, device: str):
         self.model, self.device = model, device
@@ -78,6 +81,7 @@ class BodyPoints:
         found = [sharp_samples(s if solid else Plane(), SPACING * size) for s in bodies.shapes]
         self.spot, self._outward, self._length = (np.concatenate([f[i] for f in found]) for i in range(3))
         self.body = np.repeat(np.arange(len(found)), [len(f[0]) for f in found])
+        self.least = size if len(self.spot) else 0.0
         self._soft = min(SOFT * size, _SMALL * least)
         self._size, self._near = size, min(_NEAR * size, 2.0 * least)
         self.met = [NONE] * batch

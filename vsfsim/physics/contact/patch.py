@@ -23,6 +23,7 @@ PENALTY = 1000.0
 """Contact pressure at a penetration of one element size, in units of the modulus under the surface [-]."""
 CUTS = (1, 2, 3, 4, 6, 8)
 """Parts along the edge of a quadratic face that its contact may be integrated over."""
+_LEAST = 1.5  # least size of a face for its stiffness, over the element size, under a body with edges
 _MOST_CUTS = 4  # of a linear face along its edge
 _A_PRIORI = 4  # most cuts of a quadratic face before a body was found between its points
 _SHARP = 2  # cuts of a quadratic face under a body with edges, whose own points do the rest, see `body_points`
@@ -129,7 +130,7 @@ class Patch:
 
 
 def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus: np.ndarray, cuts: np.ndarray,
-               rows: Mapping[int, int], *, factor: float = 1.0) -> Patch:
+               rows: Mapping[int, int], stiff: tuple[float, float] = (1.0, 0.0)) -> Patch:
     """The patch of some boundary triangles.
 
     Args:
@@ -139,13 +140,14 @@ def make_patch(mesh: QuadraticMesh, faces: np.ndarray, area: np.ndarray, modulus
         modulus: Young's modulus under them (f,) [Pa].
         cuts: parts along the edge of each (f,), see `shape_table`.
         rows: first row of each number of cuts in the table of shape values, see `shape_tables`.
-        factor: on the stiffness [-].
+        stiff: factor on the stiffness [-], and the element size [m] that counts where elements are smaller, as along
+            the edges of a body, where a stiffer contact would only cost iterations; 0 for none.
     """
     corners = mesh.faces.shape[1]
     nodes, local = np.unique(mesh.faces[faces], return_inverse=True)
     padded = np.zeros((len(faces), 6), np.int64)
     padded[:, :corners] = local.reshape(len(faces), corners)
-    pressure_per_metre = factor * PENALTY * modulus / np.sqrt(area)
+    pressure_per_metre = stiff[0] * PENALTY * modulus / np.maximum(np.sqrt(area), _LEAST * stiff[1])
     parts = cuts**2
     stiffness = (area / parts * pressure_per_metre)[:, None] * WEIGHTS[None, :]
     part = np.concatenate([np.zeros(0, int), *(rows[int(c)] + np.arange(c * c) for c in cuts)])

@@ -95,7 +95,7 @@ class RigidContact:
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
         return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
-                          self._cuts[b, faces], self._rows_of, factor=self._factor)
+                          self._cuts[b, faces], self._rows_of, (self._factor, self._body_points.least))
 
     def _upload(self) -> None:
         batch, k = len(self.patches), self.kernels

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import scipy.sparse as sp
 import torch
+
+_SPARSE = 250
+"""Degrees of freedom from which on a CPU products with the contact stiffness, whose rows have few entries, are sparse
+and brackets are factorised: of a block between five planes on elements of an eighth of its width they take a tenth of
+the time."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +46,12 @@ class ContactBlock:
         own = _between(compliance, dof)
         if rows.shape[1] > rows.shape[2]:
             # more rows than degrees of freedom: their product R^T R says the same
-            stiff = rows.mT @ rows
-            return cls(dof, stiff, torch.linalg.inv(_bracket(own, stiff)), compliance.shape[2], joined=True)
+            stiff = _squared(rows)
+            bracket = _bracket(own, stiff)
+            if _is_large(bracket):
+                factors, pivots = torch.linalg.lu_factor(bracket)
+                return cls(dof, stiff, factors, compliance.shape[2], joined=True, pivots=pivots)
+            return cls(dof, stiff, torch.linalg.inv(bracket), compliance.shape[2], joined=True)
         inner = rows @ own @ rows.mT
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         return cls(dof, rows, torch.linalg.cholesky(inner), compliance.shape[2])
@@ -76,13 +86,32 @@ def gram(rows: torch.Tensor) -> torch.Tensor:
     dof = _used((rows != 0.0).any(dim=1))
     own = rows.gather(2, dof[:, None, :].expand(-1, rows.shape[1], -1))
     out = rows.new_zeros(len(rows), rows.shape[2], rows.shape[2])
-    out[torch.arange(len(rows), device=rows.device)[:, None, None], dof[:, :, None], dof[:, None, :]] = own.mT @ own
+    out[torch.arange(len(rows), device=rows.device)[:, None, None], dof[:, :, None], dof[:, None, :]] = _squared(own)
+    return out
+
+
+def _is_large(matrix: torch.Tensor) -> bool:
+    return matrix.device.type == "cpu" and matrix.shape[2] > _SPARSE
+
+
+def _squared(rows: torch.Tensor) -> torch.Tensor:
+    """R^T R (k, m, m) of rows R (k, r, m)."""
+    if not _is_large(rows):
+        return rows.mT @ rows
+    out = rows.new_empty(len(rows), rows.shape[2], rows.shape[2])
+    for b, own in enumerate(rows):
+        sparse = sp.csr_matrix(own.numpy())
+        out[b] = torch.as_tensor((sparse.T @ sparse).toarray())
     return out
 
 
 def _bracket(own: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
     """1 + A C (k, m, m)."""
-    inner = own @ stiff
+    if _is_large(stiff):  # (C A)^T: both are symmetric
+        inner = torch.stack([torch.as_tensor(sp.csr_matrix(c.numpy()) @ a.numpy()).T
+                             for a, c in zip(own, stiff, strict=True)]).contiguous()
+    else:
+        inner = own @ stiff
     inner.diagonal(dim1=1, dim2=2).add_(1.0)
     return inner
 

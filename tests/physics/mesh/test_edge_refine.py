@@ -1,0 +1,73 @@
+"""Elements divided along the edges of a probe: conforming, sound, small where asked for and nowhere else."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+
+from vsfsim.core.quality import smallest_sine
+from vsfsim.core.shape import Box
+from vsfsim.core.solid import Solid, tet_volumes
+from vsfsim.physics.contact.body_samples import sharp_samples
+from vsfsim.physics.mesh.edge_refine import GROWTH, EdgePath, refine_near
+from vsfsim.physics.mesh.structured import ball, box
+
+SIZE, CELL, SIDE = (0.06, 0.05, 0.03), 0.01, 0.013
+
+
+def punch(top, depth=0.004, at=(0.002, 0.003)):
+    """The way of a box's edges from 2 mm over a surface at height ``top`` to ``depth`` under it, in four steps."""
+    spot = sharp_samples(Box((SIDE,) * 3), 0.001)[0] + [*at, top + 0.5 * SIDE]
+    down = np.linspace(0.002, -depth, 5)[:, None, None] * np.array([0.0, 0.0, 1.0])
+    return EdgePath(spot + down, np.full(len(spot), 0.5 * SIDE))
+
+
+def conforming(solid):
+    """Whether every face inside belongs to two tetrahedra, and the boundary is closed without a hanging node."""
+    faces = np.sort(solid.tets[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]].reshape(-1, 3), axis=1)
+    surface = trimesh.Trimesh(solid.vertices, solid.surface()[0], process=False)
+    return (np.unique(faces, axis=0, return_counts=True)[1] <= 2).all() and surface.is_watertight
+
+
+@pytest.mark.parametrize("shape", ["box", "ball"])
+def test_tetrahedra_are_small_along_the_edges_of_a_punch(shape):
+    vertices, tets = box(SIZE, CELL) if shape == "box" else ball(0.03, CELL)
+    top = vertices[:, 2].max()
+    plain = Solid(vertices, tets, np.arange(len(tets)) % 2, ("even", "odd"))
+    path = punch(top)
+    fine, part = refine_near(plain, path, 0.25)
+    assert part == 0.25 and conforming(fine) and fine.volume() == pytest.approx(plain.volume(), rel=1e-12)
+    assert tet_volumes(fine.vertices, fine.tets).min() > 0.0
+    # bisection of the longest edge keeps half of the smallest angle at the least
+    assert smallest_sine(fine.vertices, fine.tets).min() > 0.5 * smallest_sine(vertices, tets).min()
+    # regions keep their volume
+    for r in (0, 1):
+        assert tet_volumes(fine.vertices, fine.tets)[fine.region == r].sum() == pytest.approx(
+            tet_volumes(vertices, tets)[plain.region == r].sum(), rel=1e-12)
+    place, _ = path.meets(plain)
+    assert len(place)
+    corner = fine.vertices[fine.tets]
+    longest = np.linalg.norm(corner[:, :, None] - corner[:, None], axis=3).max(axis=(1, 2))
+    away = np.linalg.norm(corner[:, :, None] - place, axis=3).min(axis=(1, 2))
+    size = 1.3 * 0.25 * 0.5 * SIDE
+    assert (longest <= size + GROWTH * away + 1e-12).all() and longest[away > 0.025].max() > 0.9 * CELL
+    assert len(tets) < len(fine.tets) < 7500
+
+
+def test_edges_meet_a_body_where_they_pass_its_surface():
+    plain = Solid(*box(SIZE, CELL), np.zeros(180 * 5, int), ("body",))
+    place, which = punch(SIZE[2]).meets(plain)
+    # the lower edges and corners only: the upper ones stay outside
+    assert place[:, 2] == pytest.approx(SIZE[2]) and len(np.unique(which)) == len(which)
+    assert np.abs(place[:, :2] - [0.002, 0.003]).max(axis=1) == pytest.approx(0.5 * SIDE)
+    for way in (punch(SIZE[2], depth=-0.001), punch(SIZE[2], at=(0.2, 0.0))):  # does not get there; passes by
+        assert not len(way.meets(plain)[0]) and refine_near(plain, way, 0.25)[0] is plain
+
+
+def test_a_long_thin_edge_does_not_fill_the_memory():
+    """The size grows until there are few enough elements, and the size that was taken is returned."""
+    plain = Solid(*box(SIZE, CELL), np.zeros(180 * 5, int), ("body",))
+    path = dataclasses.replace(punch(SIZE[2]), half=np.full(len(punch(SIZE[2]).half), 1e-4))
+    fine, part = refine_near(plain, path, 0.2)
+    assert part > 0.2 and len(fine.tets) <= 2 * len(plain.tets) + 12_000
