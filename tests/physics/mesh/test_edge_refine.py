@@ -65,6 +65,7 @@ def test_edges_meet_a_body_where_they_pass_its_surface():
         assert not len(way.meets(plain)[0]) and refine_near(plain, way, 0.25)[0] is plain
 
 
+@pytest.mark.slow
 def test_a_long_thin_edge_does_not_fill_the_memory():
     """The size grows until there are few enough elements, and the size that was taken is returned."""
     plain = Solid(*box(SIZE, CELL), np.zeros(180 * 5, int), ("body",))
