@@ -1,13 +1,18 @@
-"""Bodies with edges on a bubble: a corner, an edge and rims that the membrane rolls over, beside the axis, too."""
+"""Bodies on a bubble that are hard for it: a corner, an edge and rims that the membrane rolls over, beside the axis,
+too; and a small ball that is deep in the first frame."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.rotation import rotation_matrix
+from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Box, Cylinder
+from vsfsim.generate.press_result import PressRequest
+from vsfsim.generate.presses.bubble_solve import solve
 from vsfsim.physics.bubble.sensor import build_bubble
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
@@ -50,3 +55,28 @@ def test_the_membrane_rolls_over_edges(bubble, device, name, friction):
     assert (np.diff(frames.force[:, 0, 2]) > 0.0).all() and (frames.force_balance < 1e-3).all()
     assert frames.iterations.sum() < 120  # 15 to 50 with friction or without; half of them used to end at their limit
     assert frames.penetration.max() < 0.08 * bubble.element_size  # of a corner between the points of a face
+
+
+def test_a_small_ball_that_the_first_frame_finds_behind_the_membrane():
+    """6.5 mm deep a ball of 3 mm is wholly behind the free dome. In one frame it was taken to have come in there, and
+    the frame was marked; now it comes from the start of the path, as in three."""
+    force = []
+    for frames in (1, 3):
+        scene = parse_scene(f'''
+name = "tip"
+[sensor]
+kind = "bubble"
+nodes = 390
+contact_edge = 0.01  # coarse, since only one frame against three matters here
+[[obstacles]]
+shape = {{ sphere = 0.003 }}
+pose = [0.0, 0.0, 0.0]
+[press]
+from = [0.0, 0.0, 0.0335]
+to = [0.0, 0.0, 0.0270]
+frames = {frames}
+''', Path("tip.toml")).sample(0)
+        found = solve(scene, PressRequest(seconds=1e9))
+        assert found.frames.converged.all() and len(found.pressure) == len(found.position) == frames
+        force.append(found.frames.force[-1, 0, 2])
+    assert force[0] > 1.0 and force[0] == pytest.approx(force[1], rel=2e-3)

@@ -6,6 +6,7 @@ the obstacles move; with an object both bodies find one equilibrium (`CoupledSol
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass
 
@@ -140,8 +141,9 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
     first = np.eye(4)
     first[:3, :3], first[:3, 3] = mount[0, :3, :3], path.start
     axis = direction(path)
+    begin = in_mount(scene, first[None])
     gap = min(clearance(model, shape, pose, -first[:3, :3].T @ axis)
-              for shape, pose in zip(scene.bodies, in_mount(scene, first[None])[0], strict=True))
+              for shape, pose in zip(scene.bodies, begin[0], strict=True))
     solver = Solver(model, scene.bodies, friction=scene.frictions, device=request.device, precision=request.precision,
                     options=request.limited(OPTIONS))
     pressure: list[float] = []
@@ -151,16 +153,18 @@ def _on_obstacles(scene: Scene, path: PressSpec, model: BubbleModel, mount: np.n
         pressure.append(float(solver.elasticity.pressure.numpy()[0]))
         volume.append(float(solver.elasticity.volume.numpy()[0]))
         if request.progress is not None:
-            request.progress(frames, len(poses), "frames")
+            request.progress(max(1, frames - 1), len(poses), "frames")
 
-    frames = solver.run(poses[:, None], keep=True, progress=done)
+    # the start of the path is a frame of its own: a small body may be behind the membrane in the first of the others
+    whole = solver.run(np.concatenate([begin, poses])[:, None], keep=True, progress=done)
+    frames = Frames(**{f.name: getattr(whole, f.name)[1:] for f in dataclasses.fields(Frames)})
 
     def world(force: np.ndarray) -> np.ndarray:
         return np.einsum("tij,t...j->t...i", mount[:, :3, :3], force)
 
     return Solved(scene, path, model, mount, frames, gap,
-                  model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history]),
-                  np.stack([f[..., 0] for f in solver.surface_force]), np.array(pressure), np.array(volume),
+                  model.mesh.points + np.stack([u[:, 0].reshape(-1, 3) for u in solver.history[1:]]),
+                  np.stack([f[..., 0] for f in solver.surface_force[1:]]), np.array(pressure[1:]), np.array(volume[1:]),
                   world(frames.reaction[:, 0]), world(frames.body_force[:, 0]),
                   tuple(f"obstacle {i + 1}" for i in range(len(scene.obstacles))), scene.frictions, OPTIONS.tolerance,
                   notes, build_seconds=built)

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch
 
 from vsfsim.physics.contact.patch import CUTS, Patch
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
@@ -122,6 +124,37 @@ def carry(old: Patch, new: Patch, memory: Memory, table: np.ndarray, rest: np.nd
         ratio = new.stiffness.ravel()[b] / old.stiffness.ravel()[a][near]
         owner[b], limit[b], across[b] = own, memory[2][a][near] * ratio, memory[3][a][near]
     return anchor, owner, limit, across
+
+
+def restore(touches: Sequence[int], tensors: tuple[torch.Tensor, ...], state: tuple[Any, ...],
+            present: tuple[Sequence[Patch], Sequence[Met]], table: np.ndarray, body: np.ndarray, mesh: QuadraticMesh,
+            moved: torch.Tensor, turn: np.ndarray) -> None:
+    """Write a friction state into the ``tensors`` of `Memory`, of B touches each: as it was where the contact points
+    are the same, else what each point remembers (`remembered`).
+
+    Args:
+        touches: those to write.
+        tensors: anchors, owners, limits and normals.
+        state: patches, points of bodies and tensors of B touches when it was kept.
+        present: patches and points of bodies now (B).
+        table, body: see `remembered`.
+        mesh: of the object.
+        moved: displacements at the beginning of the step (3 n, B) [m].
+        turn: rotations of the bodies then (B, K, 3, 3).
+    """
+    patches, met, *kept = state
+    for b in touches:
+        if patches[b] is present[0][b] and met[b] is present[1][b] and kept[0].shape == tensors[0].shape:
+            for mine, theirs in zip(tensors, kept, strict=True):
+                mine[b] = theirs[b]
+            continue
+        u = moved[:, b].to(torch.float64).cpu().numpy()
+        memory = remembered((patches[b], met[b]), (present[0][b], present[1][b]),
+                            tuple(t[b].cpu().numpy() for t in kept), table, body, mesh.faces,
+                            (mesh.points, mesh.points + u.reshape(-1, 3)), turn[b])
+        for mine, values in zip(tensors, memory, strict=True):
+            mine[b] = -1 if mine is tensors[1] else 0
+            mine[b, :len(values)] = torch.as_tensor(values, device=mine.device)
 
 
 def remembered(old: tuple[Patch, Met], new: tuple[Patch, Met], memory: Memory, table: np.ndarray,

@@ -38,6 +38,11 @@ class Contact(Protocol):
     compliance: Any
     """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair.links.Compliance`."""
 
+    follows: bool
+    """Whether friction limits may follow the normal forces, see `coulomb`."""
+    coulomb: torch.Tensor
+    """1 for touches whose friction limits are those of the normal forces at every evaluation (B,) [-]; 0 where they are
+    those of the last `update_friction`."""
     symmetric: bool
     """Whether the contact stiffness is symmetric."""
     potential_trusted_above: float

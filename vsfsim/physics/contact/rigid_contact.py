@@ -18,7 +18,7 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
 from vsfsim.physics.contact.face_sums import FaceSums
 from vsfsim.physics.contact.friction import Relaxation
-from vsfsim.physics.contact.growth import grow, remembered
+from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
 from vsfsim.physics.contact.local_indentation import LocalIndentation
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
@@ -42,8 +42,8 @@ class RigidContact:
         exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
     """
 
-    symmetric, potential_trusted_above, decrease = True, 0.05, 0.5
-    friction_updated_below, deadline = 0.03, float("inf")
+    potential_trusted_above, decrease = 0.05, 0.5
+    deadline = float("inf")
     _begun: np.ndarray | None = None
     patience = 10**9  # never: the limit on iterations ends a touch
 
@@ -85,8 +85,16 @@ class RigidContact:
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
+        self.follows = self.has_friction and not self._solid
+        self.friction_updated_below = 0.3 if self.follows else 0.03
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
+        self.coulomb = torch.zeros_like(self.softening)
         self._upload()
+
+    @property
+    def symmetric(self) -> bool:
+        """See `Contact`."""
+        return not bool(self.coulomb.any())
 
     @property
     def batch(self) -> int:
@@ -131,7 +139,7 @@ class RigidContact:
         self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
         self._wrong_side = zeros((batch, faces), dtype=torch.int32)
         self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
-        self._rows, self._geometric = zeros(*size, 3, 3), zeros(*size, 3, 3)
+        self._rows, self._geometric, self._coupling = (zeros(*size, 3, 3) for _ in range(3))
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
         self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
@@ -144,7 +152,7 @@ class RigidContact:
         self._arrays = rigid_kernels.views(
             cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner},
             {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across},
-            {"rows": self._rows, "geometric": self._geometric})
+            {"rows": self._rows, "geometric": self._geometric, "coupling": self._coupling})
         self._arrays |= {
             "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
@@ -209,8 +217,9 @@ class RigidContact:
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
-                      self._onset, self.stick],
-                     "x anchor owner limit across gap body normal force rows geometric slips wrong_side energy")
+                      self._onset, self._coefficient, wp.from_torch(self.coulomb), self.stick],
+                     "x anchor owner limit across gap body normal force rows geometric coupling slips wrong_side "
+                     "energy")
 
     def update_friction(self, columns: torch.Tensor) -> None:
         """See `Contact`."""
@@ -218,7 +227,7 @@ class RigidContact:
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
                           *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
-                          self._onset, self._coefficient],
+                          self._onset, self._coefficient, wp.from_torch(self.coulomb)],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
 
     def end_step(self, columns: torch.Tensor) -> None:
@@ -238,23 +247,10 @@ class RigidContact:
 
     def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
         """See `Contact`; a patch that has grown since takes what its old points remembered."""
-        if not state:
-            return
-        patches, met, *kept = state
-        points, turn = self._body_points, self._before[1].numpy()
-        for b in columns.tolist():
-            if (patches[b] is self.patches[b] and met[b] is points.met[b]
-                    and kept[0].shape == self._anchor.shape):
-                for mine, theirs in zip(self._friction_tensors(), kept, strict=True):
-                    mine[b] = theirs[b]
-                continue
-            rest, u = self.model.mesh.points, self._u_before[:, b].to(torch.float64).cpu().numpy()
-            memory = remembered(
-                (patches[b], met[b]), (self.patches[b], points.met[b]), tuple(t[b].cpu().numpy() for t in kept),
-                self._table, points.body, self.model.mesh.faces, (rest, rest + u.reshape(-1, 3)), turn[b])
-            for mine, values in zip(self._friction_tensors(), memory, strict=True):
-                mine[b] = -1 if mine is self._owner else 0
-                mine[b, :len(values)] = torch.as_tensor(values, device=self.device)
+        if state:
+            points = self._body_points
+            restore(columns.tolist(), self._friction_tensors(), state, (self.patches, points.met), self._table,
+                    points.body, self.model.mesh, self._u_before, self._before[1].numpy())
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -321,7 +317,7 @@ class RigidContact:
         """See `Contact`."""
         curved = geometric is not None and bool(geometric.any() and self._geometric[columns].any())
         if self._sums is not None:
-            own = self._rows[columns].mT @ self._rows[columns]
+            own = self._own_stiffness(columns)
             if curved:
                 own[geometric] += self._geometric[columns[geometric]]
             return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
@@ -332,6 +328,10 @@ class RigidContact:
             free = self.free[columns[geometric]]
             out[geometric] += assemble(points, which(self._geometric)) * free[:, :, None] * free[:, None, :]
         return out
+
+    def _own_stiffness(self, columns: torch.Tensor) -> torch.Tensor:
+        """Stiffness of each Gauss point without its geometric term (k, 6 f, 3, 3) [N/m]."""
+        return self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
 
     def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
         """The points in contact: shape values (k, a, s), see `picked`, and what picks them from a table."""
@@ -351,7 +351,7 @@ class RigidContact:
         """See `Contact`."""
         if self._sums is None:
             return ContactBlock.of(self.rows(columns), self.compliance[columns], nodes=self.has_friction)
-        own = self._rows[columns].mT @ self._rows[columns]
+        own = self._own_stiffness(columns)
         nodes = self._sums.pushed(columns, own)
         touch = torch.arange(len(columns), device=self.device)[:, None]
         free = self.free[columns].view(len(columns), -1, 3)[touch, nodes].flatten(1)

@@ -8,7 +8,8 @@ edges and corners the first part of the penetration is softer: it stands for the
 coarse for (`local_indentation`). On a sheet under bodies with edges the stiffness grows with the depth down to h
 (`patch.sheet_contact`), and the force is w_q g^2 / (2 h) there. Friction acts as `friction` says, with the tangential
 stiffness STICK w_q: a stuck point gives way by a thousandth of an element at most. Slipping points drag their anchor
-along when the frame is done: stick-slip with history.
+along when the frame is done: stick-slip with history. Where ``coulomb`` is 1 the limit of a point is mu f_n as it is
+now, so that the stiffness couples friction to the gap and is not symmetric; it has no potential.
 
 A point that the body would push out through the object is on the wrong side of the body. It is not pushed, and a state
 with such a point is no solution. All numbers are float64: a contact force is a stiff spring on a small difference of
@@ -102,6 +103,8 @@ def kernels() -> Any:
         leave: wp.array2d(dtype=vec3),
         softening: wp.array(dtype=real),
         onset: real,
+        coefficient: wp.array(dtype=real),
+        coulomb: wp.array(dtype=real),
         stick: real,
         # state in
         origin: wp.array2d(dtype=vec3),
@@ -118,6 +121,7 @@ def kernels() -> Any:
         force_out: wp.array3d(dtype=vec3),
         rows_out: wp.array3d(dtype=mat33),
         geometric_out: wp.array3d(dtype=mat33),
+        coupling_out: wp.array3d(dtype=mat33),
         slips_out: wp.array3d(dtype=wp.int32),
         wrong_side_out: wp.array2d(dtype=wp.int32),
         energy_out: wp.array2d(dtype=real),
@@ -133,6 +137,7 @@ def kernels() -> Any:
             force = vec3()
             rows = mat33()
             geometric = mat33()
+            coupling = mat33()
             gap = real(1e30)
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
             w = softening[b] * stiffness[b, f, q]
@@ -159,6 +164,8 @@ def kernels() -> Any:
                             wrong += 1
                             gap = real(0.0)
                 body_out[b, f, q] = near
+                limit = limit_in[b, f, q]
+                slope = real(0.0)
                 if gap < real(0.0):
                     normal_out[b, f, q] = n
                     size, slope, work = push(w, share[b, f, q], soft[b, f], onset, -gap)
@@ -168,10 +175,13 @@ def kernels() -> Any:
                         rows[0, c] = root * n[c]
                     geometric = size * geometric
                     energy += work
+                    if coulomb[b] > real(0.0) and limit > real(0.0):
+                        limit = coefficient[near] * size
                 else:
                     geometric = mat33()
-                # the limit that was found last acts on points that have left since, too: only so there is a potential
-                limit = limit_in[b, f, q]
+                    # the limit that was found last acts on points that have left since, too: only so there is a
+                    # potential
+                    limit = (real(1.0) - coulomb[b]) * limit
                 if limit > real(0.0):
                     owner = owner_in[b, f, q]
                     if owner < -1:
@@ -187,10 +197,13 @@ def kernels() -> Any:
                         rows[2, c] = sideways[c]
                     if not friction.sticks(wp.length(d), v, limit):
                         slips = 1
+                        # of a limit that follows the normal force
+                        coupling = (-coulomb[b] * coefficient[near] * slope) * wp.outer(d / wp.length(d), n)
             gap_out[b, f, q] = gap
             force_out[b, f, q] = force
             rows_out[b, f, q] = rows
             geometric_out[b, f, q] = geometric
+            coupling_out[b, f, q] = coupling
             slips_out[b, f, q] = slips
         energy_out[b, f] = energy
         wrong_side_out[b, f] = wrong
@@ -211,6 +224,7 @@ def kernels() -> Any:
         softening: wp.array(dtype=real),
         onset: real,
         coefficient: wp.array(dtype=real),
+        coulomb: wp.array(dtype=real),
         # state in
         origin: wp.array2d(dtype=vec3),
         turn: wp.array2d(dtype=mat33),
@@ -261,11 +275,13 @@ def kernels() -> Any:
                         p1 = place(shape, part, q, b, f, local, x_in)
                         anchor_out[b, f, q] = wp.transpose(turn[b, j]) * (p1 - origin[b, j])
                     owner_out[b, f, q] = -2 - j
-            limit, damping, change, residual = friction.relaxed(limit, limit_out[b, f, q], damping_out[b, f, q],
-                                                                change_out[b, f, q])
+            residual = real(0.0)
+            if coulomb[b] == real(0.0):
+                limit, damping, change, residual = friction.relaxed(limit, limit_out[b, f, q], damping_out[b, f, q],
+                                                                    change_out[b, f, q])
+                damping_out[b, f, q] = damping
+                change_out[b, f, q] = change
             limit_out[b, f, q] = limit
-            damping_out[b, f, q] = damping
-            change_out[b, f, q] = change
             residual_out[b, f, q] = residual
 
     @wp.kernel(module=module, enable_backward=False)

@@ -198,13 +198,13 @@ def functions(real: type, module: str) -> Any:
                 c[2, 2] = real(0.0)
             return c / wp.max(wp.length(d), tiny)
         if kind == 3:
-            # on a fillet, across the normal: of the directions that it rounds
+            # on a fillet, across the normal: of the directions that it rounds; bounded far inside, near its middle
             q = vec3(wp.abs(x[0]) - s[0] + s[3], wp.abs(x[1]) - s[1] + s[3], wp.abs(x[2]) - s[2] + s[3])
             out = vec3(wp.max(q[0], zero), wp.max(q[1], zero), wp.max(q[2], zero))
             c = wp.diag(vec3(wp.step(-q[0]), wp.step(-q[1]), wp.step(-q[2]))) - wp.outer(n, n)
             far = wp.length(out)
             if far > zero:
-                return c / wp.max(far, tiny)
+                return c / wp.max(far, real(0.5) * s[3])
             return mat33()
         if kind == 2:
             c = mat33()
@@ -219,7 +219,7 @@ def functions(real: type, module: str) -> Any:
             c = out_of / wp.max(radial, tiny) * wp.outer(around, around)
             if q0 > zero and q1 > zero:
                 along = wp.cross(around, n)
-                c = c + wp.outer(along, along) / wp.max(wp.sqrt(q0 * q0 + q1 * q1), tiny)
+                c = c + wp.outer(along, along) / wp.max(wp.sqrt(q0 * q0 + q1 * q1), real(0.5) * s[3])
             return c
         return mat33()
 

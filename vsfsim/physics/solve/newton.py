@@ -133,12 +133,16 @@ class Equilibrium:
         # least measure since friction was renewed, and iterations in which it did not fall by a tenth
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
+        apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
+        self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
         for _ in range(self.options.newton * (1 + has_friction)):
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
             if has_friction and bool(ready.any()):
                 at = ready.nonzero()[:, 0]
+                if self.contact.follows:
+                    self.contact.coulomb[columns[at[~apart[at]]]] = 1.0
                 for key, value in self.renew_friction(columns[at], state).items():
                     state[key][..., at] = value
                 present = state["measure"][at]
@@ -180,7 +184,15 @@ class Equilibrium:
                 steps[negative] += more
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
-            moved = self._step(active, open_, self._correct(active, direction, stiffness), state, tolerance)
+            follows = self.contact.coulomb[active] > 0.0
+            plain = direction if bool(follows.all()) else self._correct(active, direction, stiffness)
+            moved = self._step(active, open_, torch.where(follows, direction, plain), state, tolerance)
+            lost = (follows & ~moved).nonzero()[:, 0]
+            if len(lost):
+                apart[open_[lost]] = moved[lost] = True
+                self.contact.coulomb[active[lost]] = 0.0
+                for key, value in self.evaluate(active[lost]).items():
+                    state[key][..., open_[lost]] = value
             still = (~moved).nonzero()[:, 0]
             if len(still):
                 moved[still] = self._step(active[still], open_[still], direction[:, still], state, tolerance)
@@ -193,6 +205,7 @@ class Equilibrium:
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
+        self.contact.coulomb[columns] = 0.0
         balanced = (state["measure"] <= tolerance) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
         self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
@@ -256,7 +269,9 @@ class Equilibrium:
                          & (measure[pending] < self.contact.potential_trusted_above))
             if self.contact.has_friction:
                 decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
-            good = (falls | decreases) & (new["wrong_side"] <= wrong_side[pending])
+            follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
+            decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
+            good = ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
             done = pending[good]
             for key in state:
                 state[key][..., at[done]] = new[key][..., good]
