@@ -6,11 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from vsfsim.core.bubble import Bubble
 from vsfsim.core.rotation import rotation_matrix
 from vsfsim.core.scene import parse_scene
-from vsfsim.core.shape import Box, Cylinder
+from vsfsim.core.shape import Box, Cylinder, Sphere
 from vsfsim.generate.press_result import PressRequest
 from vsfsim.generate.presses.bubble_solve import solve
 from vsfsim.physics.bubble.sensor import build_bubble
@@ -84,3 +85,31 @@ frames = {frames}
         assert found.frames.converged.all() and len(found.pressure) == len(found.position) == frames
         force.append(found.frames.force[-1, 0, 2])
     assert force[0] > 1.0 and force[0] == pytest.approx(force[1], rel=2e-3)
+
+
+def test_the_tangent_of_friction_that_follows_the_normal_force(bubble, device):
+    """Where all points slip, their friction changes with the gap: the part of the tangent that is not symmetric."""
+    poses = np.tile(np.eye(4), (1, 1, 1, 1))
+    poses[0, 0, :3, 3] = 0.01, 0.004, bubble.mesh.points[:, 2].max() + 0.015
+    solver = Solver(bubble, Sphere(0.02), friction=0.3, device=device, options=SolverOptions(tolerance=5e-4))
+    assert solver.run(poses).converged.all()
+    contact, one = solver.contact, torch.tensor([0], device=device)
+    contact._anchor += torch.tensor([1e-4, 3e-4, 0.0], dtype=torch.float64, device=device)  # far from every anchor
+    contact.coulomb[:] = 1.0
+    assert not contact.symmetric
+    u = contact.gather(solver._balance.u)
+
+    def force(displacement):
+        contact.evaluate(one, displacement)
+        return contact.nodal(one).clone()
+
+    force(u)
+    assert float(contact.slipping(one)) == 1.0
+    whole = contact.stiffness(one, torch.tensor([True], device=device))[0]
+    assert float((whole - whole.T).norm()) > 0.1 * float(whole.norm())
+    for v in torch.as_tensor(np.random.default_rng(0).standard_normal((3, *u.shape)), device=device):
+        way = 1e-10 * v * contact.free
+        slope = (force(u - way) - force(u + way)) / 2e-10 * contact.free
+        found = (whole @ v[0] * contact.free[0])
+        # what is left out: the tangent plane of a point is that of the last renewal
+        assert float((found - slope[0]).norm()) < 2e-3 * float(slope.norm())

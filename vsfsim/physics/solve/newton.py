@@ -2,7 +2,8 @@
 
     Pi(u) = sum of element energies - load . u + energy of the contact    ->    minimum
 
-Each linear system is solved by `pcg`, preconditioned by the rest-state inverse with the contact block inverted exactly.
+Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
+inverse with the contact block inverted exactly.
 Far from the solution the tangent is projected to positive semi-definite; near it the true one converges quadratically.
 
 The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
