@@ -17,7 +17,9 @@ FOLDER = ROOT / "docs" / "measured"
 TASKS = ("fewshot-shoes-v2-v2", "fewshot-shoes-v2-mini-v2", "fewshot-plants-v3-mini-v2", "fewshot-shoes-mini-v1",
          "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1", "fewshot-shoes-punyo-mini-v1",
          "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",
-         "bag-punyo-mini-v1", "rope-punyo-mini-v1")
+         "bag-punyo-mini-v1", "rope-punyo-mini-v1", "fewshot-shoes-v2-punyo-mini-v1")
+STANDARD = ("shoes-breadth",)
+"""Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
 
@@ -91,6 +93,7 @@ def measurement(name: str, tables: int) -> str:
 MEASURED: dict[str, Callable[[], str]] = {
     **{f"leaderboard-{task}": partial(leaderboard, task) for task in TASKS},
     **{f"study-{name}": partial(study, name) for name in studies()},
+    **{f"study-{name}-standard": partial(study, name, "standard") for name in STANDARD},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1)}
 """Table by name of its file."""

@@ -137,3 +137,5 @@ def test_the_leaderboards_of_the_pages_are_those_that_ship():
     assert module.readme(README) == README
     for name in module.studies():
         assert (module.FOLDER / f"study-{name}.md").read_text() == module.study(name)
+    for name in module.STANDARD:
+        assert (module.FOLDER / f"study-{name}-standard.md").read_text() == module.study(name, "standard")

@@ -259,8 +259,8 @@ def leaderboard(results: Annotated[list[Path] | None,
 @app.command()
 def claims(preset: Annotated[str, typer.Option(help="Settings of the methods whose results count: paper or tuned.")
                              ] = "tuned",
-           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size.")
-                           ] = "mini",
+           size: Annotated[str, typer.Option(help="Tasks that are asked: mini, or standard for the papers' size; "
+                                                  "default: of each claim the larger one that has results.")] = "",
            json: JsonFile = None) -> None:
     """Hold the papers' claims against stored results.
 
@@ -274,14 +274,18 @@ def claims(preset: Annotated[str, typer.Option(help="Settings of the methods who
     from vsfsim.bench.task import load_task
 
     check_choice("--preset", preset, PRESETS)
-    check_choice("--size", size, ("mini", "standard"))
-    wanted = judged.claims_of(size)
-    boards = {}
-    for name in dict.fromkeys(claim.task for claim in wanted):
-        made = Path("results") / name
-        boards[name] = board.collect(load_task(name), [made] if made.is_dir() else [])
-    asked, experiments = claims_of_studies.verdicts(size, boards=boards)
-    verdicts = claims_of_studies.beside([*judged.judge(wanted, boards, preset=preset), *asked], experiments)
+    check_choice("--size", size or "mini", ("mini", "standard"))
+    boards: dict[str, board.Board] = {}
+    found = []
+    for one in (size,) if size else ("standard", "mini"):
+        wanted = judged.claims_of(one)
+        for name in dict.fromkeys(claim.task for claim in wanted):
+            if name not in boards:
+                made = Path("results") / name
+                boards[name] = board.collect(load_task(name), [made] if made.is_dir() else [])
+        asked, experiments = claims_of_studies.verdicts(one, boards=boards)
+        found.append(claims_of_studies.beside([*judged.judge(wanted, boards, preset=preset), *asked], experiments))
+    verdicts = judged.with_results(found)
     report(judged.text(verdicts), judged.table(verdicts), json)
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, Claim, Side, claims_of, judge, text
+from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD, Claim, Side, claims_of, judge, text, with_results
 from vsfsim.bench.leaderboard import Board, Row
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
@@ -23,8 +23,8 @@ def row(method, values, preset="tuned"):
     return Row(1, "", result, {}, Path(f"{method}.json"), False, objects)
 
 
-def verdict(better, worse, **given):
-    claim = Claim("a claim", "a paper", "1 and 2", TASK, Side("a", "0"), Side("b", "0"), **given)
+def verdict(better, worse, figures="1 and 2", **given):
+    claim = Claim("a claim", "a paper", figures, TASK, Side("a", "0"), Side("b", "0"), **given)
     rows = [r for r in (better, worse) if r is not None]
     board = Board(load_task(TASK), "", False, tuple(rows))
     return judge([claim], {TASK: board})[0]
@@ -44,6 +44,23 @@ def test_a_claim_is_decided_object_by_object():
     assert verdict(row("a", mixed), row("b", LEVEL), equal=True).answer == UNTOLD, "too wide to tell"
     assert verdict(row("a", much_less), row("b", LEVEL), equal=True).answer == FAILS
     assert verdict(row("a", LEVEL[:2]), row("b", [v + 1.0 for v in LEVEL[:2]])).answer == UNTOLD, "two objects"
+
+
+def test_a_large_difference_of_the_paper_that_is_none_here_does_not_hold():
+    nearly = row("a", [v + 0.03 * (-1) ** k for k, v in enumerate(LEVEL)])
+    mixed = row("a", [v + 0.3 * (-1) ** k for k, v in enumerate(LEVEL)])
+    assert verdict(nearly, row("b", LEVEL), "7.43 and 9.76 hPa").answer == FAILS
+    assert verdict(nearly, row("b", LEVEL), "7.43 and 8.27 hPa").answer == UNTOLD, "10 % in the paper, too"
+    assert verdict(nearly, row("b", LEVEL), "drawn, no number").answer == UNTOLD
+    assert verdict(mixed, row("b", LEVEL), "7.43 and 9.76 hPa").answer == UNTOLD, "too wide to tell"
+
+
+def test_a_claim_takes_the_first_size_with_results():
+    less = row("a", [v - 0.1 - 0.01 * k for k, v in enumerate(LEVEL)])
+    mini, none = verdict(less, row("b", LEVEL)), verdict(less, None)
+    standard = verdict(row("a", LEVEL), less)
+    assert with_results([[standard], [mini]]) == [standard] and with_results([[none], [mini]]) == [mini]
+    assert with_results([[none], [none]]) == [none] and with_results([[], [mini]]) == [mini]
 
 
 def test_a_missing_result_is_named_with_its_command():
