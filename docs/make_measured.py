@@ -18,7 +18,7 @@ TASKS = ("fewshot-shoes-v2-v2", "fewshot-shoes-v2-mini-v2", "fewshot-plants-v3-m
          "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1", "fewshot-shoes-punyo-mini-v1",
          "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",
          "bag-punyo-mini-v1", "rope-punyo-mini-v1", "fewshot-shoes-v2-punyo-mini-v1")
-STANDARD = ("shoes-breadth",)
+STANDARD = ("shoes-breadth", "shoes-composition", "shoes-features")
 """Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""

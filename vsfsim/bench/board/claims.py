@@ -3,10 +3,10 @@
 A claim says that one method errs less than another, or that two cannot be told apart. It is decided object by object:
 it holds if the paired difference has the claimed sign by more than two standard errors over objects, it does not hold
 if it has the other sign by as much, and else it cannot be told. Two sides are equal if they are not told apart by two
-standard errors that are small enough to tell a difference of `EQUAL_WITHIN`. Where a paper's figures differ by more than that
-share, and ours by less even with two standard errors added, the claim does not hold either. A result is found by its
-method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the result is
-printed.
+standard errors that are small enough to tell a difference of `EQUAL_WITHIN`. Where a paper's figures differ by more
+than that share, and ours by less even with two standard errors added, the claim does not hold either. A result is found
+by its method, its preset and its task; where one is missing, the claim cannot be told and the command that makes the
+result is printed.
 
 The claims on tables that are no plain rows stand in the files of the studies (`vsfsim.bench.studies.claims`), and so do
 the experiments that say why a claim does not hold: each asks the same of other data.

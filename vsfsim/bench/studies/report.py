@@ -12,7 +12,8 @@ from vsfsim.bench.studies.study import Study
 from vsfsim.core.text_table import text_table
 
 RANKING = "5"
-"""The shot whose differences stand in a table beside those of the first one; JSON has all of them."""
+"""The shot whose differences stand in a table beside those of the first one, the last one where there is none of it;
+JSON has all of them."""
 
 
 def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]:
@@ -55,7 +56,7 @@ def cells(study: Study, found: Mapping[str, Found]) -> tuple[list[str], list[lis
     data, shots = table(study, "", found), labels(study, found)
     base = study.baseline
     compared = [s for s in shots if any(row["difference"].get(s) for row in data["variants"])]
-    compared = list(dict.fromkeys([*compared[:1], *(s for s in compared if s == RANKING)])) or compared
+    compared = list(dict.fromkeys([*compared[:1], *([RANKING] if RANKING in compared else compared[-1:])]))
     said = list(dict.fromkeys(shot for v in study.variants for shot in v.paper))
     head = ["variant", *(f"{s}-shot" for s in shots), *(f"minus {base}, {s}-shot" for s in compared),
             *(f"paper, {s}-shot [{study.unit}]" for s in said)]
