@@ -58,7 +58,7 @@ def test_a_large_difference_of_the_paper_that_is_none_here_does_not_hold():
 def test_a_claim_takes_the_first_size_with_results():
     less = row("a", [v - 0.1 - 0.01 * k for k, v in enumerate(LEVEL)])
     mini, none = verdict(less, row("b", LEVEL)), verdict(less, None)
-    standard = verdict(row("a", LEVEL), less)
+    standard = verdict(row("a", LEVEL), row("b", [v - 0.1 - 0.01 * k for k, v in enumerate(LEVEL)]))
     assert with_results([[standard], [mini]]) == [standard] and with_results([[none], [mini]]) == [mini]
     assert with_results([[none], [none]]) == [none] and with_results([[], [mini]]) == [mini]
 
