@@ -1,10 +1,11 @@
 """What limits a field of springs on plants: `vsfsim measure plant-learning`.
 
 Springs are fitted to the support touches of each plant and predict its query touches, with settings changed one at a
-time. Where the springs start from matters most: at zero, at one value, or at a value that falls with the distance from
-the foot of the stem. Then come oracles: the same prediction with one best factor for each query or each frame, which
-says whether size or direction is wrong, and springs fitted to the query touches themselves, which says what independent
-springs can represent at all. Nothing is learned from other plants.
+time. It matters where the springs start: at zero, at one value, or at a value that falls with the distance from the
+foot of the stem; and whether they are independent or alike near each other. Then come oracles: the same prediction with
+one best factor for each query or each frame, which says whether size or direction is wrong, and springs fitted to the
+query touches themselves, which says what independent springs can represent at all. Nothing is learned from other
+plants.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 import dataclasses
 import multiprocessing
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,8 @@ COMMON = (3.0, 6.0, 10.0)
 """Values that all springs start from [N/m]."""
 FALLING = 2.0
 """Springs that fall with the distance r from the foot start from this over r + 0.05 m [N]."""
+REACH, ALIKE_STD = 0.18, 3.0
+"""Of springs that are alike, as in the preset `tuned`: over which distance [m], and their standard deviation [N/m]."""
 ALL = "all touches"
 
 
@@ -52,18 +56,23 @@ def measure(task: str, *, folder: Path | None = None, workers: int = 1,
     loaded = load_task(task)
     dataset = open_dataset(loaded, folder)
     names = list(dataset.names())
-    work = [(loaded, dataset[name]) for name in names]
     found: list[dict[str, float]] = []
     if workers == 1:
-        for one in work:
-            progress(one[1].name)
-            found.append(ratios(*one))
-    else:
+        for name in names:
+            progress(name)
+            found.append(ratios(loaded, dataset[name]))
+    else:  # a task does not travel to another process
         with multiprocessing.get_context("spawn").Pool(workers) as pool:
-            for name, row in zip(names, pool.starmap(ratios, work, chunksize=1), strict=True):
+            for name, row in zip(names, pool.imap(partial(_of, task, folder), names), strict=True):
                 progress(name)
                 found.append(row)
     return table(found, {"task": task, "sha256": dataset.sha256})
+
+
+def _of(task: str, folder: Path | None, name: str) -> dict[str, float]:
+    """`ratios` of one object of a task's dataset."""
+    loaded = load_task(task)
+    return ratios(loaded, open_dataset(loaded, folder)[name])
 
 
 def ratios(task: Task, view: ObjectView) -> dict[str, float]:
@@ -98,6 +107,8 @@ def ratios(task: Task, view: ObjectView) -> dict[str, float]:
     for mean in COMMON:
         out |= {f"none, springs of {mean:g} N/m": ratio([], mean=mean),
                 f"all, springs around {mean:g} N/m": ratio(support, mean=mean)}
+    for k in (1, 5, 10, len(support)):
+        out[f"{'all' if k == len(support) else k}, springs alike"] = ratio(support[:k], reach=REACH, std=ALIKE_STD)
     return {**out, "none, springs that fall with the distance": ratio([], mean=falling),
             "all, around springs that fall": error_ratio([best] * len(queries), queries),
             "the same, particles stick": ratio(support, mean=falling, friction=10.0),
