@@ -64,8 +64,7 @@ class Posterior:
         scaled = sparse.csr_matrix(sparse.diags_array(shape) @ weights)
         count = weights.shape[1]
         common = np.full(count, float((prior.total_std() ** 2).sum() / scaled.power(2).sum()))
-        known = GaussianPrior(around * shape, np.full(len(mean), 1e-9 * common[0] * float(np.mean(shape**2))), scaled,
-                              np.zeros(count), common)
+        known = GaussianPrior(around * shape, np.zeros(len(mean)), scaled, np.zeros(count), common)
         rows, z = model.stack(support)
         if rows.shape[0] == 0:
             return cls(model, around * shape, rows, known)

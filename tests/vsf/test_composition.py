@@ -42,6 +42,19 @@ def test_structures_are_zero_one_matrices_whose_components_average_their_feature
         Composition.of("HE+SEC", features)
 
 
+def test_std_where_only_shared_components_vary_is_the_limit_of_little_variance_of_their_own():
+    rng = np.random.default_rng(4)
+    w = sparse.csr_matrix(rng.uniform(0.0, 0.1, (30, 40)) * (rng.uniform(size=(30, 40)) < 0.3))
+    query = sparse.csr_matrix(rng.uniform(0.0, 0.1, (9, 40)))
+    g = sparse.csr_matrix(rng.uniform(0.0, 1.0, (40, 5)))
+    def prior(own):
+        return GaussianPrior(np.zeros(40), np.full(40, own), g, np.zeros(5), np.array([1.0, 4.0, 9.0, 1.0, 2.0]))
+    for std in (lambda p: structured_std(w, noise_std=0.3, prior=p),
+                lambda p: reading_std(w, query, noise_std=0.3, prior=p)):
+        assert std(prior(0.0)) == pytest.approx(std(prior(1e-9)), rel=1e-5)
+        assert (std(prior(0.0)) > 0.0).all()
+
+
 @pytest.mark.parametrize("m, n, s", [(12, 20, 0), (12, 20, 1), (12, 20, 3), (30, 8, 2), (5, 30, 10), (40, 200, 10)])
 def test_map_and_std_are_those_of_the_dense_program(m, n, s):
     rng = np.random.default_rng(m)

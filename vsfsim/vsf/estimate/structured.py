@@ -91,7 +91,8 @@ def structured_map(w: sparse.csr_matrix, z: np.ndarray, *, noise_std: np.ndarray
 
 
 def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior: GaussianPrior) -> np.ndarray:
-    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m].
+    """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m]. Where all variances
+    of the heterogeneous components are 0, only the shared ones vary.
 
     The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles.
     With more readings than touched particles the rows are first reduced by an orthogonal factorisation.
@@ -102,6 +103,8 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
     w = sparse.csr_matrix(w)
     if g.shape[1] == 0:
         return posterior_std(w, noise_std=noise_std, prior_var=prior.var)
+    if not prior.var.any():
+        return _shared_std(w, g, noise_std, prior)
     out = prior.var + g.multiply(g) @ prior.group_var
     white = _Whitener.of(w, noise_std, prior)
     if white is None:
@@ -125,6 +128,8 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
         prior: on theta.
     """
     query = sparse.csr_matrix(query)
+    if not prior.var.any():
+        return _shared_std(sparse.csr_matrix(w), query @ prior.membership, noise_std, prior)
     shared = (query @ sparse.csr_matrix(prior.membership)).toarray()
     out = query.multiply(query) @ prior.var + shared**2 @ prior.group_var
     before = out.copy()
@@ -134,6 +139,15 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
             part = slice(start, start + _BLOCK)
             out[part] -= np.einsum("ij,ij->j", *[white.of_rows(query[part], prior)] * 2)
     return np.sqrt(np.maximum(out, 1e-14 * before))
+
+
+def _shared_std(w: sparse.csr_matrix, members: sparse.csr_matrix, noise_std: np.ndarray | float,
+                prior: GaussianPrior) -> np.ndarray:
+    """Standard deviations of ``members`` (q, s) times the shared components (q,), where nothing else varies."""
+    noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
+    a = (w @ sparse.csr_matrix(prior.membership)).toarray() / noise[:, None]
+    factor = linalg.cholesky(np.diag(1.0 / prior.group_var) + a.T @ a, lower=True)
+    return np.linalg.norm(linalg.solve_triangular(factor, members.toarray().T, lower=True), axis=0)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ class GaussianPrior:
     mean: np.ndarray
     """Means of the heterogeneous components (n,) [N/m]."""
     var: np.ndarray
-    """Their variances, > 0 (n,) [(N/m)^2]."""
+    """Their variances, > 0, or all 0 where only the shared components vary (n,) [(N/m)^2]."""
     membership: sparse.csr_matrix
     """G of `Composition` (n, s)."""
     group_mean: np.ndarray
