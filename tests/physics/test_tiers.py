@@ -3,16 +3,20 @@
 import dataclasses
 import os
 import re
+import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from benchmarks.stability.design import design
+from benchmarks.stability.evidence import gather
 from vsfsim.core.errors import MeshError, SceneError
 from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
+from vsfsim.physics.network import least_volume
 from vsfsim.physics.solve.touches import Solver
 
 SCENE = """
@@ -88,6 +92,29 @@ def test_a_foundation_refuses_what_squeezes_out_sideways_and_a_network_says_what
     assert any("ignores poisson_ratio = 0.3" in note for note in model.solid.notes)
     fitting = dataclasses.replace(given, object=dataclasses.replace(given.object, poisson_ratio=0.2))
     assert not any("poisson_ratio" in note for note in tiers.build(fitting, "spring").solid.notes)
+
+
+def test_the_volume_of_a_networks_cells():
+    model = tiers.build(scene(needs='["coupling"]'), "spring")
+    points, cells = model.mesh.points, model.cells
+    stretch = np.array([[1.1, 0.2, 0.0], [0.0, 0.9, 0.1], [0.0, 0.0, 0.7]])
+    u = np.zeros((points.size, 2))
+    u[:, 0] = (points @ (stretch - np.eye(3)).T).ravel()
+    a, b, c, d = points[cells[0]]
+    u.reshape(-1, 3, 2)[cells[0, 0], :, 1] = 2.0 * ((b + c + d) / 3.0 - a)  # through the opposite face
+    least = least_volume(cells, points, u)
+    assert least[0] == pytest.approx(np.linalg.det(stretch)) and least[1] < 0.0
+    assert not len(tiers.build(scene(), "linear").cells)
+
+
+@pytest.mark.slow
+def test_a_network_that_gives_way_is_marked():
+    """Under a rim a cell turns inside out: the force fell by 40 % in the tenth frame, which was called converged."""
+    cell = next(c for c in design() if c.key == "e0d3b9c6a9dc")
+    with tempfile.TemporaryDirectory() as folder:
+        frames = gather(cell, Path(folder), 60.0)
+    assert "inside out" in " ".join(frames.reasons)
+    assert frames.converged[:8].all() and (np.diff(frames.push[frames.converged]) > 0.0).all()
 
 
 @pytest.mark.parametrize(("tier", "kind"), [("vsf", "anchor"), ("spring", "spring")])

@@ -57,6 +57,25 @@ def cut_in_eight(mesh: QuadraticMesh) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack(cells), np.concatenate(owners)
 
 
+def least_volume(cells: np.ndarray, points: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Least volume of a cell over its volume at rest (B,) [-]; negative where one is inside out.
+
+    Springs resist no change of volume: a compressed network gives way sideways, and its force falls, where a cell is
+    pushed inside out.
+
+    Args:
+        cells: (c, 4), see `cut_in_eight`.
+        points: at rest (n, 3) [m].
+        u: displacements (3 n, B) [m].
+    """
+    def volume(x: np.ndarray) -> np.ndarray:  # (n, 3, B), times six
+        a, b, c = (x[cells[:, i]] - x[cells[:, 0]] for i in (1, 2, 3))
+        return (a * np.cross(b, c, axis=1)).sum(axis=1)
+
+    at_rest = points[:, :, None]
+    return (volume(at_rest + u.reshape(-1, 3, u.shape[1])) / volume(at_rest)).min(axis=0)
+
+
 def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
     """Springs with the observed small-strain modulus E; their Poisson's ratio is `OBSERVED_POISSON_RATIO`.
 

@@ -86,6 +86,11 @@ class PairModel:
                    PairFactors(model.preconditioner, sensor.factor, 3 * count))
 
     @property
+    def cells(self) -> np.ndarray:
+        """As `Model.cells`."""
+        return self.object.cells
+
+    @property
     def preconditioner(self) -> PairFactors:
         """As `Model.preconditioner`."""
         return self.factor
