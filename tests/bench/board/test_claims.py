@@ -1,5 +1,6 @@
 """The papers' claims beside results whose answers are known."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -85,6 +86,14 @@ def test_every_claim_asks_a_task_and_methods_that_there_are(size):
             assert side.method in methods() and side.shot in task.protocol.labels, claim.text
         assert claim.metric == "rmse_ratio" or claim.metric == task.primary or claim.note
         assert task.observation.name in OBSERVATIONS
+
+
+def test_the_papers_figures_are_two_numbers_or_words():
+    """Their difference is read from them, so that a form that is not read would never tell that a claim fails."""
+    asked = [claim.figures for size in ("mini", "standard") for claim in claims_of(size)]
+    asked += [one.figures for name in studies() for one in load_study(name).claims]
+    for figures in asked:
+        assert re.fullmatch(r"((F1|recall) )?\d+\.\d+ and \d+\.\d+( N m| hPa)?|\w+, no number", figures), figures
 
 
 def test_the_command_prints_every_claim(vsfsim, tmp_path):

@@ -51,7 +51,7 @@ class Claim:
     source: str
     """Paper and place."""
     figures: str
-    """The paper's, of both sides."""
+    """The paper's, of both sides: two decimal numbers, the better side's first, or words where it prints none."""
     task: str
     """Name of the task that asks it here."""
     better: Side
