@@ -31,7 +31,7 @@ SAMPLES = 20_000  # points on a rigid body, at most
 
 def contradictions(e: Evidence) -> list[str]:
     """All sentences of all checks of one press."""
-    return [sentence for check in (_finite, _balanced, _monotone, _work, _geometry, _volume, _jump)
+    return [sentence for check in (_finite, _balanced, _monotone, _work, _geometry, _pair, _volume, _jump)
             for sentence in check(e)]
 
 
@@ -111,16 +111,33 @@ def _geometry(e: Evidence) -> Iterator[str]:
                    f"are reported (element edge {1e3 * e.edge:.3g} mm)")
 
 
+def _pair(e: Evidence) -> Iterator[str]:
+    """No point of a membrane lies inside the deformed object, and none of the object behind the membrane, by more than
+    what is reported."""
+    for t in np.flatnonzero(e.converged) if len(e.membrane) else ():
+        depth = 0.0
+        for own, other in ((e.membrane[t], e.surface[t]), (e.surface[t], e.membrane[t])):
+            depth = max(depth, _inside(_samples(*own, e.edge / 4.0), *other, e.edge))
+        if depth > 1.5 * e.penetration[t] + INSIDE * e.edge:
+            yield (f"frame {t + 1}: object and membrane lie {1e6 * depth:.3g} um in one another, and "
+                   f"{1e6 * e.penetration[t]:.3g} um are reported (element edge {1e3 * e.edge:.3g} mm)")
+
+
 def _buried(shape: ProbeShape, pose: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, edge: float) -> float:
-    """How deep the points of a rigid body lie inside a closed surface, at most [m].
+    """How deep the points of a rigid body lie inside a closed surface, at most [m]."""
+    if isinstance(shape, Plane):
+        return 0.0  # the surface would lie inside the half-space
+    return _inside(_samples(*tessellate(shape, 1.0), edge / 4.0) @ pose[:3, :3].T + pose[:3, 3], vertices, triangles,
+                   edge)
+
+
+def _inside(points: np.ndarray, vertices: np.ndarray, triangles: np.ndarray, edge: float) -> float:
+    """How deep points lie inside a closed surface, at most [m].
 
     A point is inside if it is behind the tangent plane of the nearest vertex; its depth is its distance to the nearest
     triangle.
     """
-    if isinstance(shape, Plane):
-        return 0.0  # the surface would lie inside the half-space
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    points = _samples(shape, edge / 4.0) @ pose[:3, :3].T + pose[:3, 3]
     points = points[((points > low) & (points < high)).all(axis=1)]
     if not len(points):
         return 0.0
@@ -147,9 +164,8 @@ def _buried(shape: ProbeShape, pose: np.ndarray, vertices: np.ndarray, triangles
     return deepest
 
 
-def _samples(shape: ProbeShape, spacing: float) -> np.ndarray:
-    """Points (s, 3) [m] on the surface of a rigid body in its own frame, ``spacing`` [m] apart or `SAMPLES` in all."""
-    vertices, triangles = tessellate(shape, 1.0)
+def _samples(vertices: np.ndarray, triangles: np.ndarray, spacing: float) -> np.ndarray:
+    """Points (s, 3) [m] on triangles, ``spacing`` [m] apart or `SAMPLES` in all."""
     points, corner = [vertices], vertices[triangles]
     while len(corner):
         side = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)

@@ -58,6 +58,8 @@ class Evidence:
     """Whether the object sinks under its weight, so that the body may not touch it yet."""
     surface: Sequence[tuple[np.ndarray, np.ndarray]] = ()
     """Deformed surface of every frame, as fine triangles: vertices (v, 3) [m] and triangles (g, 3)."""
+    membrane: Sequence[tuple[np.ndarray, np.ndarray]] = ()
+    """Of a bubble on a deformable object: the membrane in every frame, likewise; `surface` is that of the object."""
     poses: np.ndarray | None = None
     """Of the rigid bodies, in the frame of the surface (T, K, 4, 4) [m]."""
     shapes: tuple[ProbeShape, ...] = ()
@@ -120,13 +122,23 @@ def _solid(cell: Cell, loaded: SceneFile, tier: str, folder: Path, limit: float,
 
 
 def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
-    scene = loaded.sample(0)
-    result = effector_of(scene).press(loaded, PressRequest(device=device, keep=True, seconds=limit))
-    inward = scene.press.frames[0] if scene.press is not None else 0
+    from vsfsim.generate.presses.boundary import deformed_surface
+    from vsfsim.generate.presses.bubble import result_of
+    from vsfsim.generate.presses.bubble_solve import solve
+
+    request = PressRequest(device=device, seconds=limit)
+    solved = solve(loaded.sample(0), request)
+    result = result_of(solved, request)
+    surface, membrane = [], []
+    if solved.object is not None and solved.moved is not None:
+        surface = [deformed_surface(solved.object.mesh, u)[:2] for u in solved.moved]
+        membrane = [(x @ pose[:3, :3].T + pose[:3, 3], solved.model.mesh.faces)
+                    for x, pose in zip(solved.position, solved.mount, strict=True)]
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
         np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged,
-        tuple(result.more["reason"]), result.more["seconds"], inward, False, float(result.more["edge"]))
+        tuple(result.more["reason"]), result.more["seconds"], solved.path.inward, False, float(result.more["edge"]),
+        surface=surface, membrane=membrane)
 
 
 def _rod(cell: Cell, device: str) -> Evidence:

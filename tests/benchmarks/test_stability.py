@@ -83,6 +83,15 @@ def test_a_buried_body_is_seen():
     assert any("rigid body lies" in sentence and "frame 3" in sentence for sentence in found)
 
 
+def test_a_membrane_inside_the_object_is_seen():
+    """It lies 0.5 mm under the surface of the object, which reports 2 um; half a millimetre over it, all is well."""
+    e = ball_in_a_box(poses=None, shapes=())
+    for height, wrong in ((-5e-4, True), (5e-4, False)):
+        membrane = [(v + [0.0, 0.0, height], f[:, ::-1]) for v, f in e.surface]
+        found = checks.contradictions(dataclasses.replace(e, membrane=membrane))
+        assert any("in one another" in sentence for sentence in found) == wrong
+
+
 def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0)) -> Verdict:
     return Verdict(cell, outcome, frames=2, converged=2, push=push)
 

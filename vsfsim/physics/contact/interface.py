@@ -137,8 +137,8 @@ class Contact(Protocol):
         """What `remember` returns without contact."""
 
     def intruded(self, columns: torch.Tensor) -> torch.Tensor:
-        """Whether a rigid body lies inside the object where no contact point feels it (k,) bool, by the geometry at the
-        last `extend_patch`."""
+        """Whether a body lies inside another where no contact point feels it (k,) bool, by the geometry at the last
+        `extend_patch`."""
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:

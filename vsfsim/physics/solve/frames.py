@@ -31,7 +31,7 @@ class Reason(IntEnum):
                 "the state was not finite; the one before was kept",
                 "the contact patch kept growing", "the surface slipped through a body",
                 "an element is inside out (det F <= 0)",
-                "a rigid body lies inside the object where no contact point feels it",
+                "a body lies inside another where no contact point feels it",
                 "an element is compressed below a tenth of its volume (det F < 0.1)",
                 "the frame itself is in equilibrium, but a step on the way to it was not")[self]
 
@@ -104,7 +104,7 @@ class Frames:
     """Elastic energy (T, B) [J]."""
     penetration: np.ndarray
     """Depth of the deepest point of the object's boundary inside a body, between the contact points too, or of a body's
-    surface inside the object (T, B) [m]."""
+    surface inside the object (T, B) [m]; of two soft bodies likewise."""
     slipping: np.ndarray
     """Share of the points in contact that slip (T, B) [-]."""
     contact_points: np.ndarray

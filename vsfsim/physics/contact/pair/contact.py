@@ -16,6 +16,7 @@ import warp as wp
 from vsfsim.physics.contact.pair import condensed
 from vsfsim.physics.contact.pair.chosen_nodes import choose, links_of, written
 from vsfsim.physics.contact.pair.links import LinkBlock, Links, LinkStiffness
+from vsfsim.physics.contact.pair.overlap import PairOverlap
 from vsfsim.physics.contact.pair.response import PairResponse
 from vsfsim.physics.contact.pair.sides import Side
 from vsfsim.physics.contact.pair.surfaces import PairPatch, PairSurfaces
@@ -71,6 +72,8 @@ class PairContact:
         self.follows, self.coulomb = False, torch.zeros(self.batch, dtype=torch.float64, device=device)
         self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
         self.response = PairResponse(model, sensor, self.surfaces)
+        self._passage = PairOverlap(model, sensor, device=device)
+        self._overlap = torch.zeros(self.batch, dtype=torch.float64, device=device)
         self._evaluated: _Evaluated | None = None
         # whose normals were blended once more in this step
         self._blended = torch.zeros(self.batch, dtype=torch.bool, device=device)
@@ -102,6 +105,7 @@ class PairContact:
 
     def move(self, pose: np.ndarray, columns: torch.Tensor) -> None:
         """See `Contact`; finds what the touches ``columns`` (k,) may meet on the way."""
+        self._overlap[columns] = 0.0
         if self.surfaces.move(pose, columns):
             self._blended[columns] = False
             self._use_patch()
@@ -120,8 +124,8 @@ class PairContact:
         self._find_candidates(columns, blend=columns)
 
     def intruded(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`; there is no rigid body."""
-        return torch.zeros(len(columns), dtype=torch.bool, device=self.device)
+        """See `Contact`."""
+        return self._overlap[columns] > self._passage.tolerance
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
@@ -133,8 +137,12 @@ class PairContact:
         self._blended[turned] = True  # once in a step: more would chase the last digit
         self._find_candidates(columns, blend=turned)
         self.evaluate(columns, self.gather(u)[columns])
-        return len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
-                                      for side, old in zip(self._sides, before, strict=True))
+        if len(turned) > 0 or any(bool(((old - side.state["gap"][columns].clamp(max=0.0)).abs() > _NEW_GAP).any())
+                                  for side, old in zip(self._sides, before, strict=True)):
+            return True
+        self._overlap[columns] = self._passage.check(columns, self.surfaces.turn[columns],
+                                                     self.surfaces.origins(columns), u)
+        return False
 
     def _turned(self) -> torch.Tensor:
         """Whose normals have turned where they touch since they were blended (B,) bool."""
@@ -228,8 +236,9 @@ class PairContact:
         return torch.stack([(side.state["gap"][columns] < 0.0).any(dim=1) for side in self._sides]).any(dim=0)
 
     def penetration(self, columns: torch.Tensor) -> torch.Tensor:
-        """See `Contact`."""
-        return torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0).clamp(min=0.0)
+        """See `Contact`: over the nodes, and between them at the last `extend_patch`."""
+        at_nodes = torch.stack([-side.state["gap"][columns].amin(dim=1) for side in self._sides]).amax(dim=0)
+        return torch.maximum(at_nodes, self._overlap[columns]).clamp(min=0.0)
 
     def resolution(self, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """See `Contact`; nodes have no area, and the radius is not measured."""

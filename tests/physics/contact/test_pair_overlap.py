@@ -1,0 +1,111 @@
+"""How deep a membrane and a soft body lie in one another, between their contact points too."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from vsfsim.core.bubble import Bubble
+from vsfsim.core.scene import parse_scene
+from vsfsim.physics import tiers
+from vsfsim.physics.bubble.sensor import build_bubble
+from vsfsim.physics.contact.pair.overlap import PairOverlap
+from vsfsim.physics.solve.coupled import CoupledSolver
+from vsfsim.physics.solve.frames import Reason
+
+
+@pytest.fixture(scope="module")
+def bubble():
+    return build_bubble(Bubble(nodes=200))
+
+
+def block(size=(0.10, 0.10, 0.04)):
+    return tiers.build(parse_scene(f'''
+name = "block"
+[object]
+shape = {{ box = {list(size)} }}
+resolution = 0.02
+poisson_ratio = 0.3
+young_modulus = 1e5
+''', "block.toml").sample(0), "fem-coarse")
+
+
+def depth(body, bubble, places, u=None):
+    """Depth (k,) of the overlap with the sensor's origin at ``places`` (k, 3) [m], looking down."""
+    if u is None:
+        u = np.zeros(body.mesh.points.size + bubble.mesh.points.size)
+    count = len(places)
+    turn = torch.as_tensor(np.tile(np.diag([1.0, -1.0, -1.0]), (count, 1, 1)))
+    check = PairOverlap(body, bubble, device="cpu")
+    found = check.check(torch.arange(count), turn, torch.as_tensor(np.array(places, float))[:, None],
+                        torch.as_tensor(np.repeat(u[:, None], count, axis=1)))
+    return found.numpy(), check.tolerance
+
+
+def test_a_flat_top_is_as_deep_as_the_apex_is_below_it(bubble):
+    top, apex = 0.04, bubble.mesh.points[:, 2].max()
+    found, tolerance = depth(block(), bubble, [(0.0, 0.0, top + apex - d) for d in (-0.001, 0.0005, 0.004)])
+    assert found == pytest.approx([0.0, 0.0005, 0.004], abs=1e-12)
+    assert found[1] < tolerance < found[2]
+
+
+def test_a_corner_of_the_block_in_the_middle_of_a_triangle_is_found(bubble):
+    """No node of the membrane is inside the block: the corner is as deep as it is behind the triangle's plane."""
+    points, faces = bubble.mesh.points, bubble.mesh.faces
+    corners = points[faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    # a flank of the dome that looks to -x and +y, over a corner of a small block that points there
+    face = int((normal @ np.array([-1.0, 1.0, 1.0])).argmax())
+    middle, below = corners[face].mean(axis=0), 0.001
+    body = block((0.03, 0.03, 0.04))
+    corner = np.array([0.015, 0.015, 0.04])
+    turn = np.diag([1.0, -1.0, -1.0])
+    place = corner - turn @ (middle - below * normal[face])
+    found, _ = depth(body, bubble, [place])
+    inside = (np.abs((points @ turn.T + place)[:, :2]) < 0.015).all(axis=1) & ((points @ turn.T + place)[:, 2] < 0.04)
+    assert not inside.any() and found[0] == pytest.approx(below, rel=1e-6)
+
+
+def test_a_bulge_between_the_nodes_is_found(bubble):
+    """Nodes at the middle of the edges of quadratic faces rise by 2 mm: what lies between touches first."""
+    body = block()
+    top, apex = 0.04, bubble.mesh.points[:, 2].max()
+    u = np.zeros((len(body.mesh.points) + len(bubble.mesh.points), 3))
+    high = np.unique(body.mesh.faces[:, 3:])
+    u[high[body.mesh.points[high, 2] > top - 1e-9], 2] = 0.002
+    (found,), _ = depth(body, bubble, [(0.0, 0.0, top + apex + 0.0015)], u.ravel())
+    # on a face whose three middles rise by h, its middle rises by 4/3 h, more than any node
+    assert 0.0 < found < 4.0 / 3.0 * 0.002 - 0.0015 + 1e-9
+
+
+def test_what_goes_around_the_sensor_is_outside(bubble):
+    """Beside the dome and under the plane of its rim there is nothing to be inside of."""
+    found, _ = depth(block((0.20, 0.20, 0.04)), bubble, [(0.17, 0.0, 0.03), (0.0, 0.0, -0.05), (0.0, 0.0, 0.20)])
+    assert (found == 0.0).all()
+
+
+def test_a_frame_with_too_weak_a_contact_is_marked(bubble, device):
+    """The forces balance, and the surfaces lie far in one another: only the geometry tells."""
+    poses = np.tile(np.diag([1.0, -1.0, -1.0, 1.0]), (2, 1, 1, 1))
+    poses[:, 0, :3, 3] = [[0.004, 0.003, 0.04 + bubble.mesh.points[:, 2].max() - d] for d in (0.002, 0.004)]
+    frames = []
+    for weaker in (1.0, 1e-4):
+        solver = CoupledSolver(block(), bubble, device=device,
+                               options=dataclasses.replace(tiers.options("fem"), halvings=0))
+        make = solver._make_contact
+
+        def made(poses, make=make, weaker=weaker):
+            contact, before = make(poses)
+            for side in contact.surfaces.sides:
+                side.stiffness.mul_(weaker)
+            return contact, before
+
+        solver._make_contact = made
+        frames.append(solver.run(poses))
+    sound, weak = frames
+    print(weak.penetration[:, 0], weak.reason[:, 0])
+    assert sound.converged.all() and sound.penetration.max() < 0.03 * bubble.element_size
+    assert (weak.reason[:, 0] == Reason.INTRUSION).any() and (weak.residual < 1e-3).all()
+    assert (weak.converged == (weak.penetration < 0.1 * bubble.element_size)).all()

@@ -1,0 +1,292 @@
+"""How deep the two surfaces of a pair lie in one another, between their contact points too: a check by geometry.
+
+Points on a grid over every face of either surface are held against the other body. A point is inside it if it is
+behind the nearest face and the solid angles of all faces around it add up to a whole turn; it is then as deep as it is
+far from the surface. A membrane is closed by the disk in its rim.
+"""
+
+import functools
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import torch
+import warp as wp
+
+import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
+from vsfsim.physics.contact import closest_point
+from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.model import Model
+
+_DEEP = 0.1  # that depth over the smaller of both element sizes
+_SPACING = 0.4  # of the points on a face over the smaller of both element sizes
+_STEPS = (3, 16)  # least and most steps of the grid on a face
+_PLAIN = 0.999  # cosine between a normal and the way to a point above which the nearest point is not on an edge
+_MOST = 96  # faces of the other body that are kept as those that may be close to a face
+_BULGE = 1.2  # of the ball about a quadratic face, which bulges beyond its nodes
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """One of the two surfaces, its nodes numbered as those of both bodies."""
+
+    faces: torch.Tensor
+    """Nodes of its faces (1, F, 3 or 6), int32."""
+    disk: wp.array
+    """Triangles that close it (d, 3)."""
+    grid: wp.array
+    """Shape values of the points on a face (s, 6); of a flat face the last three are 0."""
+
+
+class PairOverlap:
+    """The check for an object and a sensor.
+
+    Args:
+        model: the object.
+        sensor: the body with the touching surface, in its own frame.
+        device: Warp device.
+    """
+
+    tolerance: float
+    """Depth above which one body lies inside the other where no contact point feels it [m]."""
+
+    def __init__(self, model: Model, sensor: Model, *, device: str):
+        self.device = device
+        self._count = len(model.mesh.points)
+        self._rest = torch.as_tensor(np.concatenate([model.mesh.points, sensor.mesh.points]), device=device)
+        sizes = model.element_size, sensor.element_size
+        self._margin, self.tolerance = max(sizes), _DEEP * min(sizes)
+        none = np.zeros((0, 3), np.int32)
+        carried = sensor.mesh.faces + self._count
+        self._object = self._surface(model.mesh.faces, none, sizes[0] / min(sizes))
+        self._sensor = self._surface(carried, rim_disk(carried), sizes[1] / min(sizes))
+
+    def _surface(self, faces: np.ndarray, disk: np.ndarray, ratio: float) -> _Surface:
+        steps = int(np.clip(np.ceil(ratio / _SPACING), *_STEPS))
+        bary = np.array([(i, j, steps - i - j) for i in range(steps + 1) for j in range(steps + 1 - i)]) / steps
+        values = shape_values(bary) if faces.shape[1] == 6 else np.pad(bary, ((0, 0), (0, 3)))
+        return _Surface(torch.as_tensor(faces[None].astype(np.int32), device=self.device),
+                        wp.array(disk.astype(np.int32).reshape(-1, 3), dtype=wp.int32, device=self.device),
+                        wp.array(values, dtype=wp.float64, device=self.device))
+
+    def check(self, columns: torch.Tensor, turn: torch.Tensor, origin: torch.Tensor,
+              u: torch.Tensor) -> torch.Tensor:
+        """How deep the surfaces lie in one another.
+
+        Args:
+            columns: touches (k,).
+            turn, origin: rotations (k, 3, 3) [-] and origins (k, 1, 3) [m] of the sensor in the world.
+            u: displacements (3 n, B) [m], the object's in the world, then the sensor's in its frame.
+
+        Returns:
+            Depth of the deepest point of either surface inside the other body (k,) [m].
+        """
+        count, k = len(columns), kernels()
+        x = self._rest + u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+        x[:, self._count:] = x[:, self._count:] @ turn.mT + origin
+        at = wp.from_torch(x.contiguous(), dtype=k.vec3)
+        balls = [self._balls(s, count, at) for s in (self._sensor, self._object)]
+        out = []
+        for i, (own, other) in enumerate(((self._sensor, self._object), (self._object, self._sensor))):
+            depth = torch.zeros((count, own.faces.shape[1]), dtype=torch.float64, device=self.device)
+            near, close = (self._within(balls[j], balls[1 - j]) for j in (i, 1 - i))
+            mine, theirs = (wp.from_torch(s.faces.expand(count, -1, -1)) for s in (own, other))
+            wp.launch(k.behind, dim=near.shape, device=self.device, inputs=[
+                own.faces.shape[2], mine, own.grid, other.faces.shape[2], theirs, other.disk,
+                wp.from_torch(near), wp.from_torch(close), self._margin,
+                *(wp.from_torch(balls[j], dtype=k.vec4) for j in (i, 1 - i)), at, wp.from_torch(depth)])
+            out.append(depth)
+        return torch.cat(out, dim=1).amax(dim=1)
+
+    def _balls(self, surface: _Surface, count: int, at: wp.array) -> torch.Tensor:
+        """Balls about the faces of a surface: middles and radii (k, F, 4) [m]."""
+        out = torch.zeros((count, surface.faces.shape[1], 4), dtype=torch.float64, device=self.device)
+        wp.launch(kernels().enclose, dim=out.shape[:2], device=self.device, inputs=[
+            surface.faces.shape[2], wp.from_torch(surface.faces.expand(count, -1, -1)), at,
+            wp.from_torch(out, dtype=kernels().vec4)])
+        return out
+
+    def _within(self, balls: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+        """The faces (k, P) whose ``balls`` (k, F, 4) come within the margin of the box about ``others`` (k, G, 4),
+        padded with -1."""
+        away = self._margin + balls[:, :, 3:]
+        low = (others[:, :, :3] - others[:, :, 3:]).amin(dim=1, keepdim=True)
+        high = (others[:, :, :3] + others[:, :, 3:]).amax(dim=1, keepdim=True)
+        near = ((balls[:, :, :3] + away > low) & (balls[:, :, :3] - away < high)).all(dim=2)
+        on, order = torch.sort(near.to(torch.int8), dim=1, descending=True, stable=True)
+        most = max(1, int(near.sum(dim=1).amax()))
+        return torch.where(on > 0, order, -1)[:, :most].to(torch.int32).contiguous()
+
+
+def rim_disk(faces: np.ndarray) -> np.ndarray:
+    """Triangles (d, 3) that close a sheet of triangles (f, 3) along its rim; none if it has no rim."""
+    edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
+    there = {(a, b) for a, b in edges}
+    rim = [(a, b) for a, b in edges if (b, a) not in there]
+    return np.array([(rim[0][0], b, a) for a, b in rim], np.int32).reshape(-1, 3)
+
+
+@functools.cache
+def kernels() -> Any:
+    """The kernels of the check and their types."""
+    real = wp.float64
+    vec3 = wp.types.vector(length=3, dtype=real)
+    vec4 = wp.types.vector(length=4, dtype=real)
+    module = "vsfsim_pair_overlap"
+    closest = closest_point.functions(real, module)
+    bulge = wp.constant(real(_BULGE))
+    plain = wp.constant(real(_PLAIN))
+    most = wp.constant(_MOST)
+    list_t = wp.types.vector(length=_MOST, dtype=wp.int32)
+    half_turn = wp.constant(real(np.pi))
+
+    @wp.func(module=module)
+    def ball(b: int, f: int, nodes: int, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
+        # middle and radius of a ball about a face
+        middle = vec3()
+        for i in range(nodes):
+            middle += x[b, faces[b, f, i]] / real(nodes)
+        radius = real(0.0)
+        for i in range(nodes):
+            radius = wp.max(radius, wp.length(x[b, faces[b, f, i]] - middle))
+        if nodes == 6:
+            radius = bulge * radius
+        return vec4(middle[0], middle[1], middle[2], radius)
+
+    @wp.kernel(module=module, enable_backward=False)
+    def enclose(
+        # model
+        nodes: int,
+        faces: wp.array3d(dtype=wp.int32),
+        # state in
+        x_in: wp.array2d(dtype=vec3),
+        # state out
+        ball_out: wp.array2d(dtype=vec4),
+    ):
+        b, f = wp.tid()
+        ball_out[b, f] = ball(b, f, nodes, faces, x_in)
+
+    @wp.func(module=module)
+    def apart(one: vec4, two: vec4):
+        # distance from the middle of the first ball to the second ball
+        return wp.length(vec3(one[0] - two[0], one[1] - two[1], one[2] - two[2])) - two[3]
+
+    @wp.func(module=module)
+    def half_angle(p: vec3, x0: vec3, x1: vec3, x2: vec3):
+        # half the solid angle of a flat triangle seen from p (van Oosterom and Strackee 1983)
+        a0 = x0 - p
+        a1 = x1 - p
+        a2 = x2 - p
+        l0 = wp.length(a0)
+        l1 = wp.length(a1)
+        l2 = wp.length(a2)
+        return wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
+                        l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
+
+    @wp.func(module=module)
+    def encloses(p: vec3, b: int, nodes: int, faces: wp.array3d(dtype=wp.int32), disk: wp.array2d(dtype=wp.int32),
+                 x: wp.array2d(dtype=vec3)):
+        # whether the surface goes around p: inside, the halves of the solid angles add up to a whole turn
+        angle = real(0.0)
+        for f in range(faces.shape[1]):
+            x0 = x[b, faces[b, f, 0]]
+            x1 = x[b, faces[b, f, 1]]
+            x2 = x[b, faces[b, f, 2]]
+            if nodes == 3:
+                angle += half_angle(p, x0, x1, x2)
+            else:
+                x3 = x[b, faces[b, f, 3]]
+                x4 = x[b, faces[b, f, 4]]
+                x5 = x[b, faces[b, f, 5]]
+                angle += (half_angle(p, x0, x3, x5) + half_angle(p, x3, x1, x4) + half_angle(p, x5, x4, x2)
+                          + half_angle(p, x3, x4, x5))
+        for f in range(disk.shape[0]):
+            angle += half_angle(p, x[b, disk[f, 0]], x[b, disk[f, 1]], x[b, disk[f, 2]])
+        return wp.abs(angle) > half_turn
+
+    @wp.kernel(module=module, enable_backward=False)
+    def behind(
+        # model
+        nodes: int,
+        faces: wp.array3d(dtype=wp.int32),
+        grid: wp.array2d(dtype=real),
+        other_nodes: int,
+        other: wp.array3d(dtype=wp.int32),
+        disk: wp.array2d(dtype=wp.int32),
+        # state in
+        near: wp.array2d(dtype=wp.int32),
+        close: wp.array2d(dtype=wp.int32),
+        margin: real,
+        own_in: wp.array2d(dtype=vec4),
+        ball_in: wp.array2d(dtype=vec4),
+        x_in: wp.array2d(dtype=vec3),
+        # state out
+        depth_out: wp.array2d(dtype=real),
+    ):
+        # depth of the deepest point of a face's grid inside the other body
+        b, at = wp.tid()
+        f = near[b, at]
+        if f < 0:
+            return
+        own = own_in[b, f]
+        # the faces that may be the nearest to some point of this one
+        middle = vec3(own[0], own[1], own[2])
+        far = margin
+        guess = int(-1)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
+        for k in range(close.shape[1]):
+            g = close[b, k]
+            if g >= 0:
+                if apart(own, ball_in[b, g]) < far:
+                    _v, place, _n = closest.nearest(middle, b, g, other_nodes, other, x_in)
+                    away = wp.length(middle - place)
+                    if away < far:
+                        far = away
+                        guess = g
+        if guess < 0:
+            return
+        held = int(0)  # noqa: UP018, RUF046
+        beside = list_t()
+        for k in range(close.shape[1]):
+            g = close[b, k]
+            if g >= 0:
+                if apart(own, ball_in[b, g]) <= far + real(2.0) * own[3]:
+                    if held < most:
+                        beside[held] = g
+                    held += 1
+        count = grid.shape[0]
+        if far > own[3]:
+            count = 1  # no face of the other body is so close that this one could pass through it
+        deepest = real(0.0)
+        for s in range(count):
+            p = vec3()
+            for i in range(nodes):
+                p += grid[s, i] * x_in[b, faces[b, f, i]]
+            here = vec4(p[0], p[1], p[2], real(0.0))
+            _v, place, out = closest.nearest(p, b, guess, other_nodes, other, x_in)
+            least = wp.length(p - place)
+            height = wp.dot(p - place, out)
+            first = guess
+            for k in range(wp.where(held > most, close.shape[1], held)):
+                g = beside[wp.min(k, most - 1)]
+                if held > most:
+                    g = close[b, k]
+                if g >= 0 and g != first:
+                    if apart(here, ball_in[b, g]) < least:
+                        _v, place, out = closest.nearest(p, b, g, other_nodes, other, x_in)
+                        away = wp.length(p - place)
+                        above = wp.dot(p - place, out)
+                        # of two faces that share the nearest point, the one that it is higher over tells the side
+                        if away < least - real(1e-12) or (away < least + real(1e-12)
+                                                          and wp.abs(above) > wp.abs(height)):
+                            if away < least - real(1e-12):
+                                guess = g
+                            least = away
+                            height = above
+            # where the nearest point is on an edge, the normal of one face may not tell the side
+            if height < real(0.0) and least > deepest and (
+                    -height > plain * least or encloses(p, b, other_nodes, other, disk, x_in)):
+                deepest = least
+        depth_out[b, f] = deepest
+
+    return SimpleNamespace(enclose=enclose, behind=behind, vec3=vec3, vec4=vec4)
