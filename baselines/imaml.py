@@ -65,6 +65,11 @@ class Imaml:
         self._tokens: dict[bytes, np.ndarray] = {}  # by view: every shot and seed has the same views
         self._at = "cpu"  # device of batches
 
+    @property
+    def trials_on_host(self) -> bool:
+        """Whether adapting and predicting need no GPU, so that trials may be forks of a process without one."""
+        return not (self._vision and self.features.startswith("dinov2"))
+
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the start of all adaptations.
 

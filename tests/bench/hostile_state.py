@@ -24,3 +24,16 @@ class Unforkable(LearnsOnGpu):
     def __init__(self, *, report="", value=1.5):
         super().__init__(report=report, value=value)
         child._uses_gpu = lambda: True
+
+
+class TrialsOnHost(Hostile):
+    """Learns on a GPU whose driver is loaded wherever its module is, and needs none for trials if it is told so."""
+
+    def __init__(self, *, device="cuda:0", host=True, report=""):
+        super().__init__(report=report)
+        child._driver_is_loaded = lambda: True
+        self.trials_on_host = host
+
+    def adapt(self, view, support):
+        super().adapt(view, support)
+        self.found([os.environ.get("CUDA_VISIBLE_DEVICES"), os.getppid()])

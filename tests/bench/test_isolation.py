@@ -163,6 +163,16 @@ def test_trials_are_forks_of_one_copy_of_what_a_gpu_learned(attack, honest):
     assert all(held == 1 for _, _, held in found)
 
 
+@pytest.mark.parametrize(("host", "visible", "parents"), [(True, "", 1), (False, "0", None)])
+def test_trials_are_forks_without_a_gpu_if_the_method_says_that_they_need_none(attack, monkeypatch, host, visible,
+                                                                              parents):
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "0")
+    _, found = attack("hostile_state:TrialsOnHost", brief=True, host=host)
+    assert len(found) == 4 and {seen for seen, _ in found} == {visible}
+    if parents is not None:
+        assert len({parent for _, parent in found}) == parents
+
+
 @pytest.mark.parametrize(("given", "visible", "forked", "gradients"), [
     ({}, "0", 1, 0), ({"device": "cpu"}, "", 1, 1), ({"device": "cuda:0"}, "0", 1, 0),
     ({"device": "cuda:0", "driver": True}, "0", 0, 0)])

@@ -6,7 +6,8 @@ receives is read after that fork, so no process that outlives the trial ever hol
 
 Where that process cannot be forked, because a GPU is in use, the scorer hands the state that ``state`` returned (the
 pickled method, or the files of its `save`) to a new process, which forks for the trials if no GPU is in use in it, or
-to a new one for each trial.
+to a new one for each trial. GPUs are hidden from the new process if the method says that its trials need none
+(``trials_on_host``).
 """
 
 from __future__ import annotations
@@ -128,13 +129,15 @@ class _Server:
 
     def _may_fork(self) -> bool:
         """Whether trials may be forks of this process: what they are to use, it must not have begun to use."""
-        asked = str(self.parameters.get("device", "")).startswith("cuda")
+        asked = str(self.parameters.get("device", "")).startswith("cuda") and not _gpus_are_hidden()
         return hasattr(os, "fork") and not (_driver_is_loaded() if asked else _uses_gpu())
 
     def do_state(self, _: Any) -> Any:
         return {}, (), _packed(self.method)
 
     def do_restore(self, state: bytes) -> Any:
+        if getattr(self.method, "trials_on_host", False):
+            os.environ["CUDA_VISIBLE_DEVICES"] = ""
         self.method = _unpacked(state, self.method)
         return {"fork": self._may_fork()}, (), b""
 
@@ -237,6 +240,10 @@ def _hide_gpus(name: str, given: Mapping[str, Any]) -> None:
         os.environ["CUDA_VISIBLE_DEVICES"] = ""
 
 
+def _gpus_are_hidden() -> bool:
+    return os.environ.get("CUDA_VISIBLE_DEVICES") == ""
+
+
 def _first_gradient() -> None:
     """Take PyTorch's first gradient before any fork, if GPUs are hidden.
 
@@ -244,7 +251,7 @@ def _first_gradient() -> None:
     answer. Where Warp has started the driver, asking it in a fork ends with SIGSEGV.
     """
     torch = sys.modules.get("torch")
-    if torch is not None and os.environ.get("CUDA_VISIBLE_DEVICES") == "":
+    if torch is not None and _gpus_are_hidden():
         torch.zeros((), requires_grad=True).backward()
 
 

@@ -123,6 +123,8 @@ class Study:
     """Instead of the task's; 0 for the task's."""
     draws: int
     """Instead of the task's; 0 for the task's."""
+    folds: int
+    """Instead of the task's; 0 for the task's."""
     variants: tuple[Variant, ...]
     """In order."""
     classes: Mapping[str, str]
@@ -173,7 +175,7 @@ class Study:
         p = task.protocol
         trainings, draws = self.trainings or p.trainings, self.draws or p.draws
         protocol = dataclasses.replace(p, shots=self.shots or p.shots, trainings=trainings, draws=draws,
-                                       seeds=trainings * draws)
+                                       folds=self.folds or p.folds, seeds=trainings * draws)
         return dataclasses.replace(task, protocol=protocol)
 
     def wanted(self, name: str, size: str, task: Task) -> DatasetWanted:
@@ -211,7 +213,7 @@ class Study:
                 "touches": variant.touches, "views": [variant.train_views, variant.test_views],
                 "extra": [[p.data, p.objects, p.first, self.data.get(p.data)] for p in variant.extra],
                 "data": self.data.get(variant.data), "world": variant.world,
-                "protocol": [self.shots, self.trainings, self.draws]}
+                "protocol": [self.shots, self.trainings, self.draws, *([self.folds] if self.folds else [])]}
         words = [f"{variant.method}.{variant.preset}", *(str(v) for v in variant.parameters.values()),
                  *([variant.train] if variant.train != "others" else []), *([variant.data] if variant.data else []),
                  *(f"{p.data}{p.objects}" for p in variant.extra)]
@@ -264,8 +266,8 @@ def load_study(name: str) -> Study:
 def parse_study(text: str, path: Path) -> Study:
     """Like `load_study`, from text; ``path`` names it in messages."""
     top = Table(parse_toml(text, path, "study", TaskError), str(path), (
-        "title", "source", "unit", "metric", "tasks", "baseline", "shots", "trainings", "draws", "settings", "variant",
-        "classes", "data", "command", "claim", "experiment", "note"), error=TaskError)
+        "title", "source", "unit", "metric", "tasks", "baseline", "shots", "trainings", "draws", "folds", "settings",
+        "variant", "classes", "data", "command", "claim", "experiment", "note"), error=TaskError)
     command, metric = top.text("command", ""), top.text("metric", "rmse_ratio")
     if metric not in METRICS:
         raise TaskError(f"{path}: metric is '{metric}'. {did_you_mean(metric, METRICS)}")
@@ -277,7 +279,8 @@ def parse_study(text: str, path: Path) -> Study:
     out = Study(
         path.stem, top.text("title"), top.text("source"), top.text("unit", ""), metric,
         {str(k): str(v) for k, v in _plain(top, "tasks").items()}, top.text("baseline", ""), shots,
-        top.count("trainings", 0, 0), top.count("draws", 0, 0), variants, classes, _plain(top, "data"), command,
+        top.count("trainings", 0, 0), top.count("draws", 0, 0), top.count("folds", 0, 0), variants, classes,
+        _plain(top, "data"), command,
         tuple(_asked(row, metric, f"{path} [[claim]] {k + 1}") for k, row in enumerate(top.rows("claim"))),
         tuple(_asked(row, metric, f"{path} [[experiment]] {k + 1}") for k, row in enumerate(top.rows("experiment"))),
         top.text("note", ""))
