@@ -1,15 +1,17 @@
-"""How hard the parts of shoes push back: force on the probe at some travel, by part and material, from a dataset."""
+"""How hard shoes push back: force on the probe at some travel by part and material, and by class, from a dataset."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
+from vsfsim.bench.studies.study import load_study
 from vsfsim.bench.task import load_task
+from vsfsim.bench.trials.training import Training
 from vsfsim.core import shelf
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import parse_scene
@@ -22,6 +24,8 @@ from vsfsim.scenes._footwear_models import MODELS, PARTS
 
 SCENE = "shoes-v2-mini"
 """Whose dataset is measured if none is given."""
+CLASSES = "shoes-breadth"
+"""The study that names the classes of shoes."""
 CONTACT = 0.05
 """Force above which a touch counts as in contact [N]; the travel begins at that force."""
 
@@ -68,7 +72,7 @@ def default_folder() -> Path:
 
 def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.010),
             progress: Progress | None = None) -> Measurement:
-    """Median force over touches at the travels ``depths`` [m], by part and material.
+    """Median force over touches at the travels ``depths`` [m], by part and material, and how far classes differ.
 
     A touch that ends before a travel does not count there. The part is that of the tetrahedron nearest to the touch's
     target.
@@ -83,6 +87,7 @@ def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.0
     """
     dataset = Dataset.open(folder or default_folder())
     found: dict[tuple[str, str], list[list[float]]] = {}
+    largest: dict[int, list[float]] = {}
     for entry in dataset.entries:
         if progress is not None:
             progress(entry.name)
@@ -91,6 +96,8 @@ def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.0
         tree = cKDTree(view.truth.points)
         for touch in view.touches:
             far, force = travel(touch)
+            if len(force):
+                largest.setdefault(entry.object_index, []).append(float(np.log(force.max())))
             part = view.truth.region_names[view.truth.region[tree.query(touch.target)[1]]]
             kind = "wall" if part in ("upper", "toe_cap", "heel_counter") else part
             found.setdefault((kind, own[part]), []).append(
@@ -107,4 +114,33 @@ def measure(folder: Path | None = None, *, depths: Sequence[float] = (0.005, 0.0
                     Column(f"touches.{k}", "touches", "1", form="d")]
     title = f"Median force over touches of {dataset.recipe.scene}, by travel of the mount since contact"
     return Measurement.of("shoe-forces", {"dataset": dataset.path.name, "depths_m": list(depths)},
-                          [Table(title, columns, rows, "parts")])
+                          [Table(title, columns, rows, "parts"), *_classes(dataset, largest)])
+
+
+def _classes(dataset: Dataset, largest: Mapping[int, Sequence[float]]) -> list[Table]:
+    """How far shoes of a class and the means of classes differ, by each shoe's mean logarithm of the largest force of a
+    touch, which all touches reach by the same range of depths.
+
+    Args:
+        dataset: of named shoes. largest: those logarithms, by number of the shoe.
+    """
+    kind = Training(classes=load_study(CLASSES).classes).classes_of(dataset)
+    shoes: dict[str, list[float]] = {}
+    for number, values in largest.items():
+        shoes.setdefault(kind[number], []).append(float(np.mean(values)))
+    many = {name: values for name, values in shoes.items() if len(values) > 1}
+    if len(many) < 2:
+        return []
+    within = float(np.mean([np.var(values, ddof=1) for values in many.values()]))
+    chance = within * float(np.mean([1.0 / len(values) for values in many.values()]))
+    means = [float(np.mean(values)) for values in many.values()]
+    rows = [{"class": name, "shoes": len(values), "force": float(np.exp(np.mean(values))),
+             "spread": float(np.exp(np.std(values, ddof=1)))} for name, values in sorted(many.items())]
+    spreads = [{"of": "shoes of a class", "spread": float(np.exp(within**0.5))},
+               {"of": "means of the classes", "spread": float(np.exp(np.std(means, ddof=1)))},
+               {"of": "means of as many shoes drawn from one class", "spread": float(np.exp(chance**0.5))}]
+    factor = Column("spread", "standard deviation, as a factor", "1", form=".2f")
+    return [Table("Largest force of a touch by class of the shoe, geometric mean over shoes",
+                  [Column("class", "class"), Column("shoes", "shoes", "1", form="d"),
+                   Column("force", "force", "N", form=".1f"), factor], rows, "classes"),
+            Table("How far classes differ", [Column("of", "of"), factor], spreads, "spreads")]

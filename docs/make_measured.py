@@ -77,13 +77,17 @@ def studies() -> list[str]:
     return [one.name for one in every if not one.command and len(stored(one, "mini", boards=BOARDS, made=False)) > 1]
 
 
-def measurement(name: str, tables: int) -> str:
-    """The first ``tables`` tables of `vsfsim measure NAME`, with the machine and the day."""
+def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> str:
+    """``tables`` tables of `vsfsim measure NAME`, from the ``first`` one on, with the machine and the day."""
+    from vsfsim.core.shelf import datasets
+
     sys.path.insert(0, str(ROOT))
-    found = importlib.import_module(f"benchmarks.{name.replace('-', '_')}").measure(progress=print)
-    parts = [f"<!-- vsfsim measure {name}: version {found.version}, commit {found.commit} -->\n"
+    operands = [datasets() / dataset] if dataset else []
+    found = importlib.import_module(f"benchmarks.{name.replace('-', '_')}").measure(*operands, progress=print)
+    words = f"{name} datasets/{dataset}" if dataset else name
+    parts = [f"<!-- vsfsim measure {words}: version {found.version}, commit {found.commit} -->\n"
              f"{found.machine}, {found.date}.\n"]
-    for table in found.tables[:tables]:
+    for table in found.tables[first:first + tables]:
         rows = [[column.cell(row) for column in table.columns] for row in table.rows]
         parts.append(f"{table.title[0].upper()}{table.title[1:]}:\n\n"
                      + piped([column.title() for column in table.columns], rows))
@@ -95,7 +99,8 @@ MEASURED: dict[str, Callable[[], str]] = {
     **{f"study-{name}": partial(study, name) for name in studies()},
     **{f"study-{name}-standard": partial(study, name, "standard") for name in STANDARD},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
-    "shoe-forces": partial(measurement, "shoe-forces", 1)}
+    "shoe-forces": partial(measurement, "shoe-forces", 1),
+    "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v2")}
 """Table by name of its file."""
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.shoe_forces import default_folder, materials, travel
+from benchmarks.shoe_forces import _classes, default_folder, materials, travel
 from vsfsim.bench.task import load_task
 from vsfsim.core.errors import SceneError
 from vsfsim.core.scene import load_scene
@@ -42,6 +42,16 @@ def test_the_default_is_the_dataset_of_the_current_task():
     (current,) = (task for task in map(load_task, tasks())
                   if task.dataset.scene == "shoes-v2-mini" and not task.superseded_by)
     assert default_folder() == current.dataset.path()
+
+
+def test_the_spread_of_classes_is_set_against_that_of_their_shoes():
+    text = 'object = { shape = { model = { each = ["work-boot", "road-runner"] } } }'
+    entries = [SimpleNamespace(object_index=k) for k in range(4)]
+    dataset = SimpleNamespace(recipe=SimpleNamespace(scene_text=text), entries=entries, path="here")
+    _, spreads = _classes(dataset, {0: [1.0, 3.0], 1: [0.0], 2: [1.0], 3: [2.0]})
+    # boots 2 and 1, runners 0 and 2: variances 0.5 and 2, means 1.5 and 1
+    assert [row["spread"] for row in spreads.rows] == pytest.approx(np.exp([1.25**0.5, 0.125**0.5, 0.625**0.5]))
+    assert _classes(dataset, {0: [1.0]}) == [], "one shoe has no spread"
 
 
 def test_the_materials_are_those_of_the_model():

@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from vsfsim.bench.board.claims import FAILS, HOLDS, UNTOLD
@@ -12,6 +13,7 @@ from vsfsim.bench.studies import claims, report, worlds
 from vsfsim.bench.studies import results as stored_results
 from vsfsim.bench.studies.results import Found
 from vsfsim.bench.studies.study import load_study, parse_study, studies
+from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import TaskError
 from vsfsim.core.shelf import scenes
 
@@ -106,6 +108,8 @@ def test_the_same_evaluation_has_one_file_in_all_studies(study):
     assert study.stem(half) == other.stem(half) and study.stem(half).startswith("sbml.tuned-")
     assert study.stem(half) != study.stem(dataclasses.replace(half, touches=0.5))
     assert study.is_row(every) and not study.is_row(half)
+    folds = parse_study(TEXT.replace('title = "A toy"', 'title = "A toy"\nfolds = 3'), Path("toy.toml"))
+    assert folds.task_of(half, "mini").protocol.folds == 3 and folds.stem(half) != study.stem(half)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), [
@@ -131,7 +135,7 @@ def test_a_shipped_study_asks_what_there_is(name):
     if study.command:
         return
     models = {m for path in scenes().values() for m in stored_results.models_of(path.read_text())}
-    assert set(study.classes) <= models
+    assert set(study.classes) <= models | set(worlds.CLASSES)
     for size in study.tasks or ("mini",):
         for variant in study.variants:
             task = study.task_of(variant, size)
@@ -164,6 +168,16 @@ def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
     assert shows == [False, True], "every second block's picture is reversed"
     assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, blind))
     assert worlds.task("springs").protocol.folds == 4
+
+
+def test_the_classes_of_a_world_differ_in_stiffness_and_are_those_of_its_study(tmp_path, monkeypatch):
+    monkeypatch.setenv("VSFSIM_DATASETS", str(tmp_path))
+    monkeypatch.setattr(worlds, "_TASK", worlds._TASK.replace("objects = 24", "objects = 8"))
+    plain, classes = worlds.dataset("springs"), worlds.dataset("springs-classes")
+    factors = [float(np.median(a.truth.vsf_stiffness / b.truth.vsf_stiffness)) for a, b in zip(classes, plain)]
+    assert factors == pytest.approx(2 * [0.5, 1.0, 2.0, 4.0])
+    of = Training("same-class", classes=load_study("world-classes").classes).classes_of(classes)
+    assert list(of.values()) == 2 * ["soft", "medium", "firm", "hard"]
 
 
 def test_a_damaged_result_is_named(study, tmp_path, monkeypatch):

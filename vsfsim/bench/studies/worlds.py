@@ -6,6 +6,7 @@ because of the method.
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 from vsfsim.bench.mock import mock_view
@@ -26,8 +27,14 @@ metrics = { primary = "rmse_ratio", ranking_shot = 5 }
 """
 
 WORLDS = {"springs": "24 blocks of independent springs, one half stiffer and darker than the other",
-          "springs-blind": "the same blocks, of which the picture does not tell which half is stiffer"}
+          "springs-blind": "the same blocks, of which the picture does not tell which half is stiffer",
+          "springs-classes": "24 such blocks of four classes, each class twice as stiff as the one before; the picture "
+                             "tells every other class from the rest"}
 """What they are, by name."""
+
+CLASSES = {"soft": 0.5, "medium": 1.0, "firm": 2.0, "hard": 4.0}
+"""Factor on every spring of each class of blocks [-]. Blocks of a class differ by up to four times besides, as those of
+the other worlds do."""
 
 
 def task(world: str) -> Task:
@@ -40,6 +47,14 @@ def task(world: str) -> Task:
     return parse_task(_TASK.replace("NAME", name).replace("DESCRIPTION", WORLDS[world]), Path(f"{name}.toml"))
 
 
+def scene_text(world: str) -> str:
+    """What stands in the place of a scene's text: what the world is, and the class of each block where it has classes,
+    as a scene names its models."""
+    if world != "springs-classes":
+        return WORLDS[world]
+    return f"# {WORLDS[world]}\n[object.shape]\nmodel = {{ each = {json.dumps(list(CLASSES))} }}\n"
+
+
 def dataset(world: str) -> Dataset:
     """Its dataset, made under the datasets' folder if it is not there.
 
@@ -47,10 +62,11 @@ def dataset(world: str) -> Dataset:
         DatasetError: its folder holds another dataset, or it cannot be written.
     """
     wanted = task(world).dataset
-    told = world == "springs"
-    views = {v.name: v for v in (mock_view(k, split="train", touches=wanted.touches, dark=0 if told else k % 2)
+    told, factors = world == "springs", list(CLASSES.values()) if world == "springs-classes" else [1.0]
+    views = {v.name: v for v in (mock_view(k, split="train", touches=wanted.touches, dark=0 if told else k % 2,
+                                           stiffness=factors[k % len(factors)])
                                  for k in range(wanted.objects))}
-    recipe = Recipe(scene=wanted.scene, scene_text=WORLDS[world], seed=wanted.seed, objects=wanted.objects,
+    recipe = Recipe(scene=wanted.scene, scene_text=scene_text(world), seed=wanted.seed, objects=wanted.objects,
                     views=wanted.views, touches=wanted.touches, splits={"train": wanted.objects}, device="cpu",
                     tier="vsf", precision="float64", renderer="warp")
     with DatasetWriter(datasets() / wanted.folder, recipe, list(views)) as writer:
