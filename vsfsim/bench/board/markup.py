@@ -22,7 +22,7 @@ p, li { max-width: 50rem; } a { color: var(--link); } nav { color: var(--soft); 
 .note, figcaption { color: var(--soft); font-size: 0.88rem; text-align: left; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; }
 th, td { padding: 0.3rem 0.7rem; border-bottom: 1px solid var(--line); text-align: right; white-space: nowrap; }
-th { font-weight: 600; background: var(--band); vertical-align: bottom; }
+th { white-space: normal; font-weight: 600; background: var(--band); vertical-align: bottom; }
 th.text, td.text { text-align: left; } td.long { white-space: normal; min-width: 16rem; }
 figure { margin: 0.6rem 0; } svg { max-width: 100%; height: auto; display: block; }
 svg text { font: 12px system-ui, Arial, sans-serif; fill: var(--ink); } svg .soft { fill: var(--soft); }

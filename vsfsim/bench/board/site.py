@@ -74,19 +74,27 @@ def _of_object(task: Task, name: str) -> str:
 
 
 def _index(boards: Sequence[Board]) -> str:
-    rows: list[list[Cell]] = []
-    for board in sorted(boards, key=lambda b: (bool(b.task.superseded_by), b.task.name)):
-        first = [row for row in board.rows if row.rank == 1]
-        names = dict(zip(map(id, board.rows), labels_of([row.result for row in board.rows]), strict=True))
-        more = f" and {len(first) - 3} more" if len(first) > 3 else ""
-        best = ", ".join(names[id(row)] for row in first[:3]) + more
-        rows.append([link(_of_task(board.task), board.task.name), board.task.description, board.task.observation.name,
-                     str(len(board.rows)), best or "-", board.task.superseded_by or ""])
-    return page("vsfsim leaderboard", [
-        paragraph("Estimators of the stiffness of deformable objects from vision and touch, scored on simulated data. "
-                  "Every number here is computed again from the rows of a result file."),
-        table(["task", "what is predicted", "reading", "rows", "first", "superseded by"], rows, text=(0, 2, 5),
-              long=(1, 4))])
+    body = [paragraph("Estimators of the stiffness of deformable objects from vision and touch, scored on simulated "
+                      "data. Every number here is computed again from the rows of a result file. First are the methods "
+                      "of rank 1; methods that cannot be told apart share a rank.")]
+    head = ["task", "what is predicted", "reading", "rows", "first"]
+    current = [board for board in boards if not board.task.superseded_by]
+    old = [board for board in boards if board.task.superseded_by]
+    body.append(table(head, [_index_row(b) for b in sorted(current, key=lambda b: (not b.rows, b.task.name))],
+                      text=(0, 2), long=(1, 4), caption="Tasks without rows come last."))
+    if old:
+        rows = [[*_index_row(b), b.task.superseded_by or ""] for b in sorted(old, key=lambda b: b.task.name)]
+        body += ["<h2>Superseded tasks</h2>", table([*head, "superseded by"], rows, text=(0, 2, 5), long=(1, 4))]
+    return page("vsfsim leaderboard", body)
+
+
+def _index_row(board: Board) -> list[Cell]:
+    first = [row for row in board.rows if row.rank == 1]
+    names = dict(zip(map(id, board.rows), labels_of([row.result for row in board.rows]), strict=True))
+    more = f" and {len(first) - 3} more" if len(first) > 3 else ""
+    best = ", ".join(names[id(row)] for row in first[:3]) + more
+    return [link(_of_task(board.task), board.task.name), board.task.description, board.task.observation.name,
+            str(len(board.rows)), best or "-"]
 
 
 def _task_page(board: Board, names: Sequence[str]) -> str:
