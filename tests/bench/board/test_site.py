@@ -11,10 +11,10 @@ import pytest
 
 from vsfsim.bench import leaderboard
 from vsfsim.bench.board import charts
-from vsfsim.bench.board.site import write_site
+from vsfsim.bench.board.site import _called, _index, write_site
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.task import parse_task
+from vsfsim.bench.task import load_task, parse_task
 from vsfsim.data.recipe import Recipe
 from vsfsim.data.writer import DatasetWriter
 
@@ -104,6 +104,17 @@ def test_an_object_has_its_map_beside_the_truth(site):
     assert "truth (x right, y up)" in text and "Its picture is in the dataset" in text
     fills = re.findall(r'fill="(#\w{6})"', text.partition("truth (x right")[0])
     assert len(set(fills)) > 3, "the soft and the stiff half differ"
+
+
+def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_scene_names(site):
+    board = site[0]
+    old = dataclasses.replace(board, task=dataclasses.replace(board.task, name="old-v1", superseded_by="toy-v1"))
+    index = Page(_index([old, board]))
+    assert index.tags.count("table") == 2 and " ".join(index.words).count("superseded by") == 1
+    assert " ".join(Page(_index([board])).words).count("superseded by") == 0
+    assert _called(load_task("fewshot-shoes-v2-mini-v2"), "shoes-v2-mini-0003") == (
+        "shoes-v2-mini-0003, felt-slipper")
+    assert _called(board.task, "mock-0003") == "mock-0003"
 
 
 def test_colours_go_from_one_end_to_the_other():

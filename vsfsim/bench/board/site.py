@@ -7,6 +7,7 @@ objects are added where the task's dataset is on this machine.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -20,7 +21,10 @@ from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.rows import MAP_ORIGIN, MAP_STEP, Score, as_rows
+from vsfsim.bench.trials.training import models_of
 from vsfsim.core.errors import DatasetError, TaskError
+from vsfsim.core.shelf import scenes
+from vsfsim.core.table import read_text
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 
@@ -141,8 +145,9 @@ def _method_page(board: Board, row: Row, name: str) -> str:
         at = row.objects.get(task.ranking_shot, {})
         body += ["<h2>Objects</h2>", table(
             ["object", *(f"{label}-shot" for label in labels)],
-            [[link(_of_object(task, o), o), *(f"{row.objects[label][o]:.3f}" if o in row.objects.get(label, {}) else ""
-                                              for label in labels)] for o in sorted(at, key=lambda o: at[o])],
+            [[link(_of_object(task, o), _called(task, o)),
+              *(f"{row.objects[label][o]:.3f}" if o in row.objects.get(label, {}) else "" for label in labels)]
+             for o in sorted(at, key=lambda o: at[o])],
             caption="error over that of predicting zero on the same touches, mean over runs")]
     body += ["<h2>Made with</h2>", table(["parameter", "value"], [[k, str(v)] for k, v in result.parameters.items()],
                                          text=(0, 1)),
@@ -175,10 +180,17 @@ def _object_page(board: Board, names: Sequence[str], name: str) -> str:
                  paragraph("Every point is a place where a small cone measured the true stiffness and that some touch "
                            "reached. The truth comes first; an estimate is scaled by one factor an object.", note=True),
                  *maps]
-    return page(name, body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
+    return page(_called(task, name), body, trail=[link("index.html", "leaderboard"), link(_of_task(task), task.name)])
 
 
 # ---------------------------------------------------------------------- parts of pages
+
+
+def _called(task: Task, name: str) -> str:
+    """Name of an object with its model, where the task's scene names one."""
+    path, number = scenes().get(task.dataset.scene), re.search(r"-(\d+)$", name)
+    models = models_of(read_text(path, "scene", TaskError)) if path is not None and path.suffix == ".toml" else []
+    return f"{name}, {models[int(number[1]) % len(models)]}" if models and number else name
 
 
 def _over_objects(board: Board) -> bool:
@@ -287,7 +299,7 @@ def _objects(board: Board) -> list[str]:
 def _object_table(board: Board, names: Sequence[str], objects: Sequence[str]) -> str:
     task = board.task
     ranked = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.objects][:MOST_LINES]
-    rows: list[list[Cell]] = [[link(_of_object(task, o), o),
+    rows: list[list[Cell]] = [[link(_of_object(task, o), _called(task, o)),
                                *(f"{row.objects[task.ranking_shot][o]:.3f}" for row, _ in ranked)] for o in objects]
     return table(["object", *(name for _, name in ranked)], rows,
                  caption=f"error over that of predicting zero at {task.ranking_shot}-shot")
