@@ -202,7 +202,7 @@ def predict_totals(model: nn.Module, touch: TotalTouch, *, samples: int) -> np.n
 def density(model: nn.Module, points: np.ndarray) -> np.ndarray:
     """Stiffness density at ``points`` (k, 3) [m]: (k,) [N/m^4]."""
     device = model.bounds.device
-    parts = torch.as_tensor(np.asarray(points), dtype=torch.float32, device=device).split(200_000)
+    parts = torch.tensor(np.asarray(points), dtype=torch.float32, device=device).split(200_000)
     return np.concatenate([np.zeros(0), *((model(part).double() * model.unit).cpu().numpy() for part in parts)])
 
 
