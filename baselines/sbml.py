@@ -276,7 +276,10 @@ class Sbml(PosteriorAnswers):
         return touched, fit.stiffness[touched]
 
     def _held_out(self, objects: Sequence[str]) -> list[set[int]]:
-        """Which training views each network does not learn from; views of one object stay together."""
+        """Which training views each network does not learn from; views of one object stay together, unless there is no
+        other object."""
+        if len(set(objects)) == 1:
+            objects = [str(number) for number in range(len(objects))]
         names = list(dict.fromkeys(objects))
         if len(names) < 2 or self.validation == 0.0:
             return [set()]
