@@ -58,9 +58,9 @@ SOLID = (
 """Contrast: modulus of a ball inside over that of the block. Depth: over the block's height. Element: factor on the
 element size of the tier. Size: width of the block. Thickness: height over width."""
 BUBBLE = (
-    Factor("against", "", "small ball", ("small ball", "ball", "plane", "box corner", "box edge", "cylinder rim",
-                                         "soft block", "block")),
-    Factor("depth", "m", 0.006, (0.001, 0.006, 0.012, 0.02)),
+    Factor("against", "", "tip", ("tip", "small ball", "ball", "plane", "box corner", "box edge", "cylinder rim",
+                                  "soft block", "block")),
+    Factor("depth", "1", 0.2, (0.03, 0.2, 0.4, 0.66)),
     Factor("friction", "1", 0.0, (0.0, 0.5, 2.0)),
     Factor("gauge", "Pa", 7820.0, (1.0, 300.0, 3000.0, 7820.0)),
     Factor("stretch", "1", 1.1, (1.05, 1.1, 1.5)),
@@ -68,8 +68,10 @@ BUBBLE = (
     Factor("nodes", "1", 390.0, (390.0, 1500.0)),
     Factor("frames", "1", 4.0, (1.0, 4.0)),
 )
-"""Against: rigid bodies, or a block of 1 kPa (soft) or 100 kPa. Gauge: pressure of the gas over that around it. Drag:
-10 mm sideways after the press; twist: 45 degrees about the mount's axis."""
+"""Against: rigid bodies, or a block of 1 kPa (soft) or 100 kPa. The tip is a rod of 6 mm with a round end; the small
+ball has its radius, and nothing behind it. Depth: over the height of the free dome (30.5 mm by default, 1 mm without
+pressure), because behind the plane of the rim is the housing, which no body can enter. Gauge: pressure of the gas over
+that around it. Drag: 10 mm sideways after the press; twist: 45 degrees about the mount's axis."""
 ROD = (
     Factor("young", "Pa", 1e9, (1e5, 1e7, 1e9, 1e11)),
     Factor("slender", "1", 0.01, (0.001, 0.003, 0.01, 0.05)),
@@ -115,11 +117,10 @@ class Cell:
 
     @property
     def moderate(self) -> bool:
-        """Whether friction is at most 1, the depth at most half of the body (or of a rod's length; of a bubble 12 mm),
-        and the input sound."""
-        deepest = 0.012 if self.kind == "bubble" else 0.5
+        """Whether friction is at most 1, the depth at most half of the body (or of a rod's length, or of a bubble's
+        height), and the input sound."""
         return (float(self.factors.get("friction", 0.0)) <= 1.0
-                and float(self.factors.get("depth", 0.0)) <= deepest and self.kind != "input")
+                and float(self.factors.get("depth", 0.0)) <= 0.5 and self.kind != "input")
 
     def table(self) -> dict[str, Any]:
         """For JSON; `of` reads it back."""

@@ -137,7 +137,7 @@ def _bubble(loaded: SceneFile, limit: float, device: str) -> Evidence:
     return Evidence(
         result.depth, result.force[:, 2], result.force, result.audit["force_balance"],
         np.full(len(result.depth), np.nan), result.audit["penetration"], result.converged,
-        tuple(result.more["reason"]), result.more["seconds"], solved.path.inward, False, float(result.more["edge"]),
+        tuple(result.more["reason"]), result.more["seconds"], solved.path.frames[0], False, float(result.more["edge"]),
         surface=surface, membrane=membrane)
 
 

@@ -139,15 +139,16 @@ def bubble_scene(cell: Cell, folder: Path) -> SceneFile:
         SceneError: the scene cannot be built.
     """
     f = cell.factors
-    depth, frames = float(f["depth"]), int(f["frames"])
+    frames = int(f["frames"])
     sensor = (f'[sensor]\nkind = "bubble"\nnodes = {int(f["nodes"])}\ngauge_pressure = {float(f["gauge"])!r}\n'
               f'pre_stretch = {float(f["stretch"])!r}\n')
     free = parse_scene(f'name = "free"\n{sensor}[[obstacles]]\nshape = {{ sphere = 0.01 }}\npose = [0.0, 0.0, 0.0]\n',
                        folder / "free.toml").sample(0)
     apex = float(build_bubble(free.required_sensor, where="the stability map").mesh.points[:, 2].max())
     against = str(f["against"])
-    bodies = {"small ball": ("sphere = 0.003", 0.003, [0.0, 0.0, 0.0]), "ball": ("sphere = 0.02", 0.02, [0.0] * 3),
-              "plane": ("plane = true", 0.0, [0.0] * 3),
+    depth = float(f["depth"]) * apex
+    bodies = {"tip": ("capsule = [0.003, 0.06]", 0.033, [0.0] * 3), "small ball": ("sphere = 0.003", 0.003, [0.0] * 3),
+              "ball": ("sphere = 0.02", 0.02, [0.0] * 3), "plane": ("plane = true", 0.0, [0.0] * 3),
               "box corner": ("box = [0.03, 0.03, 0.03]", np.sqrt(0.75) * 0.03, _CORNER),
               "box edge": ("box = [0.06, 0.03, 0.03]", np.sqrt(0.5) * 0.03, [_TURN, 0.0, 0.0]),
               "cylinder rim": ("cylinder = [0.02, 0.04]", 0.02, [0.0] * 3)}

@@ -80,8 +80,10 @@ class BubbleModel(Model):
 
     def least_force(self) -> float:
         """Forces below this count as zero [N]: 1e-7 of the gas's force on the plane of the rim (6 uN for the Punyo),
-        which 20,000 nodes balance at u = 0 to 1e-12 only."""
-        return 1e-7 * self.pressure * np.pi * self.spec.semi_axes[0] * self.spec.semi_axes[1]
+        which 20,000 nodes balance at u = 0 to 1e-12 only, or 1e-8 of the force that stretches the membrane to twice its
+        width, since a membrane with hardly any gas balances its own tension."""
+        a, b = self.spec.semi_axes
+        return max(1e-7 * self.pressure * np.pi * a * b, 1e-8 * self.spec.modulus * (a + b))
 
 
 def build_bubble(spec: Bubble, *, finer: Wishes = (), where: str = "[sensor]",

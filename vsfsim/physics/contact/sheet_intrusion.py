@@ -61,12 +61,13 @@ class SheetIntrusion:
         depth = torch.zeros((count, max(1, self._count)), dtype=torch.float64, device=self.device)
         if self._count:
             host = columns.cpu().numpy()
-            moved = u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+            at = self._rest + u[:, columns].to(torch.float64).view(-1, 3, count).permute(2, 0, 1)
+            box = (wp.from_torch(v.contiguous(), dtype=k.vec3) for v in (at.amin(dim=1), at.amax(dim=1)))
             wp.launch(k.behind, dim=(count, self._count), device=self.device, inputs=[
                 self._closed, self._sheet, self._samples, self._owner,
                 wp.array(pose[host][..., :3, 3], dtype=k.vec3, device=self.device),
                 wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=self.device),
-                wp.from_torch((self._rest + moved).contiguous(), dtype=k.vec3), wp.from_torch(depth)])
+                wp.from_torch(at.contiguous(), dtype=k.vec3), *box, wp.from_torch(depth)])
         return depth.amax(dim=1)
 
 
@@ -91,6 +92,8 @@ def kernels() -> Any:
         origin: wp.array2d(dtype=vec3),
         turn: wp.array2d(dtype=mat33),
         x_in: wp.array2d(dtype=vec3),
+        low: wp.array(dtype=vec3),
+        high: wp.array(dtype=vec3),
         # state out
         depth_out: wp.array2d(dtype=real),
     ):
@@ -99,6 +102,9 @@ def kernels() -> Any:
         b, s = wp.tid()
         j = owner[s]
         p = origin[b, j] + turn[b, j] * samples[s]
+        for c in range(3):
+            if p[c] < low[b][c] or p[c] > high[b][c]:
+                return
         angle = real(0.0)
         nearest = real(1e30)
         for t in range(closed.shape[0]):
