@@ -26,6 +26,8 @@ MOST_NODES = 200_000
 """Of a body. The factor of a much larger one has more entries than the 32-bit indices of CHOLMOD number, which ends the
 process."""
 
+_LARGE = 8000  # nodes from which on the quick factor is made in place of the exact one; its solves take half the time
+
 
 @dataclass(frozen=True)
 class Model:
@@ -57,6 +59,16 @@ class Model:
         """The factor for predictions and preconditioning at large deformation."""
         return self.factor if self.soft_factor is None else self.soft_factor
 
+    def predictor(self, device: str) -> RestFactor:
+        """The `preconditioner` for rigid contact on a Warp ``device``: on a CPU the quick one where solves are the cost,
+        for large bodies and for nearly incompressible ones, which take many."""
+        quick = device == "cpu" and self._quick_serves
+        return self.preconditioner.quick(self.mesh.points) if quick else self.preconditioner
+
+    @property
+    def _quick_serves(self) -> bool:
+        return len(self.mesh.points) > _LARGE or self.soft_factor is not None
+
     @functools.cached_property
     def cells(self) -> np.ndarray:
         """The tetrahedra (c, 4) whose edges are the springs of a network; none for other bodies."""
@@ -82,8 +94,8 @@ class Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
         surface, soft = self.mesh.surface_nodes(), self.soft_factor
         return dataclasses.replace(
-            self, free=free, factor=RestFactor(self.factor.stiffness, free, surface, later=soft is not None),
-            soft_factor=None if soft is None else RestFactor(soft.stiffness, free, surface))
+            self, free=free, factor=RestFactor(self.factor.stiffness, free, surface, later=self._quick_serves),
+            soft_factor=None if soft is None else RestFactor(soft.stiffness, free, surface, later=True))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -219,9 +231,9 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
     stiffness, surface = assemble(len(placed.points), blocks), placed.surface_nodes()
     softer = tuple(block.softened() for block in blocks)
     compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
-    soft = None if compressible else RestFactor.of(assemble(len(placed.points), softer), free, surface)
+    soft = None if compressible else RestFactor.of(assemble(len(placed.points), softer), free, surface, later=True)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 RestFactor.of(stiffness, free, surface, later=soft is not None),
+                 RestFactor.of(stiffness, free, surface, later=soft is not None or len(placed.points) > _LARGE),
                  soft_factor=soft)

@@ -24,7 +24,7 @@ from vsfsim.physics.contact.local_indentation import LocalIndentation
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
-from vsfsim.physics.contact.stiffness_block import ContactBlock, assemble, gram, picked, rows_of
+from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, assemble, gram, many, picked, rows_of
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
@@ -85,8 +85,8 @@ class RigidContact:
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
-        self.follows = self.has_friction and not self._solid
-        self.friction_updated_below = 0.3 if self.follows else 0.03
+        self.follows_below = 0.2 if self._solid else float("inf")
+        self.friction_updated_below = 0.03 if self._solid else 0.3
         self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
         self.coulomb = torch.zeros_like(self.softening)
         self._upload()
@@ -123,8 +123,8 @@ class RigidContact:
         if self._solid:
             # shape values of every Gauss point (B, 6 f, s); a padded face has all its nodes at 0 and no stiffness
             at = tensor(local.astype(np.int64))[:, :, None, :].expand(-1, -1, 6, -1).reshape(batch, 6 * faces, 6)
-            values = tensor(padded.table)[tensor(part.astype(np.int64))].view(batch, 6 * faces, 6)
-            self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, values)
+            self._values = tensor(padded.table)[tensor(part.astype(np.int64))]  # (B, f, 6 points, 6 nodes)
+            self._points = zeros(batch, 6 * faces, nodes).scatter_add_(2, at, self._values.view(batch, 6 * faces, 6))
         else:
             self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device)
         self._shape = wp.array(padded.table, dtype=wp.float64, device=self.device)
@@ -158,7 +158,7 @@ class RigidContact:
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
             "softening": wp.from_torch(self.softening)}
         if not same:  # the same nodes may have more points
-            self.response: Response = response(self.model.factor if self._exact else self.model.preconditioner,
+            self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
 
@@ -321,6 +321,11 @@ class RigidContact:
             if curved:
                 own[geometric] += self._geometric[columns[geometric]]
             return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
+        if self._sparse(columns):
+            own = self._own_stiffness(columns)
+            if curved:
+                own[geometric] += self._geometric[columns[geometric]]
+            return self._assembled(columns, own)
         rows = self.rows(columns)
         out = rows.mT @ rows if self.has_friction else gram(rows)
         if curved:
@@ -328,6 +333,13 @@ class RigidContact:
             free = self.free[columns[geometric]]
             out[geometric] += assemble(points, which(self._geometric)) * free[:, :, None] * free[:, None, :]
         return out
+
+    def _sparse(self, columns: torch.Tensor) -> bool:
+        """Whether the stiffness is a `SparseStiffness`."""
+        return not self.symmetric or many((self.gap[columns] < 0.0) | (self._limit[columns] > 0.0))
+
+    def _assembled(self, columns: torch.Tensor, own: torch.Tensor) -> SparseStiffness:
+        return SparseStiffness.of(wp.to_torch(self._local)[columns], self._values[columns], own, self.free[columns])
 
     def _own_stiffness(self, columns: torch.Tensor) -> torch.Tensor:
         """Stiffness of each Gauss point without its geometric term (k, 6 f, 3, 3) [N/m]."""
@@ -349,14 +361,18 @@ class RigidContact:
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """See `Contact`."""
+        compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance  # no copy
+        if self._sums is None and self._sparse(columns):
+            return ContactBlock.sparse_of(self._assembled(columns, self._own_stiffness(columns)), compliance,
+                                          nodes=self.has_friction)
         if self._sums is None:
-            return ContactBlock.of(self.rows(columns), self.compliance[columns], nodes=self.has_friction)
+            return ContactBlock.of(self.rows(columns), compliance, nodes=self.has_friction)
         own = self._own_stiffness(columns)
         nodes = self._sums.pushed(columns, own)
         touch = torch.arange(len(columns), device=self.device)[:, None]
         free = self.free[columns].view(len(columns), -1, 3)[touch, nodes].flatten(1)
         stiffness = self._sums.matrix(columns, own, nodes) * free[:, :, None] * free[:, None, :]
-        return ContactBlock.joined_of(nodes, stiffness, self.compliance[columns])
+        return ContactBlock.joined_of(nodes, stiffness, compliance)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:

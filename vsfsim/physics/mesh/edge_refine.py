@@ -97,6 +97,8 @@ def _divide(vertices: np.ndarray, tets: np.ndarray, near: cKDTree, size: np.ndar
         longest = edge[np.arange(len(tets)), rank[edge].argmax(axis=1)]
         length = np.linalg.norm(vertices[ends[longest, 0]] - vertices[ends[longest, 1]], axis=1)
         suspect = np.flatnonzero(length > size.min())
+        if not len(suspect):  # fine enough everywhere
+            break
         corner = vertices[tets[suspect]]
         # corners, the middle, and that of the longest edge: a large tetrahedron may contain a place of an edge
         probe = np.concatenate([corner, corner.mean(axis=1)[:, None],
