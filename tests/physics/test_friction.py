@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from vsfsim.core.shape import Plane, Sphere
+from vsfsim.core.shape import Cylinder, Plane, Sphere
 from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.04, 0.04, 0.02)
@@ -174,3 +175,28 @@ def test_the_linear_tier_slides_at_mu_times_the_normal_force_too(coarse, line, d
     assert frames.force[-1] == pytest.approx(frames.force[-2], rel=2e-3, abs=1e-4), "holding still"
     free = Solver(coarse, Plane(), device=device, options=options, linear=True).run(plate(line, 0.001, [0.001]))
     assert np.abs(free.force[-1, 0, :2]).max() < 1e-6 * normal[3]
+
+
+def test_newton_with_coulombs_limit_ends_where_the_tresca_problems_do(coarse, line, monkeypatch):
+    """A flat punch with friction 1 in one step: the same force, whether the limits follow at the end or not."""
+    make, renew, probe, followed = Solver._make_contact, Equilibrium.renew_friction, Cylinder(0.008, 0.02), []
+    poses = line([[0.0, 0.0, SIZE[2] + 0.01], [0.0, 0.0, SIZE[2] + 0.009]], probe)
+
+    def with_tresca_alone(self, poses):
+        contact, previous = make(self, poses)
+        contact.follows_below = 0.0
+        return contact, previous
+
+    def watched(self, columns, state):
+        followed.append(not self.contact.symmetric)
+        return renew(self, columns, state)
+
+    monkeypatch.setattr(Equilibrium, "renew_friction", watched)
+    forces = []
+    for maker, follows in ((make, True), (with_tresca_alone, False)):
+        followed.clear()
+        monkeypatch.setattr(Solver, "_make_contact", maker)
+        frames = Solver(coarse, probe, friction=1.0, options=USUAL).run(poses)
+        assert frames.converged.all() and any(followed) == follows and not followed[0]
+        forces.append(frames.force[-1, 0])
+    assert np.linalg.norm(forces[0] - forces[1]) < 1e-3 * np.linalg.norm(forces[1])

@@ -60,8 +60,8 @@ class Model:
         return self.factor if self.soft_factor is None else self.soft_factor
 
     def predictor(self, device: str) -> RestFactor:
-        """The `preconditioner` for rigid contact on a Warp ``device``: on a CPU the quick one where solves are the cost,
-        for large bodies and for nearly incompressible ones, which take many."""
+        """The `preconditioner` for rigid contact on a Warp ``device``: on a CPU the quick one where solves are the
+        cost, for large bodies and for nearly incompressible ones, which take many."""
         quick = device == "cpu" and self._quick_serves
         return self.preconditioner.quick(self.mesh.points) if quick else self.preconditioner
 

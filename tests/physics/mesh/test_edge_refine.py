@@ -63,6 +63,7 @@ def test_edges_meet_a_body_where_they_pass_its_surface():
     assert np.abs(place[:, :2] - [0.002, 0.003]).max(axis=1) == pytest.approx(0.5 * SIDE)
     for way in (punch(SIZE[2], depth=-0.001), punch(SIZE[2], at=(0.2, 0.0))):  # does not get there; passes by
         assert not len(way.meets(plain)[0]) and refine_near(plain, way, 0.25)[0] is plain
+    assert len(refine_near(plain, punch(SIZE[2]), 1e3)[0].tets) == len(plain.tets), "fine enough as it is"
 
 
 @pytest.mark.slow

@@ -38,8 +38,9 @@ class Contact(Protocol):
     compliance: Any
     """Rest-state compliance of the patches [m/N]: a tensor (B, 3 s, 3 s), or a `pair.links.Compliance`."""
 
-    follows: bool
-    """Whether friction limits may follow the normal forces, see `coulomb`."""
+    follows_below: float
+    """Measure after a renewal of the friction limits under which they follow the normal forces from the next one on,
+    see `coulomb`: 0 for never."""
     coulomb: torch.Tensor
     """1 for touches whose friction limits are those of the normal forces at every evaluation (B,) [-]; 0 where they are
     those of the last `update_friction`."""

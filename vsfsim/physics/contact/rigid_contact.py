@@ -6,7 +6,6 @@ Each touch (column) has a patch: the boundary triangles that its bodies can reac
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from vsfsim.physics.contact.local_indentation import LocalIndentation
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
-from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, assemble, gram, many, picked, rows_of
+from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, assemble, gram, many, rows_of
 from vsfsim.physics.linear.rest_factor import Response, response
 from vsfsim.physics.model import Model
 
@@ -85,10 +84,10 @@ class RigidContact:
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
-        self.follows_below = 0.2 if self._solid else float("inf")
+        self.follows_below = (0.2 if device == "cpu" else 0.0) if self._solid else np.inf
         self.friction_updated_below = 0.03 if self._solid else 0.3
-        self.softening = torch.ones(poses.shape[1], dtype=torch.float64, device=device)
-        self.coulomb = torch.zeros_like(self.softening)
+        self.softening, self.coulomb = (torch.full((poses.shape[1],), value, dtype=torch.float64, device=device)
+                                        for value in (1.0, 0.0))
         self._upload()
 
     @property
@@ -144,6 +143,7 @@ class RigidContact:
         # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
         self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
+        self._friction = self._anchor, self._owner, self._limit, self._across
         cut = (batch, faces, 6)
         self._relaxation = Relaxation(cut, self.device)
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
@@ -240,16 +240,13 @@ class RigidContact:
     def friction_state(self) -> tuple[Any, ...]:
         """See `Contact`; empty without friction."""
         return (list(self.patches), list(self._body_points.met),
-                *(t.clone() for t in self._friction_tensors())) if self.has_friction else ()
-
-    def _friction_tensors(self) -> tuple[torch.Tensor, ...]:
-        return self._anchor, self._owner, self._limit, self._across
+                *(t.clone() for t in self._friction)) if self.has_friction else ()
 
     def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
         """See `Contact`; a patch that has grown since takes what its old points remembered."""
         if state:
             points = self._body_points
-            restore(columns.tolist(), self._friction_tensors(), state, (self.patches, points.met), self._table,
+            restore(columns.tolist(), self._friction, state, (self.patches, points.met), self._table,
                     points.body, self.model.mesh, self._u_before, self._before[1].numpy())
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
@@ -313,61 +310,48 @@ class RigidContact:
         """See `Contact`."""
         return self._local_indentation.resolution(self.gap[columns] < 0.0, columns)
 
-    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
+    def stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> Any:
         """See `Contact`."""
         curved = geometric is not None and bool(geometric.any() and self._geometric[columns].any())
-        if self._sums is not None:
-            own = self._own_stiffness(columns)
+        some, free = columns[geometric] if curved else columns[:0], self.free[columns]
+        if self._sums is None and not self._sparse(columns):
+            rows = self.rows(columns)
+            out = rows.mT @ rows if self.has_friction else gram(rows)
             if curved:
-                own[geometric] += self._geometric[columns[geometric]]
-            return self._sums.matrix(columns, own) * self.free[columns][:, :, None] * self.free[columns][:, None, :]
-        if self._sparse(columns):
-            own = self._own_stiffness(columns)
-            if curved:
-                own[geometric] += self._geometric[columns[geometric]]
-            return self._assembled(columns, own)
-        rows = self.rows(columns)
-        out = rows.mT @ rows if self.has_friction else gram(rows)
+                out[geometric] += assemble(self._points, some, self._active(some), self._geometric, self.free[some])
+            return out
+        own = self._own_stiffness(columns)
         if curved:
-            points, which = self._active(columns[geometric])
-            free = self.free[columns[geometric]]
-            out[geometric] += assemble(points, which(self._geometric)) * free[:, :, None] * free[:, None, :]
-        return out
+            own[geometric] += self._geometric[some]
+        return (self._assembled(columns, own) if self._sums is None else
+                self._sums.matrix(columns, own) * free[:, :, None] * free[:, None, :])
 
     def _sparse(self, columns: torch.Tensor) -> bool:
-        """Whether the stiffness is a `SparseStiffness`."""
-        return not self.symmetric or many((self.gap[columns] < 0.0) | (self._limit[columns] > 0.0))
+        return not self.symmetric or many(self._active(columns))
 
     def _assembled(self, columns: torch.Tensor, own: torch.Tensor) -> SparseStiffness:
         return SparseStiffness.of(wp.to_torch(self._local)[columns], self._values[columns], own, self.free[columns])
 
     def _own_stiffness(self, columns: torch.Tensor) -> torch.Tensor:
-        """Stiffness of each Gauss point without its geometric term (k, 6 f, 3, 3) [N/m]."""
         return self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
 
-    def _active(self, columns: torch.Tensor) -> tuple[torch.Tensor, Callable[[torch.Tensor], torch.Tensor]]:
-        """The points in contact: shape values (k, a, s), see `picked`, and what picks them from a table."""
-        points, order = picked(self._points, columns, (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0))
-        return points, lambda table: table[columns[:, None], order]
+    def _active(self, columns: torch.Tensor) -> torch.Tensor:
+        return (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
 
     def rows(self, columns: torch.Tensor) -> torch.Tensor:
         """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
         without its geometric term."""
-        points, which = self._active(columns)
-        roots = which(self._rows)
-        if not self.has_friction:
-            roots = roots[:, :, :1]
-        return rows_of(points, roots) * self.free[columns][:, None, :]
+        roots = self._rows if self.has_friction else self._rows[:, :, :1]
+        return rows_of(self._points, columns, self._active(columns), roots) * self.free[columns][:, None, :]
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """See `Contact`."""
-        compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance  # no copy
-        if self._sums is None and self._sparse(columns):
-            return ContactBlock.sparse_of(self._assembled(columns, self._own_stiffness(columns)), compliance,
-                                          nodes=self.has_friction)
-        if self._sums is None:
+        compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance
+        if self._sums is None and not self._sparse(columns):
             return ContactBlock.of(self.rows(columns), compliance, nodes=self.has_friction)
         own = self._own_stiffness(columns)
+        if self._sums is None:
+            return ContactBlock.sparse_of(self._assembled(columns, own), compliance, nodes=self.has_friction)
         nodes = self._sums.pushed(columns, own)
         touch = torch.arange(len(columns), device=self.device)[:, None]
         free = self.free[columns].view(len(columns), -1, 3)[touch, nodes].flatten(1)

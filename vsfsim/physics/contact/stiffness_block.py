@@ -15,16 +15,21 @@ time, and the stiffness a tenth."""
 
 @dataclass(frozen=True)
 class SparseStiffness:
-    """The stiffness C of k patches on a CPU, as an operator: ``stiffness @ v`` for v (k, 3 s, 1), and ``stiffness[k]``."""
+    """The stiffness C of k patches on a CPU, as an operator: ``stiffness @ v`` for v (k, 3 s, 1)."""
 
     matrices: list[sp.csr_matrix]
     """Of each touch (3 s, 3 s) [N/m]."""
 
     @classmethod
     def of(cls, local: torch.Tensor, shapes: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor) -> SparseStiffness:
-        """From the parts of faces of k touches: their nodes ``local`` (k, f, 6), the ``shapes`` of their points (k, f, 6
-        points, 6 nodes), the stiffness of the points (k, 6 f, 3, 3) [N/m], and 1 where a degree of freedom is ``free``
-        (k, 3 s)."""
+        """From the parts of faces of k touches.
+
+        Args:
+            local: their nodes (k, f, 6).
+            shapes: shape values of their points (k, f, 6 points, 6 nodes).
+            stiff: stiffness of the points (k, 6 f, 3, 3) [N/m].
+            free: 1 where a degree of freedom may move (k, 3 s).
+        """
         out = []
         for nodes, values, own, loose in zip(local, shapes, stiff.view(*local.shape, 9), free, strict=True):
             on = (own != 0.0).flatten(1).any(dim=1).nonzero()[:, 0]
@@ -174,24 +179,36 @@ def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
     return matrix[torch.arange(len(matrix), device=matrix.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
 
 
-def assemble(points: torch.Tensor, stiff: torch.Tensor) -> torch.Tensor:
-    """Sum over points q of N_q^T stiff_q N_q (k, 3 s, 3 s), from shape values (k, q, s) and stiffness (k, q, 3, 3)."""
-    k, q, s = points.shape
-    right = (stiff[:, :, :, :, None] * points[:, :, None, None, :]).reshape(k, q, 9 * s)
-    out = points.mT @ right
-    return out.view(k, s, 3, 3, s).permute(0, 1, 2, 4, 3).reshape(k, 3 * s, 3 * s)
+def assemble(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor, stiff: torch.Tensor,
+             free: torch.Tensor) -> torch.Tensor:
+    """Sum over points q of N_q^T stiff_q N_q (k, 3 s, 3 s) [N/m], N_q 0 where a degree of freedom is not ``free``
+    (k, 3 s); the other arguments as for `rows_of`, the stiffness (B, q, 3, 3) [N/m]."""
+    shapes, which = _picked(points, columns, active)
+    k, q, s = shapes.shape
+    right = (stiff[which][:, :, :, :, None] * shapes[:, :, None, None, :]).reshape(k, q, 9 * s)
+    out = (shapes.mT @ right).view(k, s, 3, 3, s).permute(0, 1, 2, 4, 3).reshape(k, 3 * s, 3 * s)
+    return out * free[:, :, None] * free[:, None, :]
 
 
-def picked(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """The ``active`` points (k, q) bool of the touches ``columns`` (k,), padded to the largest number a: their shape
-    values (k, a, s) of ``points`` (B, q, s), 0 at padding, and which they are (k, a)."""
+def _picked(points: torch.Tensor, columns: torch.Tensor,
+            active: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor]]:
+    """Shape values (k, a, s) of the active points, 0 at padding up to the largest number a, and their places in
+    ``points``."""
     most = max(1, int(active.sum(dim=1).amax()))
     on, order = torch.sort(active.to(torch.int8), dim=1, descending=True, stable=True)
-    order = order[:, :most]
-    return points[columns[:, None], order] * on[:, :most, None], order
+    which = columns[:, None], order[:, :most]
+    return points[which] * on[:, :most, None], which
 
 
-def rows_of(points: torch.Tensor, roots: torch.Tensor) -> torch.Tensor:
-    """Rows (k, a r, 3 s) of points with shape values (k, a, s) and roots of their stiffness (k, a, r, 3)."""
-    k, a, s = points.shape
-    return (roots[:, :, :, None, :] * points[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)
+def rows_of(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor, roots: torch.Tensor) -> torch.Tensor:
+    """Rows (k, a r, 3 s) of the points that are active.
+
+    Args:
+        points: shape values of the points of all touches (B, q, s).
+        columns: touches (k,).
+        active: which of their points (k, q) bool.
+        roots: of the stiffness of the points (B, q, r, 3) [sqrt(N/m)].
+    """
+    shapes, which = _picked(points, columns, active)
+    k, a, s = shapes.shape
+    return (roots[which][:, :, :, None, :] * shapes[:, :, None, :, None]).reshape(k, a * roots.shape[2], 3 * s)

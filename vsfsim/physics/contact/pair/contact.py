@@ -69,7 +69,7 @@ class PairContact:
         self.stick = STICK
         self.surfaces = PairSurfaces(model, sensor, poses, device=device, stride=stride)
         self._sides, self._kernels, self.batch = self.surfaces.sides, self.surfaces.kernels, self.surfaces.batch
-        self.follows, self.coulomb = False, torch.zeros(self.batch, dtype=torch.float64, device=device)
+        self.follows_below, self.coulomb = 0.0, torch.zeros(self.batch, dtype=torch.float64, device=device)
         self.softening = torch.ones(self.batch, dtype=torch.float64, device=device)
         self.response = PairResponse(model, sensor, self.surfaces)
         self._passage = PairOverlap(model, sensor, device=device)
