@@ -15,15 +15,16 @@ from vsfsim.physics.solve.pcg import Operator, column_dots
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor, iterations: int,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
-    """Solve A x = ``right`` from x = 0; arguments as `pcg.solve`, the residual measured by its length.
+    """Solve A x = ``right`` from x = 0; arguments as `pcg.solve`, the residual measured by its length. The basis is
+    float64 in single precision, too.
 
     Returns:
         x (3 n, k) and iterations of each column (k,).
     """
     size = column_dots(right, right).sqrt().clamp(min=1e-300)
-    basis, searched = [right / size], []
+    basis, searched = [right.to(torch.float64) / size], []
     k = right.shape[1]
-    upper = torch.zeros((k, iterations + 1, iterations), dtype=right.dtype, device=right.device)
+    upper = torch.zeros((k, iterations + 1, iterations), dtype=torch.float64, device=right.device)
     steps = torch.zeros(k, dtype=torch.int64, device=right.device)
     running = torch.ones(k, dtype=torch.bool, device=right.device)
     y = None
@@ -31,8 +32,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         if j and time.perf_counter() > deadline:
             break
         steps += running
-        searched.append(precondition(basis[j], None))
-        w = multiply(searched[j], None)
+        searched.append(precondition(basis[j].to(right.dtype), None))
+        w = multiply(searched[j], None).to(torch.float64)
         for _ in range(2):  # twice is enough (Kahan)
             for i, v in enumerate(basis):
                 h = column_dots(v, w)
@@ -42,12 +43,12 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         upper[:, j + 1, j] = length
         basis.append(w / length.clamp(min=1e-300))
         own = upper[:, :j + 2, :j + 1]
-        goal = torch.zeros((k, j + 2, 1), dtype=right.dtype, device=right.device)
+        goal = torch.zeros((k, j + 2, 1), dtype=torch.float64, device=right.device)
         goal[:, 0, 0] = size
         q, r = torch.linalg.qr(own)
         new = torch.linalg.solve_triangular(r, q.mT @ goal, upper=True)
         left = (own @ new - goal)[:, :, 0].norm(dim=1)
-        grown = torch.zeros((k, j + 1, 1), dtype=right.dtype, device=right.device)
+        grown = torch.zeros((k, j + 1, 1), dtype=torch.float64, device=right.device)
         if y is not None:
             grown[:, :j] = y
         y = torch.where(running[:, None, None], new, grown)
@@ -56,5 +57,5 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             break
     out = torch.zeros_like(right)
     for i, z in enumerate(searched[:y.shape[1]]):
-        out += z * y[:, i, 0]
+        out += z * y[:, i, 0].to(right.dtype)
     return out, steps
