@@ -26,6 +26,8 @@ from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 
+_CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
+_SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 State = dict[str, torch.Tensor]
 """Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
 body (wrong_side) and measure of some touches, one column or entry each."""
@@ -136,6 +138,7 @@ class Equilibrium:
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
+        self._foreign = torch.zeros_like(self.every, dtype=torch.bool)  # whose tangent belongs to another state
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
@@ -172,7 +175,8 @@ class Equilibrium:
             # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
             # that of the step before is as good
             far = (before > 0.3) | safe[open_]
-            fresh = renew[open_] | (before > 0.05)
+            fresh = renew[open_] | (before > 0.05) | self._foreign[active]
+            self._foreign[active] = False
             for projected, which in ((True, fresh & far), (False, fresh & ~far)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
@@ -187,7 +191,9 @@ class Equilibrium:
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
-            plain = direction if bool(follows.all()) else self._correct(active, direction, stiffness)
+            plain = direction
+            if not bool(follows.all()):
+                plain = self._correct(active, direction, stiffness, state["residual"][:, open_])
             moved = self._step(active, open_, torch.where(follows, direction, plain), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
@@ -218,19 +224,22 @@ class Equilibrium:
         with clock.measure("tangents"):
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
-    def _direction(self, columns: torch.Tensor, residual: torch.Tensor,
-                   near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    def _direction(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
+                   iterations: int = 10_000) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
-                                iterations=opt.cg,
+                                iterations=min(opt.cg, iterations),
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
                                 deadline=self._deadline)
 
-    def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor) -> torch.Tensor:
+    def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
+                 residual: torch.Tensor) -> torch.Tensor:
         """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
 
         The condensed problem removes the difference between the true contact forces at the end of the step and the
-        linearised ones. Where the contact stays the same this changes nothing.
+        linearised ones. Where the contact stays the same this changes nothing. The body responds as at rest in it, so a
+        body that has become stiffer is corrected too far: where that takes away most of the descent along the
+        direction, the direction stays as it is.
         """
         contact = self.contact
         at = contact.dof[columns].clamp(min=0).T
@@ -242,9 +251,10 @@ class Equilibrium:
             force, error = contact.condensed(columns, base, pushed, iterations=30, tolerance=1e-5)
         useful = (error < 0.1) & (force != 0.0).any(dim=1)
         if bool(useful.any()):
-            more = contact.response.patch(columns[useful], force[useful])
-            direction = direction.clone()
-            direction[:, useful] += more.to(direction.dtype)
+            corrected = direction.clone()
+            corrected[:, useful] += contact.response.patch(columns[useful], force[useful]).to(direction.dtype)
+            falls = (residual * corrected).sum(dim=0) >= _CORRECTED * (residual * direction).sum(dim=0)
+            direction = torch.where(falls, corrected, direction)
         return direction
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
@@ -258,6 +268,17 @@ class Equilibrium:
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
         slope = (state["residual"][:, at] * direction).sum(dim=0)
         step = torch.ones_like(slope)
+
+        def accepted(new: State, pending: torch.Tensor) -> torch.Tensor:
+            falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
+            decreases = ((new["measure"] < self.contact.decrease * measure[pending])
+                         & (measure[pending] < self.contact.potential_trusted_above))
+            if self.contact.has_friction:
+                decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
+            follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
+            decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
+            return ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
+
         moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
         pending = torch.arange(len(columns), device=self.device)
         for halvings in range(12):
@@ -266,14 +287,13 @@ class Equilibrium:
             trial = base[:, pending] + step[pending].to(self.real) * direction[:, pending]
             self.u[:, columns[pending]] = trial
             new = self.evaluate(columns[pending])
-            falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
-            decreases = ((new["measure"] < self.contact.decrease * measure[pending])
-                         & (measure[pending] < self.contact.potential_trusted_above))
-            if self.contact.has_friction:
-                decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
-            follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
-            decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
-            good = ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
+            good = accepted(new, pending)
+            bent = (~good).nonzero()[:, 0]
+            if len(bent) and self.model.soft_factor is not None:
+                later = self._second_order(columns[pending[bent]], new["residual"][:, bent])
+                for key in new:
+                    new[key][..., bent] = later[key]
+                good[bent] = accepted(later, pending[bent])
             done = pending[good]
             for key in state:
                 state[key][..., at[done]] = new[key][..., good]
@@ -285,6 +305,20 @@ class Equilibrium:
         self.u[:, columns[pending]] = base[:, pending]
         self.evaluate(columns[pending])
         return moved
+
+    def _second_order(self, columns: torch.Tensor, residual: torch.Tensor) -> State:
+        """Correct a step at its end, where ``residual`` (3 n, k) [N] is unbalanced; returns the state there.
+
+        Points move along straight lines, which at second order of the step changes a volume that hardly can change
+        (Maratos effect; Nocedal and Wright 2006, section 15.5). A few iterations take most of that back, where halving
+        the step would leave a sixteenth of it.
+        """
+        self._tangent(columns, projected=True)
+        self._foreign[columns] = True
+        more, steps, _, _ = self._direction(columns, residual, torch.zeros_like(columns, dtype=torch.bool), _SECOND)
+        self.cg[columns.cpu().numpy()] += steps.cpu().numpy()
+        self.u[:, columns] += more
+        return self.evaluate(columns)
 
 
 def _size(v: torch.Tensor) -> torch.Tensor:
