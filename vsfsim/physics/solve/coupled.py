@@ -91,6 +91,11 @@ class PairModel:
         return self.object.cells
 
     @property
+    def keeps_volume(self) -> bool:
+        """As `Model.keeps_volume`."""
+        return self.object.keeps_volume
+
+    @property
     def preconditioner(self) -> PairFactors:
         """As `Model.preconditioner`."""
         return self.factor

@@ -194,16 +194,13 @@ class Equilibrium:
             plain = direction
             if not bool(follows.all()):
                 plain = self._correct(active, direction, stiffness, state["residual"][:, open_])
-            moved = self._step(active, open_, torch.where(follows, direction, plain), state, tolerance)
+            moved = self._step(active, open_, (torch.where(follows, direction, plain), direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
                 apart[open_[lost]] = moved[lost] = True
                 self.contact.coulomb[active[lost]] = 0.0
                 for key, value in self.evaluate(active[lost]).items():
                     state[key][..., open_[lost]] = value
-            still = (~moved).nonzero()[:, 0]
-            if len(still):
-                moved[still] = self._step(active[still], open_[still], direction[:, still], state, tolerance)
             renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
             # not even a projected step helps: the floor of rounding, or no equilibrium
             stuck[open_] = ~moved & safe[open_]
@@ -257,19 +254,21 @@ class Equilibrium:
             direction = torch.where(falls, corrected, direction)
         return direction
 
-    def _step(self, columns: torch.Tensor, at: torch.Tensor, direction: torch.Tensor, state: State,
-              tolerance: float) -> torch.Tensor:
+    def _step(self, columns: torch.Tensor, at: torch.Tensor, directions: tuple[torch.Tensor, torch.Tensor],
+              state: State, tolerance: float) -> torch.Tensor:
         """Halve the step until the potential falls by Armijo's rule, or the residual decreases where rounding hides the
         fall.
 
+        ``directions`` (3 n, k) [m]: at every length the first is tried, and where it fails the second.
         ``at``: entries of ``columns`` in ``state``, which is updated. Returns which touches moved (k,) bool.
         """
         base = self.u[:, columns]
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
-        slope = (state["residual"][:, at] * direction).sum(dim=0)
-        step = torch.ones_like(slope)
+        slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
+        step = torch.ones_like(slopes[0])
+        differ = (directions[0] != directions[1]).any(dim=0)
 
-        def accepted(new: State, pending: torch.Tensor) -> torch.Tensor:
+        def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
             decreases = ((new["measure"] < self.contact.decrease * measure[pending])
                          & (measure[pending] < self.contact.potential_trusted_above))
@@ -284,23 +283,26 @@ class Equilibrium:
         for halvings in range(12):
             if halvings and time.perf_counter() > self._deadline:
                 break
-            trial = base[:, pending] + step[pending].to(self.real) * direction[:, pending]
-            self.u[:, columns[pending]] = trial
-            new = self.evaluate(columns[pending])
-            good = accepted(new, pending)
-            bent = (~good).nonzero()[:, 0]
-            if len(bent) and self.model.soft_factor is not None:
-                later = self._second_order(columns[pending[bent]], new["residual"][:, bent])
-                for key in new:
-                    new[key][..., bent] = later[key]
-                good[bent] = accepted(later, pending[bent])
-            done = pending[good]
-            for key in state:
-                state[key][..., at[done]] = new[key][..., good]
-            moved[done] = True
-            pending = pending[~good]
-            if not len(pending):
-                return moved
+            for direction, slope, tried in zip(directions, slopes, (torch.ones_like(differ), differ), strict=True):
+                trying = pending[tried[pending]]
+                if not len(trying):
+                    continue
+                self.u[:, columns[trying]] = base[:, trying] + step[trying].to(self.real) * direction[:, trying]
+                new = self.evaluate(columns[trying])
+                good = accepted(new, trying, slope)
+                bent = (~good).nonzero()[:, 0]
+                if len(bent) and self.model.keeps_volume:
+                    later = self._second_order(columns[trying[bent]], new["residual"][:, bent])
+                    for key in new:
+                        new[key][..., bent] = later[key]
+                    good[bent] = accepted(later, trying[bent], slope)
+                done = trying[good]
+                for key in state:
+                    state[key][..., at[done]] = new[key][..., good]
+                moved[done] = True
+                pending = pending[~moved[pending]]
+                if not len(pending):
+                    return moved
             step[pending] *= 0.5
         self.u[:, columns[pending]] = base[:, pending]
         self.evaluate(columns[pending])

@@ -351,7 +351,7 @@ class Solver:
         contact should lead the way (k,) bool. A nearly incompressible body predicted with a lower bulk stiffness
         is far off by its change of volume alone, which the first step removes."""
         far = (measure - 1.0).abs() < 0.03
-        return far if self.model.soft_factor is not None else far | (measure > FAR)
+        return far if self.model.keeps_volume else far | (measure > FAR)
 
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
         """One frame of the `linear` tier."""
