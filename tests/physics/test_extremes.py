@@ -103,6 +103,26 @@ def test_force_is_proportional_to_the_modulus_over_nine_decades(device, linear):
     assert force[0] == pytest.approx(force[1], abs=within) and force[2] == pytest.approx(force[1], abs=within)
 
 
+def test_a_nearly_incompressible_body_is_not_led_astray(device):
+    """Straight steps change the volume at second order. Where they were halved for it, and contact softened first,
+    these frames took 917 conjugate gradients; they take 563."""
+    frames = press(body(inclusion(1e8), nu=0.4999), [0.1, 0.2, 0.3], device)
+    assert frames.converged.all() and frames.cg_iterations.sum() < 740
+
+
+@pytest.mark.slow
+def test_a_tall_column_under_a_deep_ball(device):
+    """The ball is sunk by more than its radius. Corrected for contact as if the body were as stiff as at rest, steps
+    pointed off the way: the frames took 793 conjugate gradients; they take 267."""
+    vertices, tets = box((0.04, 0.04, 0.12), 0.0085)
+    model = body(solid=Solid(vertices, tets, np.zeros(len(tets), int), ("column",)), nu=0.45)
+    poses = np.tile(np.eye(4), (4, 1, 1, 1))
+    poses[:, 0, 2, 3] = 0.128 - np.linspace(0.0045, 0.018, 4)
+    options = SolverOptions(tolerance=1e-3, seconds=1e9, local_indentation=True)
+    frames = Solver(model, Sphere(0.008), device=device, options=options).run(poses)
+    assert frames.converged.all() and frames.cg_iterations.sum() < 450
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("nu", "sure"), [(0.0, 4), (0.45, 4), (0.4999, 3)])
 @pytest.mark.parametrize("contrast", [1e-8, 1e4])

@@ -28,6 +28,9 @@ from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 _CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
+# steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
+# it is approached in shorter steps instead
+_BARRED, _SHORT = 2, 0.1
 State = dict[str, torch.Tensor]
 """Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
 body (wrong_side) and measure of some touches, one column or entry each."""
@@ -139,6 +142,7 @@ class Equilibrium:
         idle = torch.zeros_like(least, dtype=torch.int64)
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self._foreign = torch.zeros_like(self.every, dtype=torch.bool)  # whose tangent belongs to another state
+        self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
@@ -207,6 +211,7 @@ class Equilibrium:
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], state["measure"][open_])
             lost = open_[idle[open_] >= self.contact.patience]
+            lost = torch.cat([lost, open_[self._barred[active] >= _BARRED]])
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
@@ -268,6 +273,8 @@ class Equilibrium:
         step = torch.ones_like(slopes[0])
         differ = (directions[0] != directions[1]).any(dim=0)
 
+        barred = torch.zeros_like(differ)
+
         def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
             falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
             decreases = ((new["measure"] < self.contact.decrease * measure[pending])
@@ -276,7 +283,10 @@ class Equilibrium:
                 decreases |= new["measure"] <= tolerance  # friction depends on the path: no potential that must fall
             follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
             decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
-            return ((falls & ~follows) | decreases) & (new["wrong_side"] <= wrong_side[pending])
+            good = (falls & ~follows) | decreases
+            beyond = new["wrong_side"] > wrong_side[pending]
+            barred[pending] |= good & beyond
+            return good & ~beyond
 
         moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
         pending = torch.arange(len(columns), device=self.device)
@@ -302,8 +312,13 @@ class Equilibrium:
                 moved[done] = True
                 pending = pending[~moved[pending]]
                 if not len(pending):
-                    return moved
+                    break
+            if not len(pending):
+                break
             step[pending] *= 0.5
+        self._barred[columns] = torch.where(barred & (step < _SHORT), self._barred[columns] + 1, 0)
+        if not len(pending):
+            return moved
         self.u[:, columns[pending]] = base[:, pending]
         self.evaluate(columns[pending])
         return moved

@@ -315,11 +315,7 @@ class Solver:
         # a body that went deep into a soft wall in one frame is approached through softer contact
         far = columns[self._far_from_balance(state["measure"])]
         if len(far):
-            balance.u[:, far] = begin[:, far]
-            for softening in _SOFTENINGS:
-                contact.softening[far] = softening
-                balance.solve(far, balance.evaluate(far), _SOFT_TOLERANCE, deadline)
-            contact.softening[far] = 1.0
+            self._lead(far, begin, deadline)
             state = balance.evaluate(columns)
         for _ in range(_GROWTHS):
             balance.solve(columns, state, self.options.tolerance, deadline)
@@ -345,6 +341,23 @@ class Solver:
                 balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
                 return
         balance.reason[columns.cpu().numpy()] = Reason.PATCH
+
+    def _lead(self, columns: torch.Tensor, begin: torch.Tensor, deadline: float) -> None:
+        """Bring ``columns`` near equilibrium through softer contact, from the displacements ``begin`` (3 n, B) [m].
+        Where that leads to no balance, around a body that is deep in the object, say, the first guess stays."""
+        balance, contact = self._balance, self.contact
+        guess = balance.u.clone()
+        balance.u[:, columns] = begin[:, columns]
+        for softening in _SOFTENINGS:
+            contact.softening[columns] = softening
+            balance.solve(columns, balance.evaluate(columns), _SOFT_TOLERANCE, deadline)
+            failed = columns[torch.as_tensor(balance.reason[columns.cpu().numpy()] != Reason.NONE, device=self.device)]
+            balance.u[:, failed] = guess[:, failed]
+            contact.softening[failed] = 1.0
+            columns = columns[(contact.softening[columns] < 1.0).nonzero()[:, 0]]
+            if not len(columns):
+                return
+        contact.softening[columns] = 1.0
 
     def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
         """Which touches are so far from equilibrium at the start of a step, by their ``measure`` (k,), that softer
