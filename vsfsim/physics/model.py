@@ -26,7 +26,7 @@ MOST_NODES = 200_000
 """Of a body. The factor of a much larger one has more entries than the 32-bit indices of CHOLMOD number, which ends the
 process."""
 
-_LARGE = 8000  # nodes from which on the quick factor is made in place of the exact one; its solves take half the time
+_LARGE = 4000  # nodes from which on the quick factor is made in place of the exact one; its solves take half the time
 
 
 @dataclass(frozen=True)
