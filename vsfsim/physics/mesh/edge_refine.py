@@ -127,9 +127,12 @@ def _edges(vertices: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarr
     key, edge = np.unique(both[:, 0] * np.int64(len(vertices)) + both[:, 1], return_inverse=True)
     ends = np.stack([key // len(vertices), key % len(vertices)], axis=1)
     length = np.linalg.norm(vertices[ends[:, 0]] - vertices[ends[:, 1]], axis=1)
+    # Equal lengths tie by the distances of their middles from the middle of the box, so that the mesh of a box stays
+    # its own mirror image; rounded, so that they do so on every machine.
+    middle = np.abs(vertices[ends].mean(axis=1) - 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)))
+    keys = np.round(np.column_stack([-middle, length]) / length.max(), 9)
     rank = np.empty(len(ends), np.int64)
-    # rounded, so that equal lengths tie the same way on every machine
-    rank[np.lexsort((np.arange(len(ends)), np.round(length / length.max(), 9)))] = np.arange(len(ends))
+    rank[np.lexsort((np.arange(len(ends)), *keys.T))] = np.arange(len(ends))
     return ends, edge.reshape(-1, 6), rank
 
 
