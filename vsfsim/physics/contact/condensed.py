@@ -25,7 +25,7 @@ _COMPACT = 0.8  # share of running touches under which the others are dropped fr
 
 
 def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float, start: torch.Tensor | None = None,
+          tolerance: float, start: torch.Tensor | None = None, staged_above: float = 0.0,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -37,6 +37,7 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch.
         start: first guess of the changes (k, 3 s) [N]; None is zero.
+        staged_above: error from which on, if it is above the tolerance, friction is approached through smoother laws.
         deadline: `time.perf_counter` after which no iteration but the first begins [s].
 
     Returns:
@@ -46,7 +47,7 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     contact.stick = STICK
     best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
-    again = (error > tolerance).nonzero()[:, 0]
+    again = (error > max(tolerance, staged_above)).nonzero()[:, 0]
     if len(again) and time.perf_counter() < deadline:
         # the potential has a kink between stick and slip: approach it through smoother ones
         part = None if start is None else start[again]
