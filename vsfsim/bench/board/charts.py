@@ -113,6 +113,8 @@ def points(values: Mapping[str, tuple[float, float, float]], *, across: str, axi
         while any(abs(write - other) < 13.0 and abs(x - there) < 130.0 for there, other in used):
             write -= 13.0
         used.append((x, write))
+        if write < y:  # a name that gave way to another is joined to its point
+            out.append(f'<line x1="{x:.1f}" x2="{x + 7:.1f}" y1="{y:.1f}" y2="{write - 4.0:.1f}" stroke="{colour}"/>')
         out.append(_text(x + 8, write, name))
     return _svg(width, height, out, f"{axis} over {across}")
 

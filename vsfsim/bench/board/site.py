@@ -29,8 +29,8 @@ from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
 
 _COLUMNS = ("stiffness: Spearman's rank correlation of the estimate with the true probe stiffness where touched. 50 % "
-            "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9. "
-            "Meta-fit: time of a training; adapt and predict: of a new object and of a touch.")
+            "and 90 %: fraction of readings within the central interval that the method gives; right are 0.5 and 0.9.")
+_TIMES = "Meta-fit: time of a training; adapt and predict: of a new object and of a touch."
 
 MOST_LINES = 8
 """Methods in a chart; a table has them all."""
@@ -105,13 +105,13 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
     task, labels = board.task, board.task.protocol.labels
     over = _over_objects(board)
     head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["difference to the best"] if over else []),
-            "stiffness", "50 %", "90 %", "meta-fit", "adapt", "predict", "memory"]
+            "stiffness", "50 %", "90 %"]
     rows: list[list[Cell]] = []
     best = next((row for row in board.rows if row.rank == 1), None)
     for number, (row, name) in enumerate(zip(board.rows, names, strict=True)):
         rows.append([str(row.rank or "-"), link(_of_method(task, number), name),
                      *(_cell(row, task, label) for label in labels),
-                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task), *_costs(row)])
+                     *([_difference(row, best, task)] if over else []), *_other_scores(row, task)])
     body = [paragraph(task.description)]
     if task.superseded_by:
         body.append(paragraph(f"This task is {superseded(task)}."))
@@ -121,6 +121,10 @@ def _task_page(board: Board, names: Sequence[str]) -> str:
              for row, name in zip(board.rows, names, strict=True) if row.mark]
     if over:
         body += _comparison(board, names)
+    costs: list[list[Cell]] = [[name, *_costs(row)] for row, name in zip(board.rows, names, strict=True)]
+    if costs:
+        body += ["<h2>Time and memory</h2>",
+                 table(["method", "meta-fit", "adapt", "predict", "memory"], costs, caption=_TIMES)]
     body += _literature(board)
     objects = _objects(board)
     if objects:
