@@ -31,7 +31,7 @@ from vsfsim.vsf.features.registry import particle_features
 from vsfsim.vsf.meta.composition import GaussianPrior
 
 PRIOR_STD, LOOSE_STD = 30.0, 300.0
-"""Of a spring constant: of the preset `tuned`, and where the data are to decide alone [N/m]."""
+"""Of a spring constant: as the fits of `gaussian` (`tuned`), and where the data are to decide alone [N/m]."""
 LOOSE_NOISE = 0.05
 """Noise of a reading where the data are to decide alone [N m]; none in proportion to the force."""
 COMMON = (3.0, 6.0, 10.0)
