@@ -1,6 +1,8 @@
 """The ends of what a scene may ask: contrast, Poisson's ratio, stiffness, depth, bad meshes, weight. Every frame
 converges or says why not."""
 
+import time
+
 import numpy as np
 import pytest
 from frame_checks import numbers_stand_for_equilibria
@@ -14,6 +16,7 @@ from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
+from vsfsim.physics.solve.linear_tier import LinearTier
 from vsfsim.physics.solve.touches import Solver, SolverOptions
 from vsfsim.robot.path import turn_to
 
@@ -224,6 +227,26 @@ def test_a_hard_frame_ends_at_its_limit(device):
     # the second frame begins from the state at rest again, and may stop with the probe past the surface's middle
     assert (frames.iterations <= 10).all() and frames.reason[0, 0] == Reason.ITERATIONS
     assert frames.reason[1, 0] in (Reason.ITERATIONS, Reason.WRONG_SIDE)
+
+
+def test_a_linear_frame_without_time_to_look_where_the_bodies_are_is_marked(line, monkeypatch):
+    """Its contact may be solved: what lies between the contact points is not known."""
+    solve = LinearTier._solve
+
+    def slow(self, start, deadline):
+        found = solve(self, start, float("inf"))
+        time.sleep(max(0.0, deadline - time.perf_counter()) + 0.01)
+        return found
+
+    def run(seconds):
+        poses = line([[0.0, 0.0, SIZE[2] + 0.015 - depth] for depth in (0.0, 0.001)], PROBE)
+        return Solver(body(), PROBE, linear=True, options=SolverOptions(seconds=seconds)).run(poses)
+
+    assert run(120.0).converged.all()
+    monkeypatch.setattr(LinearTier, "_solve", slow)
+    frames = run(0.1)
+    assert (frames.reason[-1] == Reason.TIME).all() and np.isnan(frames.force[-1]).all()
+
 
 
 # ------------------------------------------------------------------------------------------ meshes

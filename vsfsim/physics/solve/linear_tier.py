@@ -28,6 +28,9 @@ class LinearTier:
         balance: the batch; its displacements are set, its Newton iterations are not used.
     """
 
+    checked: bool
+    """Whether there was time in the last frame to look where the bodies are."""
+
     def __init__(self, balance: Equilibrium):
         self._balance, self._contact = balance, balance.contact
         model = balance.model
@@ -58,7 +61,8 @@ class LinearTier:
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
-            if time.perf_counter() > deadline or not contact.extend_patch(every, pose, balance.u):
+            self.checked = time.perf_counter() <= deadline
+            if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
             start = contact.no_force()
         state = balance.evaluate(every)

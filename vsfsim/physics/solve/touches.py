@@ -374,8 +374,8 @@ class Solver:
         balance.reset_counts()
         balance.newton += 1
         late = time.perf_counter() > deadline
-        balance.reason[(state["measure"] > self._linear_accept).cpu().numpy()] = (Reason.TIME if late else
-                                                                                  Reason.ITERATIONS)
+        lost = (state["measure"] > self._linear_accept).cpu().numpy() | (not self._linear_tier.checked)
+        balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
         return self._report(state)
 
     def _first_force(self, pose: np.ndarray) -> torch.Tensor:
