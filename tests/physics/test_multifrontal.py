@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from vsfsim.core.errors import MeshError
 from vsfsim.physics.linear import dissection
 from vsfsim.physics.linear.multifrontal import Multifrontal, trusted
-from vsfsim.physics.linear.rest_factor import QuickFactor
+from vsfsim.physics.linear.rest_factor import QuickFactor, RestFactor
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +112,14 @@ def test_a_long_way_from_the_support_is_not_trusted_to_sixteen_bits(count, good)
 def test_a_body_that_few_digits_lose_has_no_quick_factor(model):
     assert QuickFactor.of_trusted(model.factor, model.mesh.points, within=1e-12) is None
     assert QuickFactor.of_trusted(model.factor, model.mesh.points) is not None
+
+
+def test_where_there_is_no_quick_factor_the_exact_one_is_made_when_it_is_asked_for(model, monkeypatch):
+    """Not at the first solve, which may be in the time of a frame."""
+    factor = RestFactor(model.factor.stiffness, model.free, model.mesh.surface_nodes(), later=True)
+    monkeypatch.setattr(QuickFactor, "of_trusted", lambda *_: None)
+    assert "_solver" not in vars(factor)
+    assert factor.quick(model.mesh.points) is factor and "_solver" in vars(factor)
 
 
 def test_a_loose_part_is_refused():

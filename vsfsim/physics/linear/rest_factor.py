@@ -116,6 +116,8 @@ class RestFactor:
         """
         if self._quick is None:
             self._quick = QuickFactor.of_trusted(self, points) or self
+            if self._quick is self:
+                self._solver  # noqa: B018  it will be needed: made now, not in the time of a frame
         return self._quick
 
     def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
