@@ -7,22 +7,23 @@ import numpy as np
 from vsfsim.physics.contact.patch import shape_values
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
-_SPLIT = 3  # parts of an edge of a quadratic triangle, which is drawn as nine flat ones
+_SPLIT = 3  # parts of an edge of a quadratic triangle that is drawn
 
 
-def deformed_surface(mesh: QuadraticMesh,
-                     displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """The deformed boundary: every quadratic triangle is cut into nine flat ones.
+def deformed_surface(mesh: QuadraticMesh, displacement: np.ndarray, *, parts: int = _SPLIT,
+                     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The deformed boundary: every quadratic triangle is cut into ``parts``^2 flat ones.
 
     Args:
         mesh: the body.
         displacement: of its nodes (n, 3) [m].
+        parts: of an edge of a quadratic triangle.
 
     Returns:
         Vertices (v, 3) [m]; triangles (g, 3); the boundary triangle of each (g,); length of the displacement at its
         middle (g,) [m].
     """
-    n = _SPLIT
+    n = parts
     at = np.array([(i, j, n - i - j) for i in range(n, -1, -1) for j in range(n - i, -1, -1)]) / n
     number = {tuple(np.rint(n * row).astype(int)): k for k, row in enumerate(at)}
     cut = []
