@@ -15,6 +15,9 @@ from benchmarks.stability.evidence import Evidence
 from benchmarks.stability.judge import SAMPLE, Outcome, Verdict, judge
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Sphere
+from vsfsim.core.solid import Solid
+from vsfsim.physics.mesh.quadratic import quadratic_mesh
+from vsfsim.physics.mesh.structured import box
 
 EXPECTED = json.loads((Path(__file__).parent / "stability_expected.json").read_text())
 LIMIT = 30.0  # of a frame [s]; three times that of the command, since CI's machines are shared
@@ -81,6 +84,22 @@ def test_a_buried_body_is_seen():
     flat = [(np.where(v[:, 2:] > -0.04, v * [1.0, 1.0, 0.0], v), f) for v, f in e.surface]
     found = checks.contradictions(dataclasses.replace(e, poses=poses, surface=flat))
     assert any("rigid body lies" in sentence and "frame 3" in sentence for sentence in found)
+
+
+def test_a_contradiction_is_looked_at_again_with_a_finer_surface():
+    """A drawing whose flat triangles cut off a bulge is no evidence where the curved faces themselves say otherwise."""
+    vertices, tets = box((0.06, 0.06, 0.05), 0.02)
+    mesh = quadratic_mesh(Solid(vertices - [0.0, 0.0, 0.05], tets, np.zeros(len(tets), int), ("box",)))
+    moved = np.zeros((3, *mesh.points.shape))
+    above = ball_in_a_box().poses.copy()
+    above[:, 0, 2, 3] = 0.0101
+    raised = [(v + [0.0, 0.0, 0.004], f) for v, f in ball_in_a_box(depth=np.zeros(3)).surface]
+    e = ball_in_a_box(poses=above, surface=raised)
+    assert any("inside" in sentence for sentence in checks.contradictions(e))
+    assert checks.contradictions(dataclasses.replace(e, mesh=mesh, moved=moved)) == []
+    # and one that the faces bear out stays
+    above[:, 0, 2, 3] = 0.008
+    assert checks.contradictions(dataclasses.replace(e, poses=above, mesh=mesh, moved=moved))
 
 
 def test_a_membrane_inside_the_object_is_seen():
