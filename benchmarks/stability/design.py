@@ -69,9 +69,9 @@ BUBBLE = (
     Factor("frames", "1", 4.0, (1.0, 4.0)),
 )
 """Against: rigid bodies, or a block of 1 kPa (soft) or 100 kPa. The tip is a rod of 6 mm with a round end; the small
-ball has its radius, and nothing behind it. Depth: over the height of the free dome (30.5 mm by default, 1 mm without
-pressure), because behind the plane of the rim is the housing, which no body can enter. Gauge: pressure of the gas over
-that around it. Drag: 10 mm sideways after the press; twist: 45 degrees about the mount's axis."""
+ball has its radius, and nothing behind it. Depth: over the height of the free dome (30.4 mm by default, 1.6 mm at
+300 Pa, 5 um at 1 Pa), because behind the plane of the rim is the housing, which no body can enter. Gauge: pressure of
+the gas over that around it. Drag: 10 mm sideways after the press; twist: 45 degrees about the mount's axis."""
 ROD = (
     Factor("young", "Pa", 1e9, (1e5, 1e7, 1e9, 1e11)),
     Factor("slender", "1", 0.01, (0.001, 0.003, 0.01, 0.05)),

@@ -72,7 +72,7 @@ class Model:
 
     @property
     def _quick_serves(self) -> bool:
-        return len(self.mesh.points) > _LARGE or self.soft_factor is not None
+        return len(self.mesh.points) > _LARGE or self.keeps_volume
 
     @functools.cached_property
     def cells(self) -> np.ndarray:

@@ -1,6 +1,7 @@
 """The contact stiffness inverted with the compliance of the body, from rows and from faces, symmetric or not."""
 
 import pytest
+import scipy.sparse as sp
 import torch
 
 from vsfsim.physics.contact.stiffness_block import ContactBlock, SparseStiffness, gram
@@ -62,3 +63,13 @@ def test_stiffness_from_faces_is_the_sum_over_their_points(draw, nodes):
     assert torch.allclose(block.apply(v), pushed(stiff, compliance, v), rtol=1e-8, atol=1e-8)
     found[torch.tensor([True, False])] = found[torch.tensor([1])]
     assert torch.allclose(found @ v[:, :, None], stiff[1] @ v[:, :, None], rtol=1e-12, atol=1e-12)
+
+
+def test_a_dense_stiffness_of_some_touches_goes_into_a_sparse_one(draw):
+    """Of a batch with many points in contact those that meet negative curvature may have few, and a dense matrix."""
+    full = [sp.csr_matrix(c.numpy()) for c in draw(3, 6, 6)]
+    whole, dense, v = SparseStiffness(list(full)), draw(1, 6, 6), draw(3, 6, 1)
+    whole[torch.tensor([False, True, False])] = dense
+    expected = torch.stack([torch.as_tensor(full[0] @ v[0].numpy()), dense[0] @ v[1],
+                            torch.as_tensor(full[2] @ v[2].numpy())])
+    assert torch.allclose(whole @ v, expected)

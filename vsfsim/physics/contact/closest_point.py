@@ -1,4 +1,5 @@
-"""The nearest point of a surface triangle, flat or quadratic: Warp functions for several kernel modules."""
+"""The nearest point of a surface triangle, flat or quadratic, and the angle that it fills: Warp functions for several
+kernel modules."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -7,8 +8,8 @@ import warp as wp
 
 
 def functions(real: type, module: str) -> Any:
-    """``on_triangle`` (barycentric coordinates on a flat triangle) and ``nearest`` (on a face of three or six nodes)
-    for one scalar type and module."""
+    """``on_triangle`` (barycentric coordinates on a flat triangle), ``nearest`` (on a face of three or six nodes) and
+    ``half_angle`` (of a flat triangle) for one scalar type and module."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec6 = wp.types.vector(length=6, dtype=real)
 
@@ -168,4 +169,16 @@ def functions(real: type, module: str) -> Any:
         c = n[0] * x0 + n[1] * x1 + n[2] * x2 + n[3] * x3 + n[4] * x4 + n[5] * x5
         return n, c, wp.normalize(wp.cross(tu, tv))
 
-    return SimpleNamespace(on_triangle=on_triangle, nearest=nearest)
+    @wp.func(module=module)
+    def half_angle(p: vec3, x0: vec3, x1: vec3, x2: vec3):
+        # half the solid angle of a flat triangle seen from p (van Oosterom and Strackee 1983)
+        a0 = x0 - p
+        a1 = x1 - p
+        a2 = x2 - p
+        l0 = wp.length(a0)
+        l1 = wp.length(a1)
+        l2 = wp.length(a2)
+        return wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
+                        l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
+
+    return SimpleNamespace(on_triangle=on_triangle, nearest=nearest, half_angle=half_angle)

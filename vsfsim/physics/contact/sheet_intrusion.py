@@ -46,12 +46,9 @@ class SheetIntrusion:
         self._samples = wp.array(np.concatenate(samples), dtype=k.vec3, device=device)
         self._owner = wp.array(np.repeat(np.arange(len(samples)), list(map(len, samples))), dtype=wp.int32,
                                device=device)
-        edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
-        there = {(a, b) for a, b in edges}
-        rim = [(a, b) for a, b in edges if (b, a) not in there]
-        disk = [(rim[0][0], b, a) for a, b in rim]
         self._sheet = len(faces)
-        self._closed = wp.array(np.array([*faces.tolist(), *disk], np.int32), dtype=wp.int32, device=device)
+        self._closed = wp.array(np.concatenate([faces, rim_disk(faces)]).astype(np.int32), dtype=wp.int32,
+                                device=device)
         self._rest = torch.as_tensor(mesh.points, device=device)
 
     def check(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor) -> torch.Tensor:
@@ -69,6 +66,14 @@ class SheetIntrusion:
                 wp.array(pose[host][..., :3, :3], dtype=k.mat33, device=self.device),
                 wp.from_torch(at.contiguous(), dtype=k.vec3), *box, wp.from_torch(depth)])
         return depth.amax(dim=1)
+
+
+def rim_disk(faces: np.ndarray) -> np.ndarray:
+    """Triangles (d, 3) that close a sheet of triangles (f, 3) along its rim; none if it has no rim."""
+    edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
+    there = {(a, b) for a, b in edges}
+    rim = [(a, b) for a, b in edges if (b, a) not in there]
+    return np.array([(rim[0][0], b, a) for a, b in rim], np.int32).reshape(-1, 3)
 
 
 @functools.cache
@@ -97,8 +102,8 @@ def kernels() -> Any:
         # state out
         depth_out: wp.array2d(dtype=real),
     ):
-        # The solid angles of all triangles add up to 4 pi inside the closed surface and to 0 outside (van Oosterom and
-        # Strackee 1983); the distance is that to the sheet alone.
+        # The solid angles of all triangles add up to 4 pi inside the closed surface and to 0 outside; the distance is
+        # that to the sheet alone.
         b, s = wp.tid()
         j = owner[s]
         p = origin[b, j] + turn[b, j] * samples[s]
@@ -111,14 +116,7 @@ def kernels() -> Any:
             x0 = x_in[b, closed[t, 0]]
             x1 = x_in[b, closed[t, 1]]
             x2 = x_in[b, closed[t, 2]]
-            a0 = x0 - p
-            a1 = x1 - p
-            a2 = x2 - p
-            l0 = wp.length(a0)
-            l1 = wp.length(a1)
-            l2 = wp.length(a2)
-            angle += wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
-                              l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
+            angle += closest.half_angle(p, x0, x1, x2)
             if t < sheet:
                 at = closest.on_triangle(p, x0, x1, x2)
                 nearest = wp.min(nearest, wp.length(at[0] * x0 + at[1] * x1 + at[2] * x2 - p))

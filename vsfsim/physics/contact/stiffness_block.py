@@ -47,9 +47,11 @@ class SparseStiffness:
         return SparseStiffness([self.matrices[b] for b in which.nonzero()[:, 0].tolist()] if which.dtype == torch.bool
                                else [self.matrices[b] for b in which.tolist()])
 
-    def __setitem__(self, which: torch.Tensor, other: SparseStiffness) -> None:
+    def __setitem__(self, which: torch.Tensor, other: SparseStiffness | torch.Tensor) -> None:
+        """``other`` may be dense (j, 3 s, 3 s): few touches of a batch can have few points in contact."""
         at = which.nonzero()[:, 0] if which.dtype == torch.bool else which
-        for b, matrix in zip(at.tolist(), other.matrices, strict=True):
+        matrices = other.matrices if isinstance(other, SparseStiffness) else [sp.csr_matrix(c.numpy()) for c in other]
+        for b, matrix in zip(at.tolist(), matrices, strict=True):
             self.matrices[b] = matrix
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:

@@ -227,10 +227,10 @@ class Equilibrium:
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                   iterations: int = 10_000) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+                   iterations: int | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
-                                iterations=min(opt.cg, iterations),
+                                iterations=iterations or opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
                                 deadline=self._deadline)
 

@@ -17,6 +17,7 @@ import warp as wp
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.contact import closest_point
 from vsfsim.physics.contact.patch import shape_values
+from vsfsim.physics.contact.sheet_intrusion import rim_disk
 from vsfsim.physics.model import Model
 
 _DEEP = 0.1  # that depth over the smaller of both element sizes
@@ -119,14 +120,6 @@ class PairOverlap:
         return torch.where(on > 0, order, -1)[:, :most].to(torch.int32).contiguous()
 
 
-def rim_disk(faces: np.ndarray) -> np.ndarray:
-    """Triangles (d, 3) that close a sheet of triangles (f, 3) along its rim; none if it has no rim."""
-    edges = np.concatenate([faces[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()
-    there = {(a, b) for a, b in edges}
-    rim = [(a, b) for a, b in edges if (b, a) not in there]
-    return np.array([(rim[0][0], b, a) for a, b in rim], np.int32).reshape(-1, 3)
-
-
 @functools.cache
 def kernels() -> Any:
     """The kernels of the check and their types."""
@@ -141,19 +134,6 @@ def kernels() -> Any:
     list_t = wp.types.vector(length=_MOST, dtype=wp.int32)
     half_turn = wp.constant(real(np.pi))
 
-    @wp.func(module=module)
-    def ball(b: int, f: int, nodes: int, faces: wp.array3d(dtype=wp.int32), x: wp.array2d(dtype=vec3)):
-        # middle and radius of a ball about a face
-        middle = vec3()
-        for i in range(nodes):
-            middle += x[b, faces[b, f, i]] / real(nodes)
-        radius = real(0.0)
-        for i in range(nodes):
-            radius = wp.max(radius, wp.length(x[b, faces[b, f, i]] - middle))
-        if nodes == 6:
-            radius = bulge * radius
-        return vec4(middle[0], middle[1], middle[2], radius)
-
     @wp.kernel(module=module, enable_backward=False)
     def enclose(
         # model
@@ -164,25 +144,22 @@ def kernels() -> Any:
         # state out
         ball_out: wp.array2d(dtype=vec4),
     ):
+        # middle and radius of a ball about a face
         b, f = wp.tid()
-        ball_out[b, f] = ball(b, f, nodes, faces, x_in)
+        middle = vec3()
+        for i in range(nodes):
+            middle += x_in[b, faces[b, f, i]] / real(nodes)
+        radius = real(0.0)
+        for i in range(nodes):
+            radius = wp.max(radius, wp.length(x_in[b, faces[b, f, i]] - middle))
+        if nodes == 6:
+            radius = bulge * radius
+        ball_out[b, f] = vec4(middle[0], middle[1], middle[2], radius)
 
     @wp.func(module=module)
     def apart(one: vec4, two: vec4):
         # distance from the middle of the first ball to the second ball
         return wp.length(vec3(one[0] - two[0], one[1] - two[1], one[2] - two[2])) - two[3]
-
-    @wp.func(module=module)
-    def half_angle(p: vec3, x0: vec3, x1: vec3, x2: vec3):
-        # half the solid angle of a flat triangle seen from p (van Oosterom and Strackee 1983)
-        a0 = x0 - p
-        a1 = x1 - p
-        a2 = x2 - p
-        l0 = wp.length(a0)
-        l1 = wp.length(a1)
-        l2 = wp.length(a2)
-        return wp.atan2(wp.dot(a0, wp.cross(a1, a2)),
-                        l0 * l1 * l2 + wp.dot(a0, a1) * l2 + wp.dot(a1, a2) * l0 + wp.dot(a2, a0) * l1)
 
     @wp.func(module=module)
     def encloses(p: vec3, b: int, nodes: int, faces: wp.array3d(dtype=wp.int32), disk: wp.array2d(dtype=wp.int32),
@@ -194,15 +171,15 @@ def kernels() -> Any:
             x1 = x[b, faces[b, f, 1]]
             x2 = x[b, faces[b, f, 2]]
             if nodes == 3:
-                angle += half_angle(p, x0, x1, x2)
+                angle += closest.half_angle(p, x0, x1, x2)
             else:
                 x3 = x[b, faces[b, f, 3]]
                 x4 = x[b, faces[b, f, 4]]
                 x5 = x[b, faces[b, f, 5]]
-                angle += (half_angle(p, x0, x3, x5) + half_angle(p, x3, x1, x4) + half_angle(p, x5, x4, x2)
-                          + half_angle(p, x3, x4, x5))
+                angle += (closest.half_angle(p, x0, x3, x5) + closest.half_angle(p, x3, x1, x4)
+                          + closest.half_angle(p, x5, x4, x2) + closest.half_angle(p, x3, x4, x5))
         for f in range(disk.shape[0]):
-            angle += half_angle(p, x[b, disk[f, 0]], x[b, disk[f, 1]], x[b, disk[f, 2]])
+            angle += closest.half_angle(p, x[b, disk[f, 0]], x[b, disk[f, 1]], x[b, disk[f, 2]])
         return wp.abs(angle) > half_turn
 
     @wp.kernel(module=module, enable_backward=False)
