@@ -46,8 +46,10 @@ def table(study: Study, size: str, found: Mapping[str, Found]) -> dict[str, Any]
 
 
 def labels(study: Study, found: Mapping[str, Found]) -> list[str]:
-    """Shots that some result has, in order."""
-    every = list(dict.fromkeys(shot for one in found.values() for shot in one.result.shots))
+    """Shots that some result has, in order; where the study says which it asks, no others."""
+    asked = {*map(str, study.shots), "all"}
+    every = list(dict.fromkeys(shot for one in found.values() for shot in one.result.shots
+                               if not study.shots or shot in asked))
     return sorted(every, key=lambda shot: (shot == "all", int(shot) if shot != "all" else 0))
 
 
