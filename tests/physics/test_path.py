@@ -98,6 +98,17 @@ def test_a_first_pose_deep_inside_is_come_to_from_outside(block, line, device):
     assert sudden.force[-1, 0] == pytest.approx(slow.force[-1, 0], rel=2e-3, abs=2e-3)
 
 
+@pytest.mark.parametrize("high", [0.5, 0.7])
+def test_no_first_pose_is_come_to_from_within_the_object(block, high):
+    """A ball whose middle is under the surface: the shortest way to where no surface node is in it leads further in."""
+    model = block((0.06, 0.06, 0.06), 0.015)
+    pose = np.eye(4)[None, None]
+    pose[0, 0, :3, 3] = 0.0, 0.0, high * 0.06
+    bodies = RigidBodies(Sphere(0.012))
+    start = path.outside(bodies, model, pose, np.array([-0.01]))[0, 0, :3, 3]
+    assert start[2] >= 0.072 or np.abs(start[:2]).max() >= 0.042
+
+
 def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):
     """A slender beam that sags by a third of its length: the whole load at once does not converge in a dozen
     iterations."""

@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from vsfsim.core.shape import Plane
 from vsfsim.physics.contact.bodies import RigidBodies
+from vsfsim.physics.mesh.winding import winding_number
 from vsfsim.physics.model import Model
 
 _PART = 0.5  # longest step over the thinnest body's inner radius: a wall is then met in the nearer half of the body
@@ -20,7 +21,7 @@ _SAMPLES = 4000  # random points for the inner radius
 def stride(bodies: RigidBodies, thickness: float) -> float:
     """Longest step of the bodies [m] against an object of this mean ``thickness`` [m] (see `mean_thickness`): a longer
     one would meet the other side of a wall as well."""
-    return min(thickness, _PART * min(_inner_radius(bodies, k) for k in range(len(bodies))))
+    return min(thickness, _PART * min(_inner_ball(bodies, k)[0] for k in range(len(bodies))))
 
 
 def mean_thickness(model: Model) -> float:
@@ -35,12 +36,14 @@ def mean_thickness(model: Model) -> float:
     return 2.0 * float(model.mesh.volume.sum()) / float(model.mesh.face_area().sum())
 
 
-def _inner_radius(bodies: RigidBodies, k: int) -> float:
-    """Radius [m] of the largest ball inside body k, from samples; infinite for a plane."""
+def _inner_ball(bodies: RigidBodies, k: int) -> tuple[float, np.ndarray]:
+    """Radius [m] of the largest ball inside body k, from samples, and its centre (3,) [m]; infinite for a plane."""
     if isinstance(bodies.shapes[k], Plane):
-        return float("inf")
+        return float("inf"), np.zeros(3)
     cube = np.random.default_rng(0).uniform(-1.0, 1.0, (_SAMPLES, 3))
-    return float(-bodies.distance(k, bodies.reach(k) * np.vstack([np.zeros((1, 3)), cube])).min())
+    places = bodies.reach(k) * np.vstack([np.zeros((1, 3)), cube])
+    inside = -bodies.distance(k, places)
+    return float(inside.max()), places[inside.argmax()]
 
 
 def between(a: np.ndarray, b: np.ndarray, part: float) -> np.ndarray:
@@ -90,15 +93,21 @@ def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray
     out = pose.copy()
     if (gap >= 0.0).all():
         return out
-    surface = model.mesh.points[model.mesh.surface_nodes()]
+    mesh = model.mesh
+    surface, solid = mesh.points[mesh.surface_nodes()], mesh.faces.shape[1] == 6
     for k in range(len(bodies)):
-        inner = _inner_radius(bodies, k)
+        inner, centre = _inner_ball(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
         for b in np.flatnonzero(gap < -deep):
             turn, at = pose[b, k, :3, :3], pose[b, k, :3, 3]
 
-            def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at) -> float:
-                return -float(bodies.distance(k, (surface - at - shift) @ turn).min())
+            def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at,
+                      centre: np.ndarray = centre) -> float:
+                """Of the deepest surface node in the body; infinite where the whole body is within the object."""
+                deepest = -float(bodies.distance(k, (surface - at - shift) @ turn).min())
+                within = solid and deepest <= 0.0 and winding_number(
+                    mesh.points, mesh.faces[:, :3], (at + shift + turn @ centre)[None])[0] > 0.5
+                return float("inf") if within else deepest
 
             if depth(np.zeros(3)) > deep:
                 out[b, k, :3, 3] = at + _way_out(depth, turn, bodies, k, (surface - at) @ turn,
