@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -151,7 +151,7 @@ def _rod(cell: Cell, device: str) -> Evidence:
     plant = Plant(nodes, np.arange(-1, n), radius * one, 0.0 * one, np.zeros((n + 1, 3)), f["young"] * one,
                   500.0 * one, np.zeros(n + 1, int), ("stem",))
     # it begins where it touches: a path that began behind the stem would have passed it before
-    travel = STEM * f["depth"] * np.arange(frames + 1) / frames
+    travel = rod_travel(f) * np.arange(frames + 1) / frames
     poses = np.tile(np.eye(4), (frames + 1, 1, 1, 1, 1))
     poses[:, 0, 0, :3, :3] = [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]  # its axis lies along y
     poses[:, 0, 0, 0, 3], poses[:, 0, 0, 2, 3] = travel - radius - size, STEM * f["height"]
@@ -166,6 +166,15 @@ def _rod(cell: Cell, device: str) -> Evidence:
         out.energy[1:, 0], out.penetration[1:, 0], out.converged[1:, 0],
         tuple(Reason(r).text for r in out.reason[1:, 0]), np.zeros(frames), frames, f["friction"] == 0.0, STEM / n,
         jumped=np.array([_behind(x, c, size, radius) for x, c in zip(line, centre, strict=True)]))
+
+
+def rod_travel(factors: Mapping[str, float]) -> float:
+    """Way of the capsule past first contact [m]. A capsule that reaches below the clamp meets the clamped end after r -
+    sqrt(r^2 - h^2), where r is the distance of the axes in contact and h the capsule's height: past that there is no
+    equilibrium, and it stops at nine tenths of that way."""
+    wanted, high = STEM * factors["depth"], STEM * factors["height"]
+    apart = STEM * (factors["slender"] + factors["capsule"])
+    return wanted if apart <= high else min(wanted, 0.9 * (apart - (apart**2 - high**2) ** 0.5))
 
 
 def _behind(line: np.ndarray, centre: np.ndarray, size: float, radius: float) -> bool:

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks.stability import campaign, checks, report
 from benchmarks.stability.design import KINDS, Cell, design
-from benchmarks.stability.evidence import Evidence
+from benchmarks.stability.evidence import STEM, Evidence, rod_travel
 from benchmarks.stability.judge import SAMPLE, Outcome, Verdict, judge
 from vsfsim.core.errors import VsfsimError
 from vsfsim.core.shape import Sphere
@@ -170,3 +170,12 @@ def test_no_cell_turns_worse(name):
     cell = next(c for c in design() if c.text == name)
     found = judge(cell, LIMIT)
     assert found.outcome.rank <= Outcome(EXPECTED[name]).rank, f"{found.outcome}: {found.words} {found.reasons}"
+
+
+@pytest.mark.parametrize("depth", [0.02, 0.15, 0.5])
+def test_no_rod_is_asked_for_a_capsule_through_its_clamp(depth):
+    """Past the clamped end there is no equilibrium; a capsule that is higher than thick passes over it."""
+    thick, thin = ({"depth": depth, "height": 0.2, "slender": 0.01, "capsule": c} for c in (0.3, 0.1))
+    away = np.hypot(rod_travel(thick) - STEM * 0.31, STEM * 0.2)
+    assert away > 1.001 * STEM * 0.31 and 0.0 < rod_travel(thick) <= STEM * depth
+    assert rod_travel(thin) == STEM * depth

@@ -38,6 +38,9 @@ HALVINGS = wp.constant(12)  # of the length of a step in the line search
 # Sufficient decrease of the residual norm, at full length, of steps with the unsymmetric tangent of Coulomb friction
 # (no potential exists there).
 SHRINK = wp.constant(wp.float64(0.25))
+# Residual below which, once a step has not lowered the potential, steps are judged by the residual norm, too: the
+# points of a patch move with it, and their sum is the integral of the energy to a ten-thousandth only [-].
+TRUSTED = wp.constant(wp.float64(0.01))
 TRIES = wp.constant(3)  # lengths at which such a step is tried
 CAREFUL = wp.constant(2)  # steps with the symmetric tangent after an unsymmetric one was rejected
 SETS = wp.constant(6)  # how often the set of contacts of a step is predicted again
@@ -291,7 +294,7 @@ def equilibrate(tree: Trees, touch: Touches, w: Work, me: Thread, old: int, new:
             if pressing == 1:
                 sets = 1
                 bend = NO_BEND_LIMIT
-            elif slips > 0 and plain == 0:
+            elif plain == 0 and (slips > 0 or (small > 0 and residual < TRUSTED)):
                 coulomb = 1
                 bend = NO_BEND_LIMIT
             elif small > 0:
