@@ -20,7 +20,8 @@ from vsfsim.physics.contact.rigid_kernels import STICK
 _ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
 _STICK_STAGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness
 _STAGE_TOLERANCE = 1e-3  # of the stages before the last one, which only lead the way
-_SHORTEST = 1e-4  # step of the line search
+_LOST = 0.3  # error of a stage after which no further stage is tried
+_SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
@@ -55,6 +56,9 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
             contact.stick = share * STICK
             part, new = _newton(contact, columns[again], base[again], pushed[again], part, 3 * iterations,
                                 tolerance if share == 1.0 else _STAGE_TOLERANCE, deadline)
+            if bool((new > _LOST).all()):
+                break  # it leads nowhere
+        contact.stick = STICK
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
@@ -82,9 +86,14 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
         crossed = contact.wrong_side(columns)
         rises = energy > level - 1e-4 * step * slope + _ROUNDING * level.abs()
         far = running & ((crossed > wrong_side) | rises) & (step > _SHORTEST)
-        # too far: go back half of what is left of this step
-        step = torch.where(far, 0.5 * step, step)
-        back = torch.where(far, step, 0.0)[:, None]
+        # too far: go back to the least energy of a parabola along this step, by half of it at least
+        least = 0.5 * slope * step**2 / (energy - level + slope * step).clamp(min=1e-300)
+        shorter = torch.where(crossed > wrong_side, 0.5 * step, least.clamp(min=_BACK * step, max=0.5 * step))
+        back = torch.where(far, step - shorter, 0.0)[:, None]
+        step = torch.where(far, shorter, step)
+        if bool((far | ~running).all()):
+            q, trial = q - back * dq, trial - back * move
+            continue
         nodal = contact.nodal(columns)
         rho = nodal - pushed - q
         miss = _times(compliance, rho)

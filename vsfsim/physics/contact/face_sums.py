@@ -101,3 +101,12 @@ def _sum(values: torch.Tensor, at: torch.Tensor) -> torch.Tensor:
     for j in range(1, at.shape[2]):
         out += padded.gather(1, at[:, :, j, None].expand(-1, -1, w))
     return out
+
+
+def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, force: torch.Tensor, nodes: int) -> torch.Tensor:
+    """Forces on the s = ``nodes`` of the patches (k, 3 s) of forces at the points (k, 6 f, 3), in a fixed order on a
+    CPU; ``local`` and ``shapes`` as for `stiffness_block.SparseStiffness.of`."""
+    parts = shapes.mT @ force.view(*local.shape, 3)  # (k, f, 6 nodes, 3)
+    out = force.new_zeros(len(local), nodes, 3)
+    at = local.long().flatten(1)[:, :, None].expand(-1, -1, 3)
+    return out.scatter_add_(1, at, parts.flatten(1, 2)).flatten(1)

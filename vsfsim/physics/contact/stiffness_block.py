@@ -55,7 +55,7 @@ class SparseStiffness:
             self.matrices[b] = matrix
 
     def __matmul__(self, v: torch.Tensor) -> torch.Tensor:
-        return torch.stack([torch.as_tensor(c @ x.numpy()) for c, x in zip(self.matrices, v, strict=True)])
+        return _stacked([torch.as_tensor(c @ x.numpy()) for c, x in zip(self.matrices, v, strict=True)])
 
 
 def many(inside: torch.Tensor) -> bool:
@@ -124,10 +124,10 @@ class ContactBlock:
             few = c[at][:, at]
             stiff.append(torch.as_tensor(few.toarray()))
             bracket.append(torch.as_tensor(few.T @ a.numpy()).T)  # A C = (C^T A)^T: A is symmetric
-        inner = torch.stack(bracket).contiguous()
+        inner = _stacked(bracket)
         inner.diagonal(dim1=1, dim2=2).add_(1.0)
         factors, pivots = torch.linalg.lu_factor(inner)
-        return cls(dof, torch.stack(stiff), factors, compliance.shape[2], joined=True, pivots=pivots)
+        return cls(dof, _stacked(stiff), factors, compliance.shape[2], joined=True, pivots=pivots)
 
     def pick(self, which: torch.Tensor) -> ContactBlock:
         """That of some of the touches (j,)."""
@@ -144,6 +144,11 @@ class ContactBlock:
         else:
             force = self.rows.mT @ torch.cholesky_solve(self.rows @ own, self.inner)
         return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
+
+
+def _stacked(parts: list[torch.Tensor]) -> torch.Tensor:
+    """As `torch.stack`, without a copy of a single one."""
+    return parts[0][None] if len(parts) == 1 else torch.stack(parts)
 
 
 def gram(rows: torch.Tensor) -> torch.Tensor:
@@ -178,6 +183,8 @@ def _dof(nodes: torch.Tensor) -> torch.Tensor:
 
 def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
     """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m)."""
+    if len(matrix) == 1:
+        return matrix[0].index_select(0, dof[0]).index_select(1, dof[0])[None]
     return matrix[torch.arange(len(matrix), device=matrix.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
 
 
