@@ -99,12 +99,32 @@ def test_negative_curvature_is_flagged_in_its_column_only(systems, device):
     bent[1] = vectors * values @ vectors.T
     bent[3] = -bent[3]
     x, _, negative = solve(by_numpy(bent, device), nothing, right, device, 1e-10, 400)
-    assert negative.tolist() == [False, True, False, True, False]
+    assert (negative > 0.0).tolist() == [False, True, False, True, False]
     assert np.isfinite(x).all()
     # at the first step of all: the steepest direction itself, so that a line search has something to go along
     assert np.array_equal(x[:, 3], right[:, 3])
     for i in (0, 2, 4):
         assert np.abs(x[:, i] - np.linalg.solve(matrix[i], right[:, i])).max() < 1e-5 * np.abs(x[:, i]).max()
+
+
+def test_negative_curvature_is_told_in_units_of_the_preconditioner_and_a_shift_by_it_suffices(device):
+    """A diagonal matrix with one negative entry, and a preconditioner M that is another diagonal: the shifted system is
+    A + shift M, although M itself is never multiplied."""
+    values, scale = np.linspace(1.0, 4.0, 30), np.linspace(0.5, 3.0, 30)
+    values[7] = -0.8 * scale[7]
+    right = torch.ones((30, 1), dtype=torch.float64, device=device)
+
+    def times(diagonal):
+        column = torch.as_tensor(diagonal, device=device)[:, None]
+        return lambda x, _: column * x
+
+    limit = torch.full((1,), 1e-12, dtype=torch.float64, device=device)
+    _, _, met = pcg.solve(times(values), times(1.0 / scale), right, tolerance=limit, iterations=100)
+    assert 0.0 < float(met) <= 0.8
+    shift = torch.ones(1, dtype=torch.float64, device=device)
+    x, _, met = pcg.solve(times(values), times(1.0 / scale), right, tolerance=limit, iterations=100, shift=shift)
+    assert float(met) == 0.0
+    assert x[:, 0].cpu().numpy() == pytest.approx(1.0 / (values + scale), rel=1e-9)
 
 
 def test_the_iteration_limit_is_kept(systems, device):

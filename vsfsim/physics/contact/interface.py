@@ -46,6 +46,8 @@ class Contact(Protocol):
     those of the last `update_friction`."""
     symmetric: bool
     """Whether the contact stiffness is symmetric."""
+    shifts: bool
+    """Whether negative curvature is met by a shift of the tangent before the projected one is taken."""
     potential_trusted_above: float
     """Measure under which a step is accepted for its residual alone, because rounding hides the potential [-]."""
     decrease: float

@@ -15,7 +15,7 @@ import warp as wp
 from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
-from vsfsim.physics.contact.face_sums import FaceSums
+from vsfsim.physics.contact.face_sums import FaceSums, nodal_sums
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
@@ -85,7 +85,7 @@ class RigidContact:
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.follows_below = (0.2 if device == "cpu" else 0.0) if self._solid else np.inf
-        self.friction_updated_below = 0.03 if self._solid else 0.3
+        self.friction_updated_below, self.shifts = 0.03 if self._solid else 0.3, self._solid
         self.softening, self.coulomb = (torch.full((poses.shape[1],), value, dtype=torch.float64, device=device)
                                         for value in (1.0, 0.0))
         self._upload()
@@ -133,8 +133,7 @@ class RigidContact:
         self._local = wp.array(local, dtype=wp.int32, device=self.device)
         self._stiffness = wp.array(padded.stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
-        self.gap = zeros(size) + 1e30
-        self._energy = zeros(batch, faces)
+        self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
         self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
         self._wrong_side = zeros((batch, faces), dtype=torch.int32)
         self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
@@ -270,8 +269,10 @@ class RigidContact:
         """See `Contact`."""
         if self._sums is not None:
             return self._sums.nodal(columns, self.force[columns])
-        points = self._points[columns] if len(columns) < self.batch else self._points  # columns are in order
-        return (points.mT @ self.force[columns]).flatten(1)
+        if self.device == "cpu":
+            nodes, local = self.dof.shape[1] // 3, wp.to_torch(self._local)[columns]
+            return nodal_sums(local, self._values[columns], self.force[columns], nodes)
+        return (self._points[columns].mT @ self.force[columns]).flatten(1)
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
         return torch.nn.functional.one_hot(self.body[columns].long(), len(self.bodies)).to(torch.float64)
@@ -282,8 +283,7 @@ class RigidContact:
 
     def moment_on_bodies(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
-        places = self._places(self._x)[columns]
-        origin = wp.to_torch(self._pose[0])[columns]  # (k, K, 3)
+        places, origin = self._places(self._x)[columns], wp.to_torch(self._pose[0])[columns]  # origin (k, K, 3)
         about_world = self._held(columns).mT @ torch.linalg.cross(places, -self.force[columns])
         return about_world - torch.linalg.cross(origin, self.on_bodies(columns))
 

@@ -14,7 +14,7 @@ from vsfsim.physics.solve.elasticity import Elasticity
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
-                     plain: bool = False, deadline: float = float("inf"),
+                     plain: bool = False, deadline: float = float("inf"), shift: torch.Tensor | None = None,
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
 
@@ -26,11 +26,11 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         near: whose contact stiffness has its geometric term (k,) bool, see `Contact.stiffness`.
         tolerance: relative residual of each column (k,).
         iterations: limit.
-        plain, deadline: see `pcg.solve`.
+        plain, deadline, shift: see `pcg.solve`.
 
     Returns:
-        Directions (3 n, k) [m]; iterations of each (k,); which met negative curvature (k,) bool, none of `gmres`; the
-        contact stiffness used (k, 3 s, 3 s) [N/m].
+        Directions (3 n, k) [m]; iterations of each (k,); the negative curvature that each met (k,) [-], 0 for none and
+        with `gmres`; the contact stiffness used (k, 3 s, 3 s) [N/m].
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
@@ -79,7 +79,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     if not contact.symmetric:
         direction, steps = gmres.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                        deadline=deadline)
-        return direction, steps, torch.zeros_like(near), stiffness
+        return direction, steps, torch.zeros_like(tolerance), stiffness
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
-                                           plain=plain, deadline=deadline)
+                                           plain=plain, deadline=deadline, shift=shift)
     return direction, steps, negative, stiffness

@@ -12,6 +12,7 @@ The *measure* of a touch is the sum of the lengths of its unbalanced nodal force
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import torch
@@ -27,6 +28,7 @@ from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 _CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
+_SHIFT, _SHIFTS = 0.05, 3  # least shift of a tangent with negative curvature, and times that it is shifted
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
 # it is approached in shorter steps instead
@@ -143,6 +145,7 @@ class Equilibrium:
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self._foreign = torch.zeros_like(self.every, dtype=torch.bool)  # whose tangent belongs to another state
         self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
+        self._shift = torch.zeros(len(self.every), dtype=torch.float64, device=self.device)
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
@@ -184,14 +187,7 @@ class Equilibrium:
             for projected, which in ((True, fresh & far), (False, fresh & ~far)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
-            direction, steps, negative, stiffness = self._direction(active, state["residual"][:, open_], ~far)
-            if bool(negative.any()):
-                # negative curvature along some direction: take the projected tangent, which has none
-                self._tangent(active[negative], projected=True)
-                convex, more, _, stiffness[negative] = self._direction(
-                    active[negative], state["residual"][:, open_[negative]], torch.zeros_like(negative[negative]))
-                direction[:, negative] = convex
-                steps[negative] += more
+            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
@@ -205,7 +201,7 @@ class Equilibrium:
                 self.contact.coulomb[active[lost]] = 0.0
                 for key, value in self.evaluate(active[lost]).items():
                     state[key][..., open_[lost]] = value
-            renew[open_] = (state["measure"][open_] > 0.5 * before) | negative
+            renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
             # not even a projected step helps: the floor of rounding, or no equilibrium
             stuck[open_] = ~moved & safe[open_]
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
@@ -226,13 +222,46 @@ class Equilibrium:
         with clock.measure("tangents"):
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
+    def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
+                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+        """Directions of descent (3 n, k) [m], the iterations that they took (k,), which met negative curvature (k,)
+        bool, and the contact stiffness that they were found with.
+
+        A tangent with negative curvature is shifted until it has none, in units of the preconditioner (Nocedal and
+        Wright 2006, algorithm 3.3); later iterations begin with a part of that shift. Along a mode that is just
+        unstable a step then multiplies what has begun, where the projected tangent, which has lost all negative terms
+        of its elements, creeps. That one is taken where shifts do not suffice.
+        """
+        shift = torch.where(near, self._shift[columns], 0.0)
+        direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift)
+        curved = negative > 0.0
+        shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
+        for _ in range(_SHIFTS if self.contact.shifts else 0):
+            at = (negative > 0.0).nonzero()[:, 0]
+            if not len(at):
+                break
+            shift[at] = torch.maximum(4.0 * shift[at] + 2.0 * negative[at], torch.full_like(shift[at], _SHIFT))
+            direction[:, at], more, negative[at], _ = self._direction(columns[at], residual[:, at], near[at],
+                                                                      shift=shift[at])
+            steps[at] += more
+        left = negative > 0.0
+        if bool(left.any()):
+            shift[left] = 0.0
+            self._tangent(columns[left], projected=True)
+            direction[:, left], more, _, stiffness[left] = self._direction(
+                columns[left], residual[:, left], torch.zeros_like(near[left]))
+            steps[left] += more
+        self._shift[columns] = shift
+        return direction, steps, curved, stiffness
+
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                   iterations: int | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+                   iterations: int | None = None, shift: torch.Tensor | None = None,
+                   ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=iterations or opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
-                                deadline=self._deadline)
+                                deadline=self._deadline, shift=shift)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
                  residual: torch.Tensor) -> torch.Tensor:
