@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from element_body import Body
 
 from benchmarks.stability.design import design
 from benchmarks.stability.evidence import gather
@@ -16,7 +17,6 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
-from vsfsim.physics.network import least_volume
 from vsfsim.physics.solve.touches import Solver
 
 SCENE = """
@@ -88,40 +88,43 @@ def test_a_foundation_refuses_what_squeezes_out_sideways_and_a_network_says_what
     assert tiers.choose(dataclasses.replace(scene(needs='["contact"]'), object=soft)) == "spring"
     given = scene(needs='["coupling"]', more="resolution = 0.015")
     model = tiers.build(given, tiers.choose(given))
-    assert [block.kind for block in model.blocks] == ["spring"]
+    assert [block.kind for block in model.blocks] == ["spring", "cell"]
     assert any("ignores poisson_ratio = 0.3" in note for note in model.solid.notes)
     fitting = dataclasses.replace(given, object=dataclasses.replace(given.object, poisson_ratio=0.2))
     assert not any("poisson_ratio" in note for note in tiers.build(fitting, "spring").solid.notes)
 
 
-def test_the_volume_of_a_networks_cells():
+def test_the_volume_of_a_networks_cells(device):
+    """It is told as det F, and changes nothing before a cell is pushed nearly flat."""
     model = tiers.build(scene(needs='["coupling"]'), "spring")
-    points, cells = model.mesh.points, model.cells
+    points, cells = model.mesh.points, model.blocks[1].nodes
     stretch = np.array([[1.1, 0.2, 0.0], [0.0, 0.9, 0.1], [0.0, 0.0, 0.7]])
     u = np.zeros((points.size, 2))
     u[:, 0] = (points @ (stretch - np.eye(3)).T).ravel()
     a, b, c, d = points[cells[0]]
     u.reshape(-1, 3, 2)[cells[0, 0], :, 1] = 2.0 * ((b + c + d) / 3.0 - a)  # through the opposite face
-    least = least_volume(cells, points, u)
+    force, _, least = Body(model, device)(u)
+    springs = Body(dataclasses.replace(model, blocks=model.blocks[:1]), device)(u)[0]
     assert least[0] == pytest.approx(np.linalg.det(stretch)) and least[1] < 0.0
-    assert not len(tiers.build(scene(), "linear").cells)
+    assert (force[:, 0] == springs[:, 0]).all()
+    pushed = (force - springs)[:, 1].reshape(-1, 3)[cells[0, 0]]
+    assert pushed @ (b + c + d - 3.0 * a) > 0.0  # the gradient points the way it went: it is pushed back
 
 
 @pytest.mark.slow
-def test_a_network_that_gives_way_is_marked():
-    """Under a rim a cell turns inside out: the force fell by 40 % in the tenth frame, which was called converged."""
+def test_a_network_does_not_give_way():
+    """Springs alone let a cell turn inside out under a rim: the force fell by 40 % in the tenth frame."""
     cell = next(c for c in design() if c.key == "e0d3b9c6a9dc")
     with tempfile.TemporaryDirectory() as folder:
         frames = gather(cell, Path(folder), 60.0)
-    assert "inside out" in " ".join(frames.reasons)
-    assert frames.converged[:8].all() and (np.diff(frames.push[frames.converged]) > 0.0).all()
+    assert frames.converged.all() and (np.diff(frames.push) > 0.0).all()
 
 
-@pytest.mark.parametrize(("tier", "kind"), [("vsf", "anchor"), ("spring", "spring")])
+@pytest.mark.parametrize(("tier", "kind"), [("vsf", {"anchor"}), ("spring", {"spring", "cell"})])
 def test_the_cheap_tiers_press_and_their_supports_carry_the_force(tier, kind, line, device):
     given = scene(needs="[]", more="resolution = 0.01")
     model = tiers.build(given, tier)
-    assert {block.kind for block in model.blocks} == {kind}
+    assert {block.kind for block in model.blocks} == kind
     probe = Sphere(0.02)
     solver = Solver(model, probe, device=device, options=tiers.options(tier), linear=not tiers.TIERS[tier].nonlinear)
     frames = solver.run(line([[0.0, 0.0, z] for z in (0.0501, 0.049, 0.047, 0.049, 0.0501)], probe))

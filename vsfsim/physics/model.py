@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -19,7 +18,6 @@ from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.mesh.near_rigid import limited
 from vsfsim.physics.mesh.quadratic import QuadraticMesh, assemble, quadratic_mesh
 from vsfsim.physics.mesh.validity import refuse_loose, sound
-from vsfsim.physics.network import cut_in_eight
 
 Elements = Callable[[QuadraticMesh, np.ndarray, float], tuple[Block, ...]]
 MOST_NODES = 200_000
@@ -73,13 +71,6 @@ class Model:
     @property
     def _quick_serves(self) -> bool:
         return len(self.mesh.points) > _LARGE or self.keeps_volume
-
-    @functools.cached_property
-    def cells(self) -> np.ndarray:
-        """The tetrahedra (c, 4) whose edges are the springs of a network; none for other bodies."""
-        if not any(block.kind == "spring" for block in self.blocks):
-            return np.zeros((0, 4), int)
-        return cut_in_eight(self.mesh)[0]
 
     def least_force(self) -> float:
         """Force [N] under which a force counts as zero: a billionth of the softest modulus on one element face, or a

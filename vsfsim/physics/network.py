@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from vsfsim.physics.coefficients import SPRING_ALONG
-from vsfsim.physics.elements import spring
+from vsfsim.physics.elements import cell, spring
 from vsfsim.physics.elements.block import Block
 from vsfsim.physics.mesh.quadratic import QuadraticMesh
 
@@ -29,6 +29,7 @@ _PAIRS = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 # Blocks of 160 to 1,280 tetrahedra are this much softer than a uniform strain says, 1.03 to 1.055 along the three axes.
 RELAXATION = 1.045
 OBSERVED_POISSON_RATIO, POISSON_SPREAD = 0.20, 0.03  # of blocks of 720 tetrahedra and more, see above
+BARRIER = 10.0  # modulus of the barrier that keeps a cell's volume over Young's modulus [-], see `elements.cell`
 _ROUNDS, _HASTE = 60, 1.8  # updates, and the power of each (1 is ISRA as published, and needs twice as many)
 
 
@@ -57,27 +58,9 @@ def cut_in_eight(mesh: QuadraticMesh) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack(cells), np.concatenate(owners)
 
 
-def least_volume(cells: np.ndarray, points: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Least volume of a cell over its volume at rest (B,) [-]; negative where one is inside out.
-
-    Springs resist no change of volume: a compressed network gives way sideways, and its force falls, where a cell is
-    pushed inside out.
-
-    Args:
-        cells: (c, 4), see `cut_in_eight`.
-        points: at rest (n, 3) [m].
-        u: displacements (3 n, B) [m].
-    """
-    def volume(x: np.ndarray) -> np.ndarray:  # (n, 3, B), times six
-        a, b, c = (x[cells[:, i]] - x[cells[:, 0]] for i in (1, 2, 3))
-        return (a * np.cross(b, c, axis=1)).sum(axis=1)
-
-    at_rest = points[:, :, None]
-    return (volume(at_rest + u.reshape(-1, 3, u.shape[1])) / volume(at_rest)).min(axis=0)
-
-
 def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
-    """Springs with the observed small-strain modulus E; their Poisson's ratio is `OBSERVED_POISSON_RATIO`.
+    """Springs with the observed small-strain modulus E; their Poisson's ratio is `OBSERVED_POISSON_RATIO`. Springs
+    resist no change of volume, so cells do that are pushed nearly flat.
 
     Args:
         mesh: the placed mesh.
@@ -93,7 +76,8 @@ def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio
     # the mean modulus of a tetrahedron: a spring knows no finer one
     strength = np.bincount(edge_of.ravel(), np.repeat(young_modulus.mean(axis=1)[owner] * volume, 6), len(edges))
     factor = _isotropic(len(mesh.points), cells, volume, edge_of, edge / np.sqrt(square)[:, None])
-    return (spring.block(edges, mesh.points, RELAXATION * factor * strength / square),)
+    return (spring.block(edges, mesh.points, RELAXATION * factor * strength / square),
+            cell.block(cells, mesh.points, BARRIER * young_modulus.mean(axis=1)[owner]))
 
 
 def _isotropic(points: int, cells: np.ndarray, volume: np.ndarray, edge_of: np.ndarray,

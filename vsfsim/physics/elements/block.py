@@ -4,7 +4,7 @@ A file ``elements/NAME.py`` is found by its name. It provides
 
     NODES                        nodes of one element, a
     block(...) -> Block          makes a block, and refuses what the element cannot be
-    rest_stiffness(block)        (m, 3 a, 3 a) [N/m], rows node by node: the tangent at u = 0
+    rest_stiffness(block)        (m, 3 a, 3 a) [N/m], rows node by node: the tangent at u = 0; (0, 3 a, 3 a) for none
     kernels(real)                Warp kernels for one scalar type, see below
     state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 

@@ -86,6 +86,8 @@ def assemble(points: int, blocks: tuple[Block, ...]) -> sp.csr_matrix:
     total = sp.csr_matrix((3 * points, 3 * points))
     for block in blocks:
         values = block.element.rest_stiffness(block)
+        if not len(values):
+            continue
         size = values.shape[1]
         dof = (3 * block.nodes[:, :, None].astype(np.int64) + np.arange(3)).reshape(len(block), size)
         row, column = np.repeat(dof, size, axis=1).ravel(), np.tile(dof, (1, size)).ravel()

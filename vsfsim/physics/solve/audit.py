@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from vsfsim.physics.elements.neo_hooke import CRUSHED
-from vsfsim.physics.network import least_volume
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.newton import Equilibrium, State
 
@@ -27,10 +26,7 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
         linear: whether this is a frame of linear elasticity.
         accept: measure under which a frame counts as balanced [-].
     """
-    contact, cells = balance.contact, balance.model.cells
-    if len(cells):
-        least = least_volume(cells, balance.model.mesh.points, balance.u.to(torch.float64).cpu().numpy())
-        state = {**state, "det": torch.as_tensor(least, device=balance.device)}
+    contact = balance.contact
     every = balance.every
     batch = len(every)
     acting, internal = state["contact"], state["internal"]
@@ -61,8 +57,7 @@ def report(balance: Equilibrium, state: State, grounding: torch.Tensor, *, linea
     wrong = {Reason.WRONG_SIDE: state["wrong_side"] > 0, Reason.INTRUSION: contact.intruded(every)}
     if not linear:  # small strain has no det F
         wrong[Reason.INVERTED] = state["det"] <= 0.0
-        if not len(cells):  # springs have no law of volume that could be continued
-            wrong[Reason.CRUSHED] = state["det"] < CRUSHED
+        wrong[Reason.CRUSHED] = state["det"] < CRUSHED
     for why, where in wrong.items():
         reason[where.cpu().numpy() & (reason == Reason.NONE)] = why
     out["reason"], out["converged"] = reason, reason == Reason.NONE

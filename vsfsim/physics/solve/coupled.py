@@ -86,11 +86,6 @@ class PairModel:
                    PairFactors(model.preconditioner, sensor.factor, 3 * count))
 
     @property
-    def cells(self) -> np.ndarray:
-        """As `Model.cells`."""
-        return self.object.cells
-
-    @property
     def keeps_volume(self) -> bool:
         """As `Model.keeps_volume`."""
         return self.object.keeps_volume
