@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from vsfsim.physics import tiers
 from vsfsim.physics.bubble.sensor import build_bubble
 
 PROBE_SIZE = 0.2  # radius of the ball over the block's width
+DENSITY = 1000.0  # of the block [kg/m^3]
 _TURN = np.pi / 4.0
 _CORNER = [np.arccos(-np.sqrt(1.0 / 3.0)) * c for c in (np.sqrt(0.5), np.sqrt(0.5), 0.0)]
 """Rotation vector [rad] that turns the corner (1, -1, 1) of a cube downwards, and the opposite one upwards."""
@@ -39,12 +41,12 @@ def solid_scene(cell: Cell, folder: Path) -> tuple[SceneFile, str]:
 name = "stability"
 description = "A cell of the stability map"
 needs = ["contact"]
-gravity = [0.0, 0.0, {-float(f['gravity'])!r}]
+gravity = [0.0, 0.0, {-solid_gravity(f)!r}]
 [object]
 shape = {{ box = [{width!r}, {width!r}, {high!r}] }}
 fixed = "bottom"
 friction = {float(f['friction'])!r}
-density = 1000.0
+density = {DENSITY!r}
 poisson_ratio = {float(f['poisson'])!r}
 young_modulus = {{ base = {float(f['young'])!r}{inside} }}
 {resolution}
@@ -64,6 +66,13 @@ frames = {int(f['frames'])}
         edge = min(max(edge, 1e-5), 1.0)  # what a scene may say
         scene = parse_scene(text(f"resolution = {edge!r}"), path)
     return scene, tier
+
+
+def solid_gravity(factors: Mapping[str, float | str]) -> float:
+    """Gravity of a solid [m/s^2]: as much as presses with Young's modulus on its base, at most. A block of several
+    times that weight is crushed before anything touches it, and has no state at rest."""
+    high = float(factors["size"]) * float(factors["thickness"])
+    return min(float(factors["gravity"]), float(factors["young"]) / (DENSITY * high))
 
 
 def _probe(name: str, width: float, high: float, folder: Path) -> tuple[str, float, str]:
