@@ -20,13 +20,12 @@ from vsfsim.physics.contact.rigid_kernels import STICK
 _ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
 _STICK_STAGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness
 _STAGE_TOLERANCE = 1e-3  # of the stages before the last one, which only lead the way
-_LOST = 0.3  # error of a stage after which no further stage is tried
 _SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
 def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float, start: torch.Tensor | None = None, staged_above: float = 0.0,
+          tolerance: float, start: torch.Tensor | None = None, staged: bool = True,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -38,7 +37,7 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch.
         start: first guess of the changes (k, 3 s) [N]; None is zero.
-        staged_above: error from which on, if it is above the tolerance, friction is approached through smoother laws.
+        staged: whether friction is approached through smoother laws where this fails.
         deadline: `time.perf_counter` after which no iteration but the first begins [s].
 
     Returns:
@@ -48,17 +47,14 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     contact.stick = STICK
     best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
-    again = (error > max(tolerance, staged_above)).nonzero()[:, 0]
-    if len(again) and time.perf_counter() < deadline:
+    again = (error > tolerance).nonzero()[:, 0]
+    if staged and len(again) and time.perf_counter() < deadline:
         # the potential has a kink between stick and slip: approach it through smoother ones
         part = None if start is None else start[again]
         for share in _STICK_STAGES:
             contact.stick = share * STICK
             part, new = _newton(contact, columns[again], base[again], pushed[again], part, 3 * iterations,
                                 tolerance if share == 1.0 else _STAGE_TOLERANCE, deadline)
-            if bool((new > _LOST).all()):
-                break  # it leads nowhere
-        contact.stick = STICK
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
