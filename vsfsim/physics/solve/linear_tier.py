@@ -62,9 +62,10 @@ class LinearTier:
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
             self.checked = time.perf_counter() <= deadline
+            whole = spread(contact.dof, force, len(balance.u))
             if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
-            start = contact.no_force()
+            start = contact.gather(whole)  # from no force at all, a body that is deep is not found again
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)

@@ -4,7 +4,8 @@
 
 Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
 inverse with the contact block inverted exactly.
-Far from the solution the tangent is projected to positive semi-definite; near it the true one converges quadratically.
+A tangent that has negative curvature is shifted until it has none (`_descend`). After a step that failed, and under
+soft sensors far from the solution, too, the tangent is projected to positive semi-definite instead.
 
 The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
 """
@@ -179,12 +180,13 @@ class Equilibrium:
                 held[open_[exhausted]] = False
                 continue
             before = state["measure"][open_]
-            # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
+            # far from the solution less of the tangent is trusted; near it the true one converges quadratically, and
             # that of the step before is as good
             far = (before > 0.3) | safe[open_]
+            convex = safe[open_] if self.contact.shifts else far
             fresh = renew[open_] | (before > 0.05) | self._foreign[active]
             self._foreign[active] = False
-            for projected, which in ((True, fresh & far), (False, fresh & ~far)):
+            for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
             direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far)
@@ -232,7 +234,7 @@ class Equilibrium:
         unstable a step then multiplies what has begun, where the projected tangent, which has lost all negative terms
         of its elements, creeps. That one is taken where shifts do not suffice.
         """
-        shift = torch.where(near, self._shift[columns], 0.0)
+        shift = self._shift[columns]
         direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift)
         curved = negative > 0.0
         shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
