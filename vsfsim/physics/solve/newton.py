@@ -30,6 +30,9 @@ from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 _CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
 _SHIFT, _SHIFTS = 0.05, 3  # least shift of a tangent with negative curvature, and times that it is shifted
+# of what the slope of a step promises, and of the elastic energy: a potential that falls by more than both is not that
+# of the same contact
+_SLOPES, _LOST = 2.0, 0.1
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
 # it is approached in shorter steps instead
@@ -48,6 +51,8 @@ class Equilibrium:
         contact: the contact.
         options: limits.
         floor: forces under this count as zero [N].
+        accept: measure at which a touch counts as balanced that rounding keeps from coming closer; None for the
+            tolerance.
     """
 
     u: torch.Tensor
@@ -60,7 +65,8 @@ class Equilibrium:
     """Why a touch is not in equilibrium, `Reason` (B,)."""
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact, options: SolverOptions, *,
-                 floor: float):
+                 floor: float, accept: float | None = None):
+        self.accept = options.tolerance if accept is None else accept
         self.model, self.elasticity, self.contact = model, elasticity, contact
         self.options, self.floor = options, floor
         self.device = contact.device
@@ -143,6 +149,7 @@ class Equilibrium:
         # least measure since friction was renewed, and iterations in which it did not fall by a tenth
         least = torch.full_like(within, float("inf"))
         idle = torch.zeros_like(least, dtype=torch.int64)
+        rounded = torch.zeros_like(stuck)  # at the floor of rounding
         apart = torch.zeros_like(stuck)  # whose friction limits do not follow the normal forces: that led nowhere
         self._foreign = torch.zeros_like(self.every, dtype=torch.bool)  # whose tangent belongs to another state
         self._barred = torch.zeros_like(self.every)  # steps in a row that points on the wrong side of a body kept short
@@ -205,7 +212,9 @@ class Equilibrium:
                     state[key][..., open_[lost]] = value
             renew[open_] = (state["measure"][open_] > 0.5 * before) | curved
             # not even a projected step helps: the floor of rounding, or no equilibrium
-            stuck[open_] = ~moved & safe[open_]
+            present = state["measure"][open_]
+            rounded[open_] = (present <= self.accept) & (present > 0.5 * before) & ~held[open_]
+            stuck[open_] = ~moved & safe[open_] | rounded[open_]
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], state["measure"][open_])
             lost = open_[idle[open_] >= self.contact.patience]
@@ -214,7 +223,7 @@ class Equilibrium:
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
         self.contact.coulomb[columns] = 0.0
-        balanced = (state["measure"] <= tolerance) & ~held
+        balanced = ((state["measure"] <= tolerance) | rounded) & ~held
         self.reason[columns[balanced].cpu().numpy()] = Reason.NONE
         self.reason[columns[balanced & (state["wrong_side"] > 0)].cpu().numpy()] = Reason.WRONG_SIDE
         self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED
@@ -300,6 +309,7 @@ class Equilibrium:
         """
         base = self.u[:, columns]
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
+        energy = state["energy"][at]
         slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
         step = torch.ones_like(slopes[0])
         differ = (directions[0] != directions[1]).any(dim=0)
@@ -316,6 +326,10 @@ class Equilibrium:
             decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
             good = (falls & ~follows) | decreases
             beyond = new["wrong_side"] > wrong_side[pending]
+            if self.contact.shifts:
+                # a convex potential falls by the slope at most: where far more is gone the surface let a body through
+                fallen = potential[pending] - new["potential"]
+                beyond |= (fallen > _SLOPES * step[pending] * slope[pending]) & (fallen > _LOST * energy[pending])
             barred[pending] |= good & beyond
             return good & ~beyond
 

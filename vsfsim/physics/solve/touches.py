@@ -117,7 +117,8 @@ class Solver:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses)
-        self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor)
+        self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor,
+                                    accept=self._accept)
         every = self._balance.every
         self._contact_force = self.contact.no_force()
         if self.linear:
@@ -286,10 +287,6 @@ class Solver:
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
-        if again.any() and not contact.has_friction:
-            # the floor of rounding counts as balanced, see `audit.report`: shorter steps would end there, too
-            floor = (balance.evaluate(columns)["measure"] <= self._accept).cpu().numpy()
-            again &= ~floor | ~np.isin(balance.reason[asked], _UNFINISHED)
         failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
             return
