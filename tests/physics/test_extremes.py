@@ -203,6 +203,17 @@ def test_a_slender_column_buckles_in_few_iterations(block, line, device):
     assert (np.abs(frames.force[:, 0, 1]) < 1e-3 * frames.force[:, 0, 2]).all()
 
 
+def test_single_precision_ends_at_the_floor_of_rounding(block, line, device):
+    """A nearly incompressible body under its weight, whose forces round to two thousandths of what acts: it used up its
+    conjugate gradients below the measure that counts as converged."""
+    model = block((0.04, 0.04, 0.02), 0.01, poisson_ratio=0.4999, density=1000.0, gravity=(0.0, 0.0, -98.1))
+    options = SolverOptions(tolerance=1e-3)
+    frames = Solver(model, Sphere(0.008), device=device, precision="float32", options=options).run(
+        line([[0.0, 0.0, 0.028 - d] for d in (0.001, 0.002)], Sphere(0.008)))
+    assert frames.converged.all() and frames.iterations.max() < 20
+    assert frames.force[:, 0, 2] == pytest.approx([0.603, 1.919], rel=5e-3)  # in double precision
+
+
 def test_a_crushed_element_is_marked(device):
     """Between walls a flat press to 93 % leaves 7 % of the volume: an equilibrium of the continued law, and no datum.
     Its numbers are kept apart."""
