@@ -30,9 +30,6 @@ from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 _CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
 _SHIFT, _SHIFTS = 0.05, 3  # least shift of a tangent with negative curvature, and times that it is shifted
-# of what the slope of a step promises, and of the elastic energy: a potential that falls by more than both is not that
-# of the same contact
-_SLOPES, _LOST = 2.0, 0.1
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
 # it is approached in shorter steps instead
@@ -309,7 +306,6 @@ class Equilibrium:
         """
         base = self.u[:, columns]
         potential, measure, wrong_side = state["potential"][at], state["measure"][at], state["wrong_side"][at]
-        energy = state["energy"][at]
         slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
         step = torch.ones_like(slopes[0])
         differ = (directions[0] != directions[1]).any(dim=0)
@@ -326,10 +322,6 @@ class Equilibrium:
             decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
             good = (falls & ~follows) | decreases
             beyond = new["wrong_side"] > wrong_side[pending]
-            if self.contact.shifts:
-                # a convex potential falls by the slope at most: where far more is gone the surface let a body through
-                fallen = potential[pending] - new["potential"]
-                beyond |= (fallen > _SLOPES * step[pending] * slope[pending]) & (fallen > _LOST * energy[pending])
             barred[pending] |= good & beyond
             return good & ~beyond
 
