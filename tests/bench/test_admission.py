@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 
+import numpy as np
 import pytest
 
 from vsfsim.bench import fingerprint, leaderboard
@@ -77,6 +78,20 @@ def test_rounding_is_the_same_dataset_and_anything_else_is_not(task, record, wri
                             "1 of 36 touches differ (mock-0001-v0 touch 3: reading)"]
     renamed = [dataclasses.replace(v, name=f"shoe-{v.object_index:04d}-v0") for v in views()]
     assert found(renamed) == ["its object views or their splits are others, e.g. shoe-0000-v0"]
+
+
+def test_few_touches_may_have_other_frames_that_did_not_converge(task, record, write_dataset, monkeypatch):
+    def found(count, **changes):
+        other = views()
+        other[1] = dataclasses.replace(other[1], touches=tuple(dataclasses.replace(
+            touch, converged=touch.converged & ((np.arange(len(touch.time)) != 6) | (k >= count)), **changes)
+            for k, touch in enumerate(other[1].touches)))
+        return fingerprint.differences(fingerprint.make_record(task, write_dataset(other)), record)
+
+    assert found(1) == ["1 of 36 touches have other frames that did not converge"]
+    monkeypatch.setattr(fingerprint, "OTHER_MARKS", 0.03)
+    assert found(1) == [] and len(found(2)) == 1
+    assert "touches differ" in found(1, axis=np.array([0.0, 0.6, -0.8]))[0], "another path is another touch"
 
 
 def test_training_on_the_test_objects_is_not_ranked(task, record, result, write_dataset, tmp_path):

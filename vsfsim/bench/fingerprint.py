@@ -43,10 +43,15 @@ TOLERANCE = 1e-3
 quantisation 1.2e-4; other seeds, scenes or physics differ by tens of per cent."""
 IMAGE_TOLERANCE = 2e-2
 """The same for an image averaged in blocks: five flipped pixels on an outline give 0.4 %, another shoe 10 %."""
+OTHER_MARKS = 0.02
+"""Largest share of the touches of which a frame converged in one dataset and not in the other, with what it read: where
+a frame ends at a limit of the solver, rounding decides (13 of the 1,440 frames of the bubble shoes do)."""
 SMALLEST = 1e-2
 """A vector smaller than this fraction of the root mean square of its kind counts as that large: the readings of a touch
 that met nothing are rounding error."""
 
+_MARK = "converged frames"
+_OF_MARKED = frozenset((_MARK, "reading", "skin", "skin's force"))
 _PROJECTIONS = 3
 _BLOCK = 8  # pixels
 _SCALE = 4096.0  # projections are stored as multiples of norm / _SCALE, within 8 norms
@@ -183,7 +188,7 @@ def differences(found: Record, known: Record) -> list[str]:
         which = f", e.g. {plain(odd[0])}" if odd else ""
         return [f"its object views or their splits are others{which}"]
     floors = _floors(known)
-    touches = views = 0
+    touches = views = marks = 0
     first_view = first_touch = ""
     for one, other in zip(found.entries, known.entries, strict=True):
         if one.kinds != other.kinds or one.of_touches.shape != other.of_touches.shape or (
@@ -197,13 +202,18 @@ def differences(found: Record, known: Record) -> list[str]:
         for index, (a_row, b_row) in enumerate(zip(one.of_touches, other.of_touches, strict=True)):
             odd = [kind for kind, a, b in zip(one.kinds[count:], a_row, b_row, strict=True)
                    if not _same(a, b, kind, floors)]
+            if _MARK in odd and _OF_MARKED.issuperset(odd):
+                marks += 1
+                continue
             touches += bool(odd)
             first_touch = first_touch or (f"{one.name} touch {index}: {odd[0]}" if odd else "")
     if views:
         out.append(f"{views} of {len(known.entries)} views differ ({plain(first_view)})")
+    total = sum(len(e.of_touches) for e in known.entries)
     if touches:
-        out.append(f"{touches} of {sum(len(e.of_touches) for e in known.entries)} touches differ "
-                   f"({plain(first_touch)})")
+        out.append(f"{touches} of {total} touches differ ({plain(first_touch)})")
+    if marks > OTHER_MARKS * total:
+        out.append(f"{marks} of {total} touches have other frames that did not converge")
     return out
 
 
@@ -240,7 +250,7 @@ def _vectors_of_touch(touch: Touch, clean: np.ndarray) -> Iterator[tuple[str, np
     yield "rotation", touch.mount_pose[:, :3, :3]
     yield "position", touch.mount_pose[:, :3, 3]
     yield "direction", touch.axis
-    yield "converged frames", touch.converged
+    yield _MARK, touch.converged
     yield "reading", np.nan_to_num(clean)
     yield "joint angles", np.zeros(0) if touch.q is None else touch.q
     if touch.planned_pose is not None and touch.planned_frame is not None:
