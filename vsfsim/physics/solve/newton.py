@@ -4,8 +4,8 @@
 
 Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
 inverse with the contact block inverted exactly.
-A tangent that has negative curvature is shifted until it has none (`_descend`). After a step that failed, and under
-soft sensors far from the solution, too, the tangent is projected to positive semi-definite instead.
+A tangent that has negative curvature is shifted until it has none (`_descend`). After a step that failed, and with
+friction or soft sensors far from the solution, too, the tangent is projected to positive semi-definite instead.
 
 The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
 """
@@ -187,7 +187,7 @@ class Equilibrium:
             # far from the solution less of the tangent is trusted; near it the true one converges quadratically, and
             # that of the step before is as good
             far = (before > 0.3) | safe[open_]
-            convex = safe[open_] if self.contact.shifts else far
+            convex = safe[open_] if self.contact.shifts and not has_friction else far
             fresh = renew[open_] | (before > 0.05) | self._foreign[active]
             self._foreign[active] = False
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
