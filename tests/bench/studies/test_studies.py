@@ -174,6 +174,10 @@ def test_a_world_is_made_once_and_told_apart(tmp_path, monkeypatch):
     shows = [(a.view.rgb != b.view.rgb).any() for a, b in zip(told, blind)]
     assert shows == [False, True], "every second block's picture is reversed"
     assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, blind))
+    looks = worlds.dataset("springs-looks")
+    colours = [{tuple(c) for c in one.view.rgb[one.view.mask]} for one in looks]
+    assert all(len(found) == 2 for found in colours) and not colours[0] & colours[1], "each block has its own"
+    assert all((a.truth.probe_stiffness == b.truth.probe_stiffness).all() for a, b in zip(told, looks))
     assert worlds.task("springs").protocol.folds == 4
 
 

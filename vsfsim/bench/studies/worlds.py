@@ -9,6 +9,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.task import Task, parse_task
 from vsfsim.core.shelf import datasets
@@ -28,6 +30,7 @@ metrics = { primary = "rmse_ratio", ranking_shot = 5 }
 
 WORLDS = {"springs": "24 blocks of independent springs, one half stiffer and darker than the other",
           "springs-blind": "the same blocks, of which the picture does not tell which half is stiffer",
+          "springs-looks": "the same blocks, each in two colours of its own, which tell nothing",
           "springs-classes": "24 such blocks of four classes, each class twice as stiff as the one before; the picture "
                              "tells every other class from the rest"}
 """What they are, by name."""
@@ -64,7 +67,8 @@ def dataset(world: str) -> Dataset:
     wanted = task(world).dataset
     told, factors = world == "springs", list(CLASSES.values()) if world == "springs-classes" else [1.0]
     views = {v.name: v for v in (mock_view(k, split="train", touches=wanted.touches, dark=0 if told else k % 2,
-                                           stiffness=factors[k % len(factors)])
+                                           stiffness=factors[k % len(factors)],
+                                           colours=_colours(k) if world == "springs-looks" else None)
                                  for k in range(wanted.objects))}
     recipe = Recipe(scene=wanted.scene, scene_text=scene_text(world), seed=wanted.seed, objects=wanted.objects,
                     views=wanted.views, touches=wanted.touches, splits={"train": wanted.objects}, device="cpu",
@@ -73,3 +77,8 @@ def dataset(world: str) -> Dataset:
         for name in writer.missing():
             writer.add(views[name])
         return writer.finish()
+
+
+def _colours(index: int) -> np.ndarray:
+    """Of a block's two halves (2, 3) uint8, drawn at random."""
+    return np.random.default_rng(index).integers(20, 236, (2, 3), dtype=np.uint8)
