@@ -312,3 +312,14 @@ def test_heavy_sagging(device, young_modulus):
     weight = 9.81 * 1000.0 * np.prod(SIZE)
     # the tolerance of 1e-4 is of the sum of nodal forces, twice the weight with its signs
     assert frames.reaction[:, 0, 2] - frames.force[:, 0, 2] == pytest.approx(weight, rel=1e-3)
+
+
+def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
+    """There the surface may slide around the ball. Where softer contact led the way the ball went through, and the last
+    frame took 27 Newton steps."""
+    model = block((0.04, 0.04, 0.12), 0.0101, poisson_ratio=0.45)
+    ball = Sphere(0.008)
+    frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(
+        line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball))
+    assert frames.converged.all() and frames.iterations[2, 0] <= 20
+    assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()

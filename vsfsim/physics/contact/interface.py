@@ -48,6 +48,8 @@ class Contact(Protocol):
     """Whether the contact stiffness is symmetric."""
     shifts: bool
     """Whether negative curvature is met by a shift of the tangent before the projected one is taken."""
+    flat: bool
+    """Whether no body is curved, so that contact has no geometric term."""
     potential_trusted_above: float
     """Measure under which a step is accepted for its residual alone, because rounding hides the potential [-]."""
     decrease: float

@@ -85,7 +85,7 @@ class RigidContact:
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.follows_below = (0.2 if device == "cpu" else 0.0) if self._solid else np.inf
-        self.friction_updated_below, self.shifts = 0.03 if self._solid else 0.3, self._solid
+        self.friction_updated_below, self.shifts, self.flat = 0.03 if self._solid else 0.3, self._solid, bodies.flat
         self.softening, self.coulomb = (torch.full((poses.shape[1],), value, dtype=torch.float64, device=device)
                                         for value in (1.0, 0.0))
         self._upload()

@@ -4,6 +4,8 @@ frame."""
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,6 +13,7 @@ import torch
 from vsfsim.physics import clock
 from vsfsim.physics.contact import condensed
 from vsfsim.physics.linear.rest_factor import spread
+from vsfsim.physics.solve import path
 from vsfsim.physics.solve.newton import Equilibrium, State
 
 # renewals of the friction limit in a frame, and the relative change that ends them (the `fem` tier's tolerance)
@@ -104,3 +107,23 @@ class LinearTier:
         if device == "cpu":
             return torch.as_tensor(factor.stiffness @ u.numpy())
         return factor.stiffness_on(device) @ u
+
+
+def first_force(equilibria: Sequence[Any], last: torch.Tensor, pose: np.ndarray, has_friction: bool) -> torch.Tensor:
+    """Contact forces (B, 3 s) [N] that a frame begins with: those of this very pose if it is known, else the last two
+    extrapolated.
+
+    Args:
+        equilibria: that are known, with ``pose`` and ``force`` each, in order.
+        last: forces of the last one (B, 3 s) [N].
+        pose: of the frame (B, K, 4, 4).
+        has_friction: whether the forces depend on the path.
+    """
+    known = [k for k in equilibria if k.force.shape == last.shape]
+    for k in () if has_friction else reversed(known):
+        if np.array_equal(k.pose, pose):
+            return k.force
+    if len(known) < 2:
+        return last
+    (p0, _, f0), (p1, _, f1) = known[-2:]
+    return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=last.device)[:, None] * (f1 - f0)

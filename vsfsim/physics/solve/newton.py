@@ -4,8 +4,8 @@
 
 Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
 inverse with the contact block inverted exactly.
-A tangent that has negative curvature is shifted until it has none (`_descend`). After a step that failed, and with
-friction or soft sensors far from the solution, too, the tangent is projected to positive semi-definite instead.
+Far from the solution, and after a step that failed, the tangent is projected to positive semi-definite; near it, and
+under planes, the true one serves, and one that has negative curvature is shifted until it has none (`_descend`).
 
 The *measure* of a touch is the sum of the lengths of its unbalanced nodal forces over that of the acting ones [-].
 """
@@ -60,6 +60,8 @@ class Equilibrium:
     """Conjugate-gradient iterations of every touch since `reset_counts` (B,)."""
     reason: np.ndarray
     """Why a touch is not in equilibrium, `Reason` (B,)."""
+    least: torch.Tensor
+    """Potential under which a state of a touch lies on another branch than the one that it comes from (B,) [J]."""
 
     def __init__(self, model: Model, elasticity: Elasticity, contact: Contact, options: SolverOptions, *,
                  floor: float, accept: float | None = None):
@@ -73,6 +75,7 @@ class Equilibrium:
         self.load = torch.as_tensor(model.load, device=self.device)[:, None]
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
+        self.least = torch.full((batch,), -float("inf"), dtype=torch.float64, device=self.device)
         self.reset_counts()
 
     def reset_counts(self) -> None:
@@ -184,16 +187,17 @@ class Equilibrium:
                 held[open_[exhausted]] = False
                 continue
             before = state["measure"][open_]
-            # far from the solution less of the tangent is trusted; near it the true one converges quadratically, and
-            # that of the step before is as good
+            # far from the solution the projected tangent is safe; near it the true one converges quadratically, and
+            # that of the step before is as good. Under planes contact has no geometric term, which spoils the true one.
             far = (before > 0.3) | safe[open_]
-            convex = safe[open_] if self.contact.shifts and not has_friction else far
+            convex = safe[open_] if self.contact.shifts and not has_friction and self.contact.flat else far
             fresh = renew[open_] | (before > 0.05) | self._foreign[active]
             self._foreign[active] = False
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
-            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far)
+            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far,
+                                                                idle[open_] > 0)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
@@ -230,8 +234,8 @@ class Equilibrium:
         with clock.measure("tangents"):
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
-    def _descend(self, columns: torch.Tensor, residual: torch.Tensor,
-                 near: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+    def _descend(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
+                 creeps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), which met negative curvature (k,)
         bool, and the contact stiffness that they were found with.
 
@@ -239,11 +243,22 @@ class Equilibrium:
         Wright 2006, algorithm 3.3); later iterations begin with a part of that shift. Along a mode that is just
         unstable a step then multiplies what has begun, where the projected tangent, which has lost all negative terms
         of its elements, creeps. That one is taken where shifts do not suffice.
+
+        Before that the geometric term of the contact is left out, without which the tangent is convex under a ball that
+        is deep in a body: its surface may slide around the ball, and the equilibrium that is nearest is a saddle. Where
+        the residual ``creeps`` (k,) bool, the shift leads on from there.
         """
         shift = self._shift[columns]
         direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift)
         curved = negative > 0.0
         shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
+        at = (curved & ~creeps).nonzero()[:, 0]
+        if self.contact.shifts and len(at):
+            near = near.clone()
+            near[at] = False
+            direction[:, at], more, negative[at], stiffness[at] = self._direction(columns[at], residual[:, at],
+                                                                                  near[at])
+            steps[at] += more
         for _ in range(_SHIFTS if self.contact.shifts else 0):
             at = (negative > 0.0).nonzero()[:, 0]
             if not len(at):
@@ -321,7 +336,7 @@ class Equilibrium:
             follows = self.contact.coulomb[columns[pending]] > 0.0  # there is no potential
             decreases |= follows & (new["measure"] < (1.0 - 0.05 * step[pending]) * measure[pending])
             good = (falls & ~follows) | decreases
-            beyond = new["wrong_side"] > wrong_side[pending]
+            beyond = (new["wrong_side"] > wrong_side[pending]) | (new["potential"] < self.least[columns[pending]])
             barred[pending] |= good & beyond
             return good & ~beyond
 

@@ -24,11 +24,11 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve import audit, path, weight
+from vsfsim.physics.solve import audit, branch, path, weight
 from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier
+from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier, first_force
 from vsfsim.physics.solve.newton import Equilibrium, State
 
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and what counts as converged, in single precision
@@ -227,6 +227,7 @@ class Solver:
         """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
         at a prediction."""
         balance, contact = self._balance, self.contact
+        branch.bar(balance, columns, before, pose)
         contact.begin_step(before, balance.u)
         contact.move(pose, columns)
         if not contact.has_friction:
@@ -250,6 +251,7 @@ class Solver:
                                                iterations=20, tolerance=1e-4)
             balance.u[:, meets] = base[:, meets] + contact.response.patch(meets, change).to(balance.real)
             state = balance.evaluate(meets)
+            state["potential"][state["potential"] < balance.least[meets]] = float("inf")
             better = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
                                                            & (state["potential"] < best))
             best = torch.where(better, state["potential"], best)
@@ -284,6 +286,8 @@ class Solver:
         balance, contact = self._balance, self.contact
         contact.begin_step(before, begin)
         contact.move(pose, columns)
+        if halvings == 0:
+            branch.lift(balance, columns)  # a body may snap
         self._equilibrium(columns, pose, begin, deadline)
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
@@ -295,6 +299,7 @@ class Solver:
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
         contact.restore_friction(failed, friction)
+        branch.bar(balance, failed, before, middle)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
         if time.perf_counter() > deadline:
             contact.move(pose, failed)
@@ -303,6 +308,7 @@ class Solver:
         lost = host[balance.reason[host] != Reason.NONE]
         reasons = balance.reason[lost].copy()
         contact.end_step(failed)
+        branch.bar(balance, failed, middle, pose)
         self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
         if contact.has_friction and len(lost):
             # friction remembers the step that failed: what follows is no equilibrium of the true path
@@ -311,8 +317,10 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        # a body that went deep into a soft wall in one frame is approached through softer contact
-        far = columns[self._far_from_balance(state["measure"])]
+        # a body that went deep into a soft wall in one frame is approached through softer contact, which lets one
+        # through that touched before
+        met = self._touched[columns] & contact.shifts
+        far = columns[self._far_from_balance(state["measure"]) & ~met]
         if len(far):
             self._lead(far, begin, deadline)
             state = balance.evaluate(columns)
@@ -345,7 +353,8 @@ class Solver:
         """Bring ``columns`` near equilibrium through softer contact, from the displacements ``begin`` (3 n, B) [m].
         Where that leads to no balance, around a body that is deep in the object, say, the first guess stays."""
         balance, contact = self._balance, self.contact
-        guess = balance.u.clone()
+        guess, least = balance.u.clone(), balance.least.clone()
+        branch.lift(balance, columns)
         balance.u[:, columns] = begin[:, columns]
         for softening in _SOFTENINGS:
             contact.softening[columns] = softening
@@ -355,8 +364,9 @@ class Solver:
             contact.softening[failed] = 1.0
             columns = columns[(contact.softening[columns] < 1.0).nonzero()[:, 0]]
             if not len(columns):
-                return
+                break
         contact.softening[columns] = 1.0
+        balance.least = least
 
     def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
         """Which touches are so far from equilibrium at the start of a step, by their ``measure`` (k,), that softer
@@ -368,26 +378,14 @@ class Solver:
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
         """One frame of the `linear` tier."""
         balance = self._balance
-        force, state = self._linear_tier.frame(before, pose, self._first_force(pose), deadline)
+        force, state = self._linear_tier.frame(
+            before, pose, first_force(self._equilibria, self._contact_force, pose, self.contact.has_friction), deadline)
         self._remember(pose, force)
         balance.reset_counts()
         balance.newton += 1
         lost = (state["measure"] > self._linear_accept).cpu().numpy() | (not self._linear_tier.checked)
         balance.reason[lost] = Reason.TIME if time.perf_counter() > deadline else Reason.ITERATIONS
         return self._report(state)
-
-    def _first_force(self, pose: np.ndarray) -> torch.Tensor:
-        """Contact forces (B, 3 s) [N] that a frame of the `linear` tier begins with: those of this very pose if it is
-        known, else the last two extrapolated."""
-        known = [k for k in self._equilibria if k.force.shape == self._contact_force.shape]
-        if not self.contact.has_friction:
-            for k in reversed(known):
-                if np.array_equal(k.pose, pose):
-                    return k.force
-        if len(known) < 2:
-            return self._contact_force
-        (p0, _, f0), (p1, _, f1) = known[-2:]
-        return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)[:, None] * (f1 - f0)
 
     # ------------------------------------------------------------------------------------------ audit
 
