@@ -2,8 +2,8 @@
 
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
-`Equilibrium`. A touch that does not converge is approached again through softer contact, then in halved steps. A frame
-in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
+`Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps,
+and states that let a body through are barred (`branch`). A frame in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
 path: every step remembers where each point of the surface stuck.
 """
 
