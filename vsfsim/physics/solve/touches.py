@@ -3,8 +3,9 @@
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
 `Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps,
-and states that let a body through are barred (`branch`). A frame in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
-path: every step remembers where each point of the surface stuck.
+and states that let a body through are barred (`branch`). A frame in which all of this fails is marked with the reason
+and never counts as data. With friction the result depends on the path: every step remembers where each point of the
+surface stuck.
 """
 
 from __future__ import annotations
