@@ -12,6 +12,7 @@ from vsfsim.core.quality import worst_angle
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics.coefficients import lame
+from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
@@ -323,3 +324,18 @@ def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
         line([[0.0, 0.0, 0.12 + 0.008 - d] for d in (0.0045, 0.009, 0.0135)], ball))
     assert frames.converged.all() and frames.iterations[2, 0] <= 20
     assert (np.diff(frames.force[:, 0, 2]) > 3.0).all()
+
+
+def test_a_linear_frame_whose_patch_grows_too_often_is_marked(block, line, device, monkeypatch):
+    """The forces of the patch before it grew were handed to the one after, and the press crashed."""
+    monkeypatch.setattr("vsfsim.physics.solve.linear_tier._GROWTHS", 1)
+    monkeypatch.setattr(RigidContact, "extend_patch", grows(RigidContact.extend_patch))
+    model = block((0.06, 0.06, 0.03), 0.0101, poisson_ratio=0.3)
+    ball = Sphere(0.008)
+    frames = Solver(model, ball, device=device, linear=True).run(line([[0.0, 0.0, 0.03 + 0.008 - 0.001]], ball))
+    assert not frames.converged.any() and frames.reason[0, 0] == Reason.ITERATIONS
+
+
+def grows(real):
+    """`RigidContact.extend_patch` that says that the patch grew."""
+    return lambda *args, **kwargs: real(*args, **kwargs) or True

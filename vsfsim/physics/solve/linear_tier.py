@@ -32,7 +32,7 @@ class LinearTier:
     """
 
     checked: bool
-    """Whether there was time in the last frame to look where the bodies are."""
+    """Whether the last frame ended with a look where the bodies are: in time, and before the patch grew too often."""
 
     def __init__(self, balance: Equilibrium):
         self._balance, self._contact = balance, balance.contact
@@ -57,18 +57,17 @@ class LinearTier:
         every = balance.every
         contact.begin_step(before, balance.u)
         contact.move(pose, every)
-        for _ in range(_GROWTHS):
+        for growths in range(_GROWTHS, -1, -1):
             with clock.measure("contact"):
                 force, error = self._solve(start, deadline)
             # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
-            self.checked = time.perf_counter() <= deadline
-            whole = spread(contact.dof, force, len(balance.u))
+            self.checked = growths > 0 and time.perf_counter() <= deadline
             if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
-            start = contact.gather(whole)  # from no force at all, a body that is deep is not found again
+            start = contact.no_force()
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)
