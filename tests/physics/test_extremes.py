@@ -333,7 +333,7 @@ def test_a_linear_frame_whose_patch_grows_too_often_is_marked(block, line, devic
     model = block((0.06, 0.06, 0.03), 0.0101, poisson_ratio=0.3)
     ball = Sphere(0.008)
     frames = Solver(model, ball, device=device, linear=True).run(line([[0.0, 0.0, 0.03 + 0.008 - 0.001]], ball))
-    assert not frames.converged.any() and frames.reason[0, 0] == Reason.ITERATIONS
+    assert not frames.converged.any() and frames.reason[0, 0] == Reason.PATCH
 
 
 def grows(real):

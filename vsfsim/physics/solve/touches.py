@@ -384,8 +384,11 @@ class Solver:
         self._remember(pose, force)
         balance.reset_counts()
         balance.newton += 1
-        lost = (state["measure"] > self._linear_accept).cpu().numpy() | (not self._linear_tier.checked)
-        balance.reason[lost] = Reason.TIME if time.perf_counter() > deadline else Reason.ITERATIONS
+        late = time.perf_counter() > deadline
+        lost = (state["measure"] > self._linear_accept).cpu().numpy()
+        balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
+        if not self._linear_tier.checked:
+            balance.reason[:] = Reason.TIME if late else Reason.PATCH
         return self._report(state)
 
     # ------------------------------------------------------------------------------------------ audit
