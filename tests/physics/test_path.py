@@ -109,6 +109,14 @@ def test_no_first_pose_is_come_to_from_within_the_object(block, high):
     assert start[2] >= 0.072 or np.abs(start[:2]).max() >= 0.042
 
 
+def test_a_body_wholly_inside_has_no_gap_and_is_come_to_from_outside(block):
+    """No surface lies in it, so that its gap says nothing."""
+    model, bodies = block((0.06, 0.06, 0.06), 0.02), RigidBodies(Sphere(0.004))
+    start = path.outside(bodies, model, pose([0.003, 0.001, 0.03]), np.array([0.02]))[0, 0, :3, 3]
+    inside = (np.abs(start[:2]) < 0.03).all() and 0.0 < start[2] < 0.06
+    assert not inside and np.linalg.norm(start - [0.003, 0.001, 0.03]) < 0.06
+
+
 def test_weight_is_taken_up_in_parts_where_it_is_heavy(block, line, device):
     """A slender beam that sags by a third of its length: the whole load at once does not converge in a dozen
     iterations."""

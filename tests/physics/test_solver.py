@@ -1,6 +1,7 @@
 """What a user may rely on from the solver: retracing, batches, precision, marks, limits, audit."""
 
 import dataclasses
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,10 @@ from frame_checks import numbers_stand_for_equilibria
 
 from vsfsim.core.shape import Cylinder, Plane, Sphere
 from vsfsim.physics.contact import sdf
+from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.linear import rest_factor
+from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Solver
@@ -253,6 +257,29 @@ def test_a_patch_grows_when_surface_comes_to_the_probe(block, line, device, line
     x = model.mesh.points + solver.history[-1].reshape(-1, 3)
     local = x[model.mesh.surface_nodes()] - [0.03, 0.0, top[-1] - 0.01]
     assert sdf.distance(ball, local).min() > -0.02 * model.element_size
+
+
+@pytest.mark.parametrize("linear", [False, True])
+def test_a_patch_that_grows_keeps_to_the_time_limit(block, line, device, linear, monkeypatch):
+    """What a larger patch needs may take longer than a frame has: the patch stays, and the frame is marked."""
+    if device != "cpu":
+        pytest.skip("a GPU has the whole inverse")
+    model = block((0.08, 0.04, 0.006), 0.01, young_modulus=1e6, fixed=(-0.041, -1, -1, -0.0399, 1, 1))
+    solver = Solver(model, Sphere(0.01), device=device, linear=linear, options=SolverOptions(seconds=1.0))
+    # the patch is planned for a pose far away, and the ball comes to the plate all the same
+    plan, solve, far = Reach.plan, RestFactor.solve, np.zeros((4, 4))
+    far[2, 3] = 1.0
+    monkeypatch.setattr(Reach, "plan", lambda self, poses, cuts: plan(self, poses + far, cuts))
+
+    def slow(self, right):
+        time.sleep(0.4)
+        return solve(self, right)
+
+    monkeypatch.setattr(RestFactor, "solve", slow)
+    monkeypatch.setattr(rest_factor, "_CHUNK", 3)  # one node at a time
+    frames = solver.run(line([[0.0, 0.0, 0.015]], Sphere(0.01)))
+    assert len(solver.contact.patches[0].nodes) == 0 and frames.reason[0, 0] == Reason.TIME
+    assert frames.seconds[0] < 2.0, "a dozen nodes would take five seconds"
 
 
 def test_a_run_does_not_depend_on_the_run_before(model, line, device):

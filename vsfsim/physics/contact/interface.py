@@ -148,7 +148,7 @@ class Contact(Protocol):
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
         """Extend the patches by surface that came into contact outside them at u (3 n, B), and by contact points where
-        bodies were found between those; whether any changed.
+        bodies were found between those; whether they had to. After the `deadline` they stay as they are.
 
         ``touched``: which touches were in contact when the step began (B,) bool. If one of them has lost a body, no
         points are added, because it jumped: a shorter step has to follow it."""

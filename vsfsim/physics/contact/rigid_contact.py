@@ -395,6 +395,6 @@ class RigidContact:
         if not (moved or bool((met | cut)[columns].any())):
             return False
         grow(self.patches, self._cuts, columns.tolist(), met.cpu().numpy(), cut.cpu().numpy(), self.model.mesh,
-             self._patch)
+             self._patch, functools.partial(self.response.ready, deadline=self.deadline))
         self._renew(pose, kept)
         return True

@@ -120,12 +120,15 @@ class RestFactor:
                 self._solver  # noqa: B018  it will be needed: made now, not in the time of a frame
         return self._quick
 
-    def _make(self, nodes: np.ndarray, *, whole: bool) -> None:
+    def make(self, nodes: np.ndarray, *, whole: bool, deadline: float = float("inf")) -> bool:
         """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
-        them; all rows if ``whole``."""
+        them; all rows if ``whole``. Returns whether all are there: after the ``deadline`` (of `time.perf_counter`) no
+        more are begun."""
         known = self._whole if whole else self._columns
         missing = [int(i) for i in nodes if int(i) not in known]
         for start in range(0, len(missing), _CHUNK // 3):
+            if time.perf_counter() > deadline:
+                return False
             part = missing[start:start + _CHUNK // 3]
             right = np.zeros((self.size, 3 * len(part)))
             for j, i in enumerate(part):
@@ -141,17 +144,18 @@ class RestFactor:
                 self._columns[i] = np.ascontiguousarray(surface[:, :, 3 * j:3 * j + 3])
                 if rows is not None:
                     self._whole[i] = rows[3 * j:3 * j + 3]
+        return True
 
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
-        self._make(nodes, whole=True)
+        self.make(nodes, whole=True)
         return np.concatenate([self._whole[int(i)]
                                for i in nodes]) if len(nodes) else np.zeros((0, self.size), self._kept)
 
     def compliance(self, nodes: np.ndarray, pushed: np.ndarray) -> np.ndarray:
         """Displacements of ``nodes`` (s,) on the surface per unit force on the nodes ``pushed`` (r,), (3 s, 3 r) [m/N];
         0 where held."""
-        self._make(pushed, whole=False)
+        self.make(pushed, whole=False)
         rows = self._row_of[nodes]
         out = np.empty((len(nodes), 3, len(pushed), 3))
         for j, i in enumerate(pushed):
@@ -213,6 +217,10 @@ class Response(Protocol):
         """Prepare for forces on these ``nodes`` (B, s) bool of the patches; only a lazy `response` needs it. Whether
         `compliance` has changed."""
 
+    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
+        """Make what patches of these ``nodes`` (B of (s,)) will need, until the ``deadline`` of `time.perf_counter`;
+        whether all of it is there. What is made by then is kept."""
+
     def compliance(self) -> torch.Tensor:
         """Compliance of every patch (B, 3 s, 3 s) [m/N]; 0 where held, at padding, and between nodes that are not
         prepared."""
@@ -254,13 +262,23 @@ class _Sparse:
         self._factor, self._dof = factor, dof
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
-        few = len(dof) <= _FEW and 8.0 * dof.numel() * factor.size <= factor.columns_bytes
+        few = self._few(width)
         self._whole = torch.zeros((len(dof), width, factor.size), dtype=torch.float64 if exact else torch.float32,
                                   device=device) if few else None
         self._compliance = torch.zeros((len(dof), width, width), dtype=torch.float64, device=device)
         self._ready = np.zeros((len(dof), width // 3), bool)
         if not lazy:
             self.prepare(torch.as_tensor(np.arange(width // 3) < np.array([len(n) for n in self._nodes])[:, None]))
+
+    def _few(self, width: int) -> bool:
+        """Whether patches of ``width`` degrees of freedom have whole columns."""
+        batch = len(self._dof)
+        return batch <= _FEW and 8.0 * batch * width * self._factor.size <= self._factor.columns_bytes
+
+    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
+        """See `Response`."""
+        whole = self._few(3 * max(len(n) for n in nodes))
+        return all(self._factor.make(n, whole=whole, deadline=deadline) for n in nodes)
 
     def prepare(self, nodes: torch.Tensor) -> bool:
         """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""
@@ -322,6 +340,10 @@ class _Dense:
     def prepare(self, nodes: torch.Tensor) -> bool:
         """All of the inverse is there."""
         return False
+
+    def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
+        """All of the inverse is there."""
+        return True
 
     def compliance(self) -> torch.Tensor:
         mask = (self._dof >= 0).to(torch.float64)

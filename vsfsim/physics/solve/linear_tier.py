@@ -54,7 +54,7 @@ class LinearTier:
             The contact forces on the patches (B, 3 s) [N] and the state of all touches.
         """
         balance, contact = self._balance, self._contact
-        every = balance.every
+        every, contact.deadline = balance.every, deadline
         contact.begin_step(before, balance.u)
         contact.move(pose, every)
         for growths in range(_GROWTHS, -1, -1):

@@ -90,15 +90,16 @@ def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray
         pose: poses (B, K, 4, 4).
         gap: least gap of each touch there (B,) [m].
     """
-    out = pose.copy()
-    if (gap >= 0.0).all():
-        return out
-    mesh = model.mesh
+    out, mesh = pose.copy(), model.mesh
     surface, solid = mesh.points[mesh.surface_nodes()], mesh.faces.shape[1] == 6
     for k in range(len(bodies)):
         inner, centre = _inner_ball(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
-        for b in np.flatnonzero(gap < -deep):
+        within = np.zeros(len(pose), bool)
+        if solid and np.isfinite(inner):  # a body wholly inside has no surface in it
+            middle = pose[:, k, :3, 3] + pose[:, k, :3, :3] @ centre
+            within = winding_number(mesh.points, mesh.faces[:, :3], middle) > 0.5
+        for b in np.flatnonzero((gap < -deep) | within):
             turn, at = pose[b, k, :3, :3], pose[b, k, :3, 3]
 
             def depth(shift: np.ndarray, k: int = k, turn: np.ndarray = turn, at: np.ndarray = at,

@@ -11,6 +11,7 @@ surface stuck.
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -177,10 +178,13 @@ class Solver:
 
     def _make_contact(self, poses: np.ndarray) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
-        contact = RigidContact(self.model, self.bodies, self.friction, poses, device=self.device, exact=self.linear,
-                               local=self.options.local_indentation)
-        self._stride = path.stride(self.bodies, path.mean_thickness(self.model))
-        return contact, path.outside(self.bodies, self.model, poses[0], contact.first_gap)
+        make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
+                                 exact=self.linear, local=self.options.local_indentation)
+        contact, self._stride = make(poses=poses), path.stride(self.bodies, path.mean_thickness(self.model))
+        first = path.outside(self.bodies, self.model, poses[0], contact.first_gap)
+        if not np.array_equal(first, poses[0]):  # what they reach on their way in
+            contact = make(poses=np.stack([*path.pieces(first, poses[0], self._stride, self.bodies), *poses]))
+        return contact, first
 
     def _resume(self, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor, friction: Any,
                 measure: torch.Tensor | None) -> np.ndarray:
@@ -310,6 +314,7 @@ class Solver:
         reasons = balance.reason[lost].copy()
         contact.end_step(failed)
         branch.bar(balance, failed, middle, pose)
+        branch.lift(balance, torch.as_tensor(lost, device=self.device))  # whose potential is that of no equilibrium
         self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
         if contact.has_friction and len(lost):
             # friction remembers the step that failed: what follows is no equilibrium of the true path
@@ -320,8 +325,7 @@ class Solver:
         state = balance.evaluate(columns)
         # a body that went deep into a soft wall in one frame is approached through softer contact, which lets one
         # through that touched before
-        met = self._touched[columns] & contact.shifts
-        far = columns[self._far_from_balance(state["measure"]) & ~met]
+        far = columns[self._far_from_balance(state["measure"]) & ~(self._touched[columns] & contact.shifts)]
         if len(far):
             self._lead(far, begin, deadline)
             state = balance.evaluate(columns)
@@ -332,18 +336,15 @@ class Solver:
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
             if time.perf_counter() > deadline:  # no time to look where the bodies are
-                host = columns.cpu().numpy()
-                balance.reason[host] = Reason.TIME
+                balance.reason[columns.cpu().numpy()] = Reason.TIME
                 return
             grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
             intruded = columns[contact.intruded(columns)]
             if grown:
                 self._contact_force = contact.no_force()
-                # a state that has closed around a body is no place to begin from
-                balance.u[:, intruded] = begin[:, intruded]
+                balance.u[:, intruded] = begin[:, intruded]  # that has closed around a body
                 state = balance.evaluate(columns)
-            if len(lost):
-                balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
+            balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
             if not grown:
                 at = intruded.cpu().numpy()
                 balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
