@@ -11,21 +11,21 @@ line search on that energy solves it for all touches at once. It is the `linear`
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import torch
 
 from vsfsim.physics.contact.interface import Contact
-from vsfsim.physics.contact.rigid_kernels import STICK
 
 _ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
-_STICK_STAGES = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0)  # of the stick stiffness
-_STAGE_TOLERANCE = 1e-3  # of the stages before the last one, which only lead the way
+_FIRST_TOLERANCE = 1e-3  # of the contact without friction, which only leads the way
+_RELIEF = 0.01  # of the stick stiffness: about the stiffness of the body itself at a contact point
 _SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
-def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
-          tolerance: float, start: torch.Tensor | None = None, staged: bool = True,
+def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
+          tolerance: float | torch.Tensor, start: torch.Tensor | None = None, staged: bool = True,
           deadline: float = float("inf")) -> tuple[torch.Tensor, torch.Tensor]:
     """Change of the contact forces when the bodies are where `Contact.move` put them.
 
@@ -35,9 +35,9 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
         base: displacements of their patches before (k, 3 s) [m].
         pushed: contact forces before (k, 3 s) [N].
         iterations: limit of Newton's method.
-        tolerance: relative error of the displacements of the patch.
+        tolerance: relative error of the displacements of the patch, of all touches or of each (k,).
         start: first guess of the changes (k, 3 s) [N]; None is zero.
-        staged: whether friction is approached through smoother laws where this fails.
+        staged: whether this begins anew from the contact without friction where it fails.
         deadline: `time.perf_counter` after which no iteration but the first begins [s].
 
     Returns:
@@ -45,16 +45,17 @@ def solve(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: t
     """
     if not contact.has_friction:
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
-    contact.stick = STICK
-    best_change, error = _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
+    if not contact.shifts:
+        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
+    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     again = (error > tolerance).nonzero()[:, 0]
     if staged and len(again) and time.perf_counter() < deadline:
-        # the potential has a kink between stick and slip: approach it through smoother ones
-        part = None if start is None else start[again]
-        for share in _STICK_STAGES:
-            contact.stick = share * STICK
-            part, new = _newton(contact, columns[again], base[again], pushed[again], part, 3 * iterations,
-                                tolerance if share == 1.0 else _STAGE_TOLERANCE, deadline)
+        # begin from the contact without friction
+        some, limit = columns[again], contact.limit[columns[again]]
+        contact.limit[some] = 0.0
+        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline)
+        contact.limit[some] = limit
+        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline)
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
@@ -126,6 +127,41 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     where = slice(None) if live is None else live
     best[where], best_error[where] = best_change, error
     return best, best_error
+
+
+def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None,
+           iterations: int, tolerance: float | torch.Tensor,
+           deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
+
+    A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick, and
+    a line search on the energy goes on by small parts of steps. Here each point also has the force that the step before
+    expected of it, and whether it sticks is told by that force and a little of its way (`friction.linearised`;
+    Alart and Curnier 1991). The solution is the same.
+    """
+    compliance = contact.compliance[columns]
+    q = torch.zeros_like(base) if start is None else start.clone()
+    trial = base + _times(compliance, q)
+    best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
+    for step in range(iterations + 1):
+        contact.evaluate(columns, trial)
+        size = _times(compliance, contact.nodal(columns) - pushed - q).abs().amax(dim=1)
+        size = size / trial.abs().amax(dim=1).clamp(min=1e-9)
+        better = size < error
+        best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
+        running = (error >= tolerance)[:, None]
+        if step == iterations or not bool(running.any()) or (step and time.perf_counter() > deadline):
+            break
+        if step:
+            contact.held[columns], contact.relief[columns] = held, _RELIEF
+            contact.evaluate(columns, trial)
+            contact.relief[columns] = 1.0
+        rho = contact.nodal(columns) - pushed - q
+        dq = rho - contact.block(columns).apply(_times(compliance, rho))
+        move = _times(compliance, dq)
+        held = contact.expected(columns, move)
+        q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)
+    return best, error
 
 
 def _times(compliance: torch.Tensor, q: torch.Tensor) -> torch.Tensor:

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from vsfsim.physics.contact.patch import Patch
+from vsfsim.physics.contact.stiffness_block import ContactBlock
 
 
 class FaceSums:
@@ -79,6 +80,19 @@ class FaceSums:
         out = torch.zeros((k, u * u + 1, 9), dtype=stiff.dtype, device=stiff.device)
         out.scatter_(1, at[:, :, None].expand(-1, -1, 9), pairs)
         return out[:, :-1].reshape(k, u, u, 3, 3).transpose(2, 3).reshape(k, 3 * u, 3 * u)
+
+
+    def block(self, columns: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor,
+              compliance: torch.Tensor) -> ContactBlock:
+        """The stiffness of the nodes that are pushed, to be inverted with the ``compliance`` (k, 3 s, 3 s) [m/N].
+
+        ``columns``, ``stiff``: as for `matrix`; ``free``: 1 where a degree of freedom may move (k, 3 s).
+        """
+        nodes = self.pushed(columns, stiff)
+        touch = torch.arange(len(columns), device=free.device)[:, None]
+        loose = free.view(len(columns), -1, 3)[touch, nodes].flatten(1)
+        own = self.matrix(columns, stiff, nodes) * loose[:, :, None] * loose[:, None, :]
+        return ContactBlock.joined_of(nodes, own, compliance)
 
 
 def _slots(targets: Sequence[np.ndarray], count: int, nothing: int, device: str) -> torch.Tensor:

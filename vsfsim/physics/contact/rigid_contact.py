@@ -60,13 +60,18 @@ class RigidContact:
     """Contact force at each Gauss point (B, 6 f, 3) [N]."""
     slips: torch.Tensor
     """1 where a Gauss point slips (B, 6 f)."""
+    limit: torch.Tensor
+    """Limit of the friction force of each Gauss point (B, 6 f) [N]."""
+    held: torch.Tensor
+    """Friction force at each Gauss point (B, 6 f, 3) [N]; before an evaluation the one to linearise at, see `relief`."""
+    relief: torch.Tensor
+    """Share of the stick stiffness at which friction is linearised at the force `held` (B,) [-]; 1: at its own."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
                  exact: bool = True, local: bool = False):
         self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
         self.kernels = rigid_kernels.kernels()
-        self.has_friction = bool((friction > 0.0).any())
-        self.stick = rigid_kernels.STICK
+        self.has_friction, self.batch, self.stick = bool((friction > 0.0).any()), poses.shape[1], rigid_kernels.STICK
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
         corners = model.mesh.faces.shape[1]
@@ -86,19 +91,14 @@ class RigidContact:
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
         self.follows_below = (0.2 if device == "cpu" else 0.0) if self._solid else np.inf
         self.friction_updated_below, self.shifts, self.flat = 0.03 if self._solid else 0.3, self._solid, bodies.flat
-        self.softening, self.coulomb = (torch.full((poses.shape[1],), value, dtype=torch.float64, device=device)
-                                        for value in (1.0, 0.0))
+        self.softening, self.coulomb, self.relief = (
+            torch.full((poses.shape[1],), value, dtype=torch.float64, device=device) for value in (1.0, 0.0, 1.0))
         self._upload()
 
     @property
     def symmetric(self) -> bool:
         """See `Contact`."""
         return not bool(self.coulomb.any())
-
-    @property
-    def batch(self) -> int:
-        """Number of touches B."""
-        return len(self.patches)
 
     def _patch(self, b: int, faces: np.ndarray) -> Patch:
         return make_patch(self.model.mesh, faces, self._area[faces], self.model.surface_modulus[faces],
@@ -136,26 +136,26 @@ class RigidContact:
         self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
         self.body, self.slips = zeros(size, dtype=torch.int32), zeros(size, dtype=torch.int32)
         self._wrong_side = zeros((batch, faces), dtype=torch.int32)
-        self.normal, self.force = zeros(*size, 3), zeros(*size, 3)
+        self.normal, self.force, self.held = (zeros(*size, 3) for _ in range(3))
         self._rows, self._geometric, self._coupling = (zeros(*size, 3, 3) for _ in range(3))
         self._x, self._x_before = zeros(batch, nodes, 3), self.rest.view(batch, nodes, 3).clone()
         # friction state: anchors in the frame of their body, their owners, limits and normals of the tangent planes
-        self._anchor, self._across, self._limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
+        self._anchor, self._across, self.limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
-        self._friction = self._anchor, self._owner, self._limit, self._across
+        self._friction = self._anchor, self._owner, self.limit, self._across
         cut = (batch, faces, 6)
         self._relaxation = Relaxation(cut, self.device)
         self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
                                                    self._places(self.rest.view(batch, nodes, 3)), on=self._sinks)
         self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
         self._arrays = rigid_kernels.views(
-            cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self._limit, "owner": self._owner},
-            {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across},
-            {"rows": self._rows, "geometric": self._geometric, "coupling": self._coupling})
+            cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self.limit, "owner": self._owner},
+            {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across, "held":
+             self.held}, {"rows": self._rows, "geometric": self._geometric, "coupling": self._coupling})
         self._arrays |= {
             "energy": wp.from_torch(self._energy), "wrong_side": wp.from_torch(self._wrong_side),
             "x": wp.from_torch(self._x, dtype=k.vec3), "before": wp.from_torch(self._x_before, dtype=k.vec3),
-            "softening": wp.from_torch(self.softening)}
+            "softening": wp.from_torch(self.softening), "relief": wp.from_torch(self.relief)}
         if not same:  # the same nodes may have more points
             self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
                                                self.dof, device=self.device, exact=self._exact)
@@ -174,7 +174,7 @@ class RigidContact:
         self._before, self._u_before, self._begun = self._placed(before), u.clone(), before
         self._relaxation.begin_step()
         self._body_points.begin_step()
-        self._x_before.copy_(self.positions(self.gather(u)).view_as(self._x_before))
+        self._stand(u)
 
     def move(self, pose: np.ndarray, columns: torch.Tensor | None = None) -> None:
         """See `Contact`."""
@@ -192,15 +192,14 @@ class RigidContact:
         self._local_indentation.move(pose)
         if self.has_friction:
             self.restore_friction(torch.arange(self.batch, device=self.device), kept)
-            self._x_before.copy_(self.positions(self.gather(self._u_before)).view_as(self._x_before))
+            self._stand(self._u_before)
 
     def gather(self, u: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
         return u.gather(0, self._index.T).T.to(torch.float64) * self.mask
 
-    def positions(self, displacement: torch.Tensor) -> torch.Tensor:
-        """Positions (B, 3 s) [m] of the patches' nodes."""
-        return self.rest + displacement
+    def _stand(self, u: torch.Tensor) -> None:
+        self._x_before.copy_((self.rest + self.gather(u)).view_as(self._x_before))
 
     def _launch(self, kernel: object, columns: torch.Tensor, model: list[object], names: str,
                 *more: wp.array) -> None:
@@ -217,8 +216,8 @@ class RigidContact:
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
                       self._onset, self._coefficient, wp.from_torch(self.coulomb), self.stick],
-                     "x anchor owner limit across gap body normal force rows geometric coupling slips wrong_side "
-                     "energy")
+                     "x anchor owner limit across relief gap body normal force rows geometric coupling slips held "
+                     "wrong_side energy")
 
     def update_friction(self, columns: torch.Tensor) -> None:
         """See `Contact`."""
@@ -326,6 +325,9 @@ class RigidContact:
         return (self._assembled(columns, own) if self._sums is None else
                 self._sums.matrix(columns, own) * free[:, :, None] * free[:, None, :])
 
+    def _active(self, columns: torch.Tensor) -> torch.Tensor:
+        return (self.gap[columns] < 0.0) | (self.limit[columns] > 0.0)
+
     def _sparse(self, columns: torch.Tensor) -> bool:
         return not self.symmetric or many(self._active(columns))
 
@@ -335,14 +337,16 @@ class RigidContact:
     def _own_stiffness(self, columns: torch.Tensor) -> torch.Tensor:
         return self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
 
-    def _active(self, columns: torch.Tensor) -> torch.Tensor:
-        return (self.gap[columns] < 0.0) | (self._limit[columns] > 0.0)
-
     def rows(self, columns: torch.Tensor) -> torch.Tensor:
         """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
         without its geometric term."""
         roots = self._rows if self.has_friction else self._rows[:, :, :1]
         return rows_of(self._points, columns, self._active(columns), roots) * self.free[columns][:, None, :]
+
+    def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
+        """Friction forces (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
+        rows, way = self._rows[columns][:, :, 1:], self._points[columns] @ move.view(len(columns), -1, 3)
+        return self.held[columns] + (rows.mT @ (rows @ way[..., None]))[..., 0]
 
     def block(self, columns: torch.Tensor) -> ContactBlock:
         """See `Contact`."""
@@ -352,11 +356,7 @@ class RigidContact:
         own = self._own_stiffness(columns)
         if self._sums is None:
             return ContactBlock.sparse_of(self._assembled(columns, own), compliance, nodes=self.has_friction)
-        nodes = self._sums.pushed(columns, own)
-        touch = torch.arange(len(columns), device=self.device)[:, None]
-        free = self.free[columns].view(len(columns), -1, 3)[touch, nodes].flatten(1)
-        stiffness = self._sums.matrix(columns, own, nodes) * free[:, :, None] * free[:, None, :]
-        return ContactBlock.joined_of(nodes, stiffness, compliance)
+        return self._sums.block(columns, own, self.free[columns], compliance)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:

@@ -114,6 +114,7 @@ def kernels() -> Any:
         owner_in: wp.array3d(dtype=wp.int32),
         limit_in: wp.array3d(dtype=real),
         across_in: wp.array3d(dtype=vec3),
+        relief: wp.array(dtype=real),
         # state out
         gap_out: wp.array3d(dtype=real),
         body_out: wp.array3d(dtype=wp.int32),
@@ -123,6 +124,7 @@ def kernels() -> Any:
         geometric_out: wp.array3d(dtype=mat33),
         coupling_out: wp.array3d(dtype=mat33),
         slips_out: wp.array3d(dtype=wp.int32),
+        held_out: wp.array3d(dtype=vec3),
         wrong_side_out: wp.array2d(dtype=wp.int32),
         energy_out: wp.array2d(dtype=real),
     ):
@@ -139,6 +141,7 @@ def kernels() -> Any:
             geometric = mat33()
             coupling = mat33()
             gap = real(1e30)
+            held = vec3()
             slips = int(0)  # noqa: UP018, RUF046  a Warp variable, not a constant: it changes in a loop
             w = softening[b] * stiffness[b, f, q]
             if w > real(0.0):
@@ -189,22 +192,30 @@ def kernels() -> Any:
                     m = across_in[b, f, q]
                     d = friction.tangential(p - (origin[b, owner] + turn[b, owner] * anchor_in[b, f, q]), m)
                     v = stick * w
-                    force -= friction.force(d, v, limit)
                     energy += friction.energy(wp.length(d), v, limit)
+                    held = friction.force(d, v, limit)
                     along, sideways = friction.hessian_roots(d, m, v, limit)
+                    way = d
+                    slides = not friction.sticks(wp.length(d), v, limit)
+                    if relief[b] < real(1.0):
+                        way = friction.trial(d, held_out[b, f, q], v, relief[b])
+                        slides = not friction.sticks(wp.length(way), v, limit)
+                        held, along, sideways = friction.linearised(d, held_out[b, f, q], m, v, limit, relief[b])
+                    force -= held
                     for c in range(3):
                         rows[1, c] = along[c]
                         rows[2, c] = sideways[c]
-                    if not friction.sticks(wp.length(d), v, limit):
+                    if slides:
                         slips = 1
                         # of a limit that follows the normal force
-                        coupling = (-coulomb[b] * coefficient[near] * slope) * wp.outer(d / wp.length(d), n)
+                        coupling = (-coulomb[b] * coefficient[near] * slope) * wp.outer(way / wp.length(way), n)
             gap_out[b, f, q] = gap
             force_out[b, f, q] = force
             rows_out[b, f, q] = rows
             geometric_out[b, f, q] = geometric
             coupling_out[b, f, q] = coupling
             slips_out[b, f, q] = slips
+            held_out[b, f, q] = held
         energy_out[b, f] = energy
         wrong_side_out[b, f] = wrong
 

@@ -28,7 +28,8 @@ from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 
-_CORRECTED = 0.3  # of the slope along a direction that its correction for contact must keep
+_CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
+_OF_STEP = 0.01  # error of that correction with friction, over the length of the step
 _SHIFT, _SHIFTS = 0.05, 3  # least shift of a tangent with negative curvature, and times that it is shifted
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
@@ -202,9 +203,10 @@ class Equilibrium:
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
             plain = direction
-            if not bool(follows.all()):
+            if self.contact.shifts or not bool(follows.all()):
                 plain = self._correct(active, direction, stiffness, state["residual"][:, open_])
-            moved = self._step(active, open_, (torch.where(follows, direction, plain), direction), state, tolerance)
+            plain = torch.where(follows & (not self.contact.shifts), direction, plain)
+            moved = self._step(active, open_, (plain, direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
                 apart[open_[lost]] = moved[lost] = True
@@ -301,13 +303,16 @@ class Equilibrium:
         change = direction.gather(0, at).T.to(torch.float64) * mask
         base = self.u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
         pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
+        slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
+        fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
         with clock.measure("contact"):
-            force, error = contact.condensed(columns, base, pushed, iterations=30, tolerance=1e-5)
+            force, error = contact.condensed(columns, base, pushed, iterations=30, tolerance=fine if slides else 1e-5)
         useful = (error < 0.1) & (force != 0.0).any(dim=1)
         if bool(useful.any()):
             corrected = direction.clone()
             corrected[:, useful] += contact.response.patch(columns[useful], force[useful]).to(direction.dtype)
-            falls = (residual * corrected).sum(dim=0) >= _CORRECTED * (residual * direction).sum(dim=0)
+            falls = ((residual * corrected).sum(dim=0)
+                     >= (_DESCENDS if slides else _CORRECTED) * (residual * direction).sum(dim=0))
             direction = torch.where(falls, corrected, direction)
         return direction
 

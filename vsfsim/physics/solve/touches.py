@@ -32,6 +32,7 @@ from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier, first_force
 from vsfsim.physics.solve.newton import Equilibrium, State
+from vsfsim.physics.solve.prediction import predict
 
 FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and what counts as converged, in single precision
 FAR = 100.0
@@ -243,31 +244,8 @@ class Solver:
         balance.evaluate(columns)
         last = contact.recall(self._contact_force)
         meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
-        if not len(meets):
-            return
-        now = balance.u.clone()
-        guesses = self._guesses(now, last, pose)
-        best = torch.full((len(meets),), float("inf"), dtype=torch.float64, device=self.device)
-        wrong_side = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
-        chosen = now.clone()
-        for base, pushed in guesses:
-            with clock.measure("prediction"):
-                change, _ = contact.condensed(meets, contact.gather(base)[meets], pushed[meets],
-                                               iterations=20, tolerance=1e-4)
-            balance.u[:, meets] = base[:, meets] + contact.response.patch(meets, change).to(balance.real)
-            state = balance.evaluate(meets)
-            state["potential"][state["potential"] < balance.least[meets]] = float("inf")
-            better = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
-                                                           & (state["potential"] < best))
-            best = torch.where(better, state["potential"], best)
-            wrong_side = torch.where(better, state["wrong_side"], wrong_side)
-            chosen[:, meets[better]] = balance.u[:, meets[better]]
-        balance.u.copy_(now)
-        state = balance.evaluate(meets)
-        stay = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
-                                                     & (state["potential"] <= best))
-        chosen[:, meets[stay]] = now[:, meets[stay]]
-        balance.u.copy_(chosen)
+        if len(meets):
+            predict(balance, meets, self._guesses(balance.u.clone(), last, pose))
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor,
                  pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
