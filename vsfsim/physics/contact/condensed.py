@@ -134,15 +134,16 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
            deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
     """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
 
-    A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick, and
-    a line search on the energy goes on by small parts of steps. Here each point also has the force that the step before
-    expected of it, and whether it sticks is told by that force and a little of its way (`friction.linearised`;
+    A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick,
+    and a line search on the energy goes on by small parts of steps. Here each point also has the force that the step
+    before expected of it, and whether it sticks is told by that force and a little of its way (`friction.linearised`;
     Alart and Curnier 1991). The solution is the same.
     """
     compliance = contact.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q)
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
+    held = None
     for step in range(iterations + 1):
         contact.evaluate(columns, trial)
         size = _times(compliance, contact.nodal(columns) - pushed - q).abs().amax(dim=1)
@@ -152,10 +153,11 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         running = (error >= tolerance)[:, None]
         if step == iterations or not bool(running.any()) or (step and time.perf_counter() > deadline):
             break
-        if step:
-            contact.held[columns], contact.relief[columns] = held, _RELIEF
-            contact.evaluate(columns, trial)
-            contact.relief[columns] = 1.0
+        if held is not None:
+            contact.held[columns] = held
+        contact.relief[columns] = _RELIEF
+        contact.evaluate(columns, trial)
+        contact.relief[columns] = 1.0
         rho = contact.nodal(columns) - pushed - q
         dq = rho - contact.block(columns).apply(_times(compliance, rho))
         move = _times(compliance, dq)

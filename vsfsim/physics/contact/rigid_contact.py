@@ -63,7 +63,7 @@ class RigidContact:
     limit: torch.Tensor
     """Limit of the friction force of each Gauss point (B, 6 f) [N]."""
     held: torch.Tensor
-    """Friction force at each Gauss point (B, 6 f, 3) [N]; before an evaluation the one to linearise at, see `relief`."""
+    """Friction force at each Gauss point (B, 6 f, 3) [N]; before an evaluation the one to linearise at (`relief`)."""
     relief: torch.Tensor
     """Share of the stick stiffness at which friction is linearised at the force `held` (B,) [-]; 1: at its own."""
 
@@ -344,7 +344,7 @@ class RigidContact:
         return rows_of(self._points, columns, self._active(columns), roots) * self.free[columns][:, None, :]
 
     def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
-        """Friction forces (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
+        """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
         rows, way = self._rows[columns][:, :, 1:], self._points[columns] @ move.view(len(columns), -1, 3)
         return self.held[columns] + (rows.mT @ (rows @ way[..., None]))[..., 0]
 

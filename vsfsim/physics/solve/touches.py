@@ -21,7 +21,6 @@ import torch
 import warp as wp
 
 from vsfsim.core.shape import ProbeShape
-from vsfsim.physics import clock
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
