@@ -159,7 +159,7 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         contact.evaluate(columns, trial)
         contact.relief[columns] = 1.0
         rho = contact.nodal(columns) - pushed - q
-        dq = rho - contact.block(columns).apply(_times(compliance, rho))
+        dq = rho - contact.block(columns, torch.float32).apply(_times(compliance, rho))
         move = _times(compliance, dq)
         held = contact.expected(columns, move)
         q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)

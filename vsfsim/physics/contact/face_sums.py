@@ -124,3 +124,11 @@ def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, force: torch.Tensor, n
     out = force.new_zeros(len(local), nodes, 3)
     at = local.long().flatten(1)[:, :, None].expand(-1, -1, 3)
     return out.scatter_add_(1, at, parts.flatten(1, 2)).flatten(1)
+
+
+def at_points(local: torch.Tensor, shapes: torch.Tensor, nodal: torch.Tensor) -> torch.Tensor:
+    """Vectors at the nodes (k, 3 s) interpolated to the points of quadratic faces (k, 6 f, 3); ``local`` and ``shapes``
+    as for `nodal_sums`."""
+    k, f = local.shape[:2]
+    at = local.reshape(k, 6 * f, 1).expand(-1, -1, 3).long()
+    return (shapes @ nodal.view(k, -1, 3).gather(1, at).view(k, f, 6, 3)).view(k, 6 * f, 3)

@@ -15,7 +15,7 @@ import warp as wp
 from vsfsim.physics.contact import body_points, condensed, rigid_kernels
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.body_points import BodyPoints
-from vsfsim.physics.contact.face_sums import FaceSums, nodal_sums
+from vsfsim.physics.contact.face_sums import FaceSums, at_points, nodal_sums
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
@@ -345,17 +345,17 @@ class RigidContact:
 
     def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
         """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
-        rows, way = self._rows[columns][:, :, 1:], self._points[columns] @ move.view(len(columns), -1, 3)
-        return self.held[columns] + (rows.mT @ (rows @ way[..., None]))[..., 0]
+        rows, local = self._rows[columns][:, :, 1:], wp.to_torch(self._local)[columns]
+        return self.held[columns] + (rows.mT @ (rows @ at_points(local, self._values[columns], move)[..., None]))[..., 0]
 
-    def block(self, columns: torch.Tensor) -> ContactBlock:
-        """See `Contact`."""
+    def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64) -> ContactBlock:
+        """See `Contact`; ``real`` is the precision where many points touch."""
         compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance
         if self._sums is None and not self._sparse(columns):
             return ContactBlock.of(self.rows(columns), compliance, nodes=self.has_friction)
         own = self._own_stiffness(columns)
         if self._sums is None:
-            return ContactBlock.sparse_of(self._assembled(columns, own), compliance, nodes=self.has_friction)
+            return ContactBlock.sparse_of(self._assembled(columns, own), compliance, nodes=self.has_friction, real=real)
         return self._sums.block(columns, own, self.free[columns], compliance)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,

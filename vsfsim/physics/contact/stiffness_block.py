@@ -112,16 +112,17 @@ class ContactBlock:
         return cls(dof, stiffness, factors, compliance.shape[2], joined=True, pivots=pivots)
 
     @classmethod
-    def sparse_of(cls, stiffness: SparseStiffness, compliance: torch.Tensor, *, nodes: bool = False) -> ContactBlock:
+    def sparse_of(cls, stiffness: SparseStiffness, compliance: torch.Tensor, *, nodes: bool = False,
+                  real: torch.dtype = torch.float64) -> ContactBlock:
         """From the stiffness C of k patches, which need not be symmetric, and their compliance (k, 3 s, 3 s) [m/N];
-        ``nodes`` as for `of`."""
+        ``nodes`` as for `of`. ``real``: precision; the single one takes half of the time."""
         used = torch.zeros(compliance.shape[:2], dtype=torch.bool)
         for b, c in enumerate(stiffness.matrices):
             used[b, torch.as_tensor(c.indices).long()] = True
         dof = _used(used, nodes)
-        own, stiff, bracket = _between(compliance, dof), [], []
+        own, stiff, bracket = _between(compliance, dof, real), [], []
         for c, a, at in zip(stiffness.matrices, own, dof.numpy(), strict=True):
-            few = c[at][:, at]
+            few = c[at][:, at].astype(a.numpy().dtype)
             stiff.append(torch.as_tensor(few.toarray()))
             bracket.append(torch.as_tensor(few.T @ a.numpy()).T)  # A C = (C^T A)^T: A is symmetric
         inner = _stacked(bracket)
@@ -136,14 +137,15 @@ class ContactBlock:
 
     def apply(self, v: torch.Tensor) -> torch.Tensor:
         """T v for displacements v (k, 3 s) [m] -> forces (k, 3 s) [N]."""
-        own = v.gather(1, self.dof)[:, :, None]
+        own = v.gather(1, self.dof)[:, :, None].to(self.rows.dtype)
         if self.pivots is not None:
             force = self.rows @ torch.linalg.lu_solve(self.inner, self.pivots, own)
         elif self.joined:
             force = self.rows @ (self.inner @ own)
         else:
             force = self.rows.mT @ torch.cholesky_solve(self.rows @ own, self.inner)
-        return torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device).scatter_(1, self.dof, force[:, :, 0])
+        out = torch.zeros((len(v), self.width), dtype=v.dtype, device=v.device)
+        return out.scatter_(1, self.dof, force[:, :, 0].to(v.dtype))
 
 
 def _stacked(parts: list[torch.Tensor]) -> torch.Tensor:
@@ -181,11 +183,12 @@ def _dof(nodes: torch.Tensor) -> torch.Tensor:
     return (3 * nodes[:, :, None] + torch.arange(3, device=nodes.device)).flatten(1)
 
 
-def _between(matrix: torch.Tensor, dof: torch.Tensor) -> torch.Tensor:
-    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m)."""
+def _between(matrix: torch.Tensor, dof: torch.Tensor, real: torch.dtype = torch.float64) -> torch.Tensor:
+    """Rows and columns ``dof`` (k, m) of a matrix (k, 3 s, 3 s): (k, m, m), in the precision ``real``."""
     if len(matrix) == 1:
-        return matrix[0].index_select(0, dof[0]).index_select(1, dof[0])[None]
-    return matrix[torch.arange(len(matrix), device=matrix.device)[:, None, None], dof[:, :, None], dof[:, None, :]]
+        return matrix[0].index_select(0, dof[0]).to(real).index_select(1, dof[0])[None]
+    touch = torch.arange(len(matrix), device=matrix.device)[:, None, None]
+    return matrix[touch, dof[:, :, None], dof[:, None, :]].to(real)
 
 
 def assemble(points: torch.Tensor, columns: torch.Tensor, active: torch.Tensor, stiff: torch.Tensor,
