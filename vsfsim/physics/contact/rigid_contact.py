@@ -345,8 +345,8 @@ class RigidContact:
 
     def expected(self, columns: torch.Tensor, move: torch.Tensor) -> torch.Tensor:
         """Friction (k, 6 f, 3) [N] that the last evaluation expects after a move (k, 3 s) [m] of the patches."""
-        rows, local = self._rows[columns][:, :, 1:], wp.to_torch(self._local)[columns]
-        return self.held[columns] + (rows.mT @ (rows @ at_points(local, self._values[columns], move)[..., None]))[..., 0]
+        at, rows = wp.to_torch(self._local)[columns], self._rows[columns][:, :, 1:]
+        return self.held[columns] + (rows.mT @ (rows @ at_points(at, self._values[columns], move)[..., None]))[..., 0]
 
     def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64) -> ContactBlock:
         """See `Contact`; ``real`` is the precision where many points touch."""
