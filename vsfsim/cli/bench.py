@@ -129,7 +129,7 @@ def evaluate(task: TaskName,
     shared = {"dataset": dataset, "seeds": seeds, "workers": workers, "timeout": timeout, "memory": memory,
               "sandbox": sandbox, "processes": processes}
     if every:
-        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")))
+        every_row = presets.choices(wanted.observation.name, str(given.get("device", "")), wanted.metric.answer.value)
         rows = [row for row in every_row if preset in ("", row.preset)]
         folder = out or Path("results") / wanted.name
         result_path(folder / "row.json", wanted.name, "row")

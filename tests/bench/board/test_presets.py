@@ -9,6 +9,7 @@ from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.presets import Choice, choices, preset
 from vsfsim.bench.leaderboard import collect, text
 from vsfsim.bench.method import find_method
+from vsfsim.bench.metrics import Answer
 from vsfsim.bench.observations import OBSERVATIONS
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
@@ -34,6 +35,16 @@ def test_a_preset_knows_the_observation():
     assert on_gpu == {"neural-vsf", "imaml", "imaml-vision"}, "only those that a GPU makes faster"
     assert not any("device" in row.parameters for row in choices("normal-force"))
     assert shoes.stem == "sbml.paper"
+
+
+@pytest.mark.parametrize("answer", [Answer.MASK, Answer.POSE, Answer.READINGS])
+def test_methods_that_cannot_give_a_tasks_answer_are_left_out(answer):
+    needs = {Answer.MASK: "stiffness", Answer.POSE: "locate", Answer.READINGS: "predict"}[answer]
+    for row in choices("pressure", answer=answer.value):
+        assert hasattr(find_method(row.method), needs), row.stem
+    every = {row.method for row in choices("pressure")}
+    able = {name for name in every if hasattr(find_method(name), needs)}
+    assert {row.method for row in choices("pressure", answer=answer.value)} == able
 
 
 @pytest.mark.parametrize(("method", "name", "message"), [

@@ -60,14 +60,15 @@ def on_device(choice: Choice, device: str) -> Choice:
     return replace(choice, parameters={**choice.parameters, "device": device}) if gpu else choice
 
 
-def choices(observation: str, device: str = "") -> list[Choice]:
-    """All methods with all their presets that can predict an observation, the one with the papers' settings first.
+def choices(observation: str, device: str = "", answer: str = "readings") -> list[Choice]:
+    """All methods with all their presets that a task can rank, the one with the papers' settings first.
 
     Args:
-        observation: its name. device: that the methods use which a GPU makes faster; "" for their own.
+        observation: name of what is read. device: that the methods use which a GPU makes faster; "" for their own.
+        answer: what the task's metric scores, a value of `vsfsim.bench.metrics.Answer`.
     """
     out = []
     for method, table in _table().items():
-        if observation in table.get("observations", [observation]):
+        if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
             out += [on_device(preset(method, name, observation), device) for name in PRESETS if name in table]
     return out
