@@ -30,7 +30,8 @@ from vsfsim.physics.solve.frames import Reason, SolverOptions
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
-_SHIFT, _SHIFTS = 0.05, 3  # least shift of a tangent with negative curvature, and times that it is shifted
+# least shift of a tangent with negative curvature, and from which on it creeps; times that it is shifted
+_SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
 # it is approached in shorter steps instead
@@ -205,7 +206,7 @@ class Equilibrium:
             plain = direction
             if self.contact.shifts or not bool(follows.all()):
                 plain = self._correct(active, direction, stiffness, state["residual"][:, open_])
-            plain = torch.where(follows & (not self.contact.shifts), direction, plain)
+            plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
             moved = self._step(active, open_, (plain, direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
@@ -244,7 +245,7 @@ class Equilibrium:
         A tangent with negative curvature is shifted until it has none, in units of the preconditioner (Nocedal and
         Wright 2006, algorithm 3.3); later iterations begin with a part of that shift. Along a mode that is just
         unstable a step then multiplies what has begun, where the projected tangent, which has lost all negative terms
-        of its elements, creeps. That one is taken where shifts do not suffice.
+        of its elements, creeps. That one is taken where shifts do not suffice, or are so large that they creep, too.
 
         Before that the geometric term of the contact is left out, without which the tangent is convex under a ball that
         is deep in a body: its surface may slide around the ball, and the equilibrium that is nearest is a saddle. Where
@@ -262,7 +263,7 @@ class Equilibrium:
                                                                                   near[at])
             steps[at] += more
         for _ in range(_SHIFTS if self.contact.shifts else 0):
-            at = (negative > 0.0).nonzero()[:, 0]
+            at = ((negative > 0.0) & (shift < _MOST_SHIFT)).nonzero()[:, 0]
             if not len(at):
                 break
             shift[at] = torch.maximum(4.0 * shift[at] + 2.0 * negative[at], torch.full_like(shift[at], _SHIFT))
