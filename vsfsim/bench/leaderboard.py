@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from vsfsim.bench.admission import admit
-from vsfsim.bench.board.compare import TOLD_APART, ByObject, interval, joined_ranks, ratios
+from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
 from vsfsim.bench.fingerprint import shipped_record
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
@@ -48,7 +48,7 @@ class Row:
     other_bits: bool
     """Its dataset is the board's, made on a machine that rounds otherwise."""
     objects: Mapping[str, ByObject] = dataclasses.field(default_factory=dict)
-    """Of a task with cross-validation, the ratio to zero of each object, by shot (`vsfsim.bench.board.compare`)."""
+    """Of a task with cross-validation, the value of its metric of each object, by shot."""
     origin: str = "shipped"
     """"shipped", "made here", or "shipped, made again here"."""
 
@@ -104,7 +104,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         rows = odd if mark else good
         same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
         if same is None:
-            objects = {shot: ratios(result, shot) for shot in result.shots} if task.protocol.folds and not mark else {}
+            objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
+                       } if _over_objects(task) and not mark else {}
             rows.append(Row(None, mark, result, admission.scores, path, other and not mark, objects, origin[path]))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
@@ -118,7 +119,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
 
 def _over_objects(task: Task) -> bool:
     """Whether methods are compared object by object."""
-    return bool(task.protocol.folds) and task.primary == "rmse_ratio"
+    return bool(task.protocol.folds)
 
 
 def _far_apart(result: Result, known: Mapping[str, list]) -> str:

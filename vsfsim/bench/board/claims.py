@@ -189,8 +189,9 @@ def _judge(claim: Claim, board: Board | None, preset: str) -> Verdict:
     missing = [command_for(side.method, claim.task, preset) for side, row in sides if row is None]
     if missing:
         return Verdict(claim, UNTOLD, "no result", None, tuple(dict.fromkeys(missing)))
-    values = [(row.objects.get(side.shot) if claim.metric == "rmse_ratio" else None)
-              or by_object(row.result, claim.metric, side.shot) for side, row in sides if row is not None]
+    known = board is not None and claim.metric == board.task.primary
+    values = [(row.objects.get(side.shot) if known else None) or by_object(row.result, claim.metric, side.shot)
+              for side, row in sides if row is not None]
     commands = tuple(dict.fromkeys(f"{command_for(row.result.method, claim.task, row.result.preset)} ({row.path.name})"
                                    for _, row in sides if row is not None))
     if not all(values):

@@ -141,8 +141,7 @@ def _method_page(board: Board, row: Row, name: str) -> str:
                       f" The file is {row.path.name} ({row.origin}).")]
     if row.objects and _over_objects(board):
         series = [charts.Series(name, [interval(row.objects.get(label, {})) for label in labels])]
-        body.append(figure(charts.lines(labels, series, axis="error over that of zero", below="touches", level=1.0),
-                           "Mean over objects and its standard error; the dashed line is predicting zero."))
+        body.append(_over_touches(task, series, "Mean over objects and its standard error"))
     body += ["<h2>Scores</h2>", table(["metric", *(f"{label}-shot" for label in labels)], scores,
                                       caption=f"mean ± std over {len(result.seeds)} runs")]
     if row.objects:
@@ -151,8 +150,8 @@ def _method_page(board: Board, row: Row, name: str) -> str:
             ["object", *(f"{label}-shot" for label in labels)],
             [[link(_of_object(task, o), _called(task, o)),
               *(f"{row.objects[label][o]:.3f}" if o in row.objects.get(label, {}) else "" for label in labels)]
-             for o in sorted(at, key=lambda o: at[o])],
-            caption="error over that of predicting zero on the same touches, mean over runs")]
+             for o in sorted(at, key=lambda o: _sign(task) * at[o])],
+            caption=f"{_value(task)}, mean over runs; the best first")]
     body += ["<h2>Made with</h2>", table(["parameter", "value"], [[k, str(v)] for k, v in result.parameters.items()],
                                          text=(0, 1)),
              table(["", "value"], [["preset", result.preset or "none"],
@@ -167,17 +166,15 @@ def _method_page(board: Board, row: Row, name: str) -> str:
 
 def _object_page(board: Board, names: Sequence[str], name: str) -> str:
     task, labels = board.task, board.task.protocol.labels
-    rows: list[list[Cell]] = []
-    for number, (row, label) in enumerate(zip(board.rows, names, strict=True)):
-        if name in row.objects.get(task.ranking_shot, {}):
-            rows.append([link(_of_method(task, number), label),
-                         *(f"{row.objects[shot][name]:.3f}" if name in row.objects.get(shot, {}) else ""
-                           for shot in labels)])
-    order = labels.index(task.ranking_shot) + 1
-    rows.sort(key=lambda cells: str(cells[order]))
-    body = [_picture(task, name), "<h2>Errors</h2>",
+    known = [(row.objects[task.ranking_shot][name], number) for number, row in enumerate(board.rows)
+             if name in row.objects.get(task.ranking_shot, {})]
+    rows: list[list[Cell]] = [
+        [link(_of_method(task, number), names[number]),
+         *(f"{value[name]:.3f}" if name in (value := board.rows[number].objects.get(shot, {})) else ""
+           for shot in labels)] for _, number in sorted(known, key=lambda one: _sign(task) * one[0])]
+    body = [_picture(task, name), "<h2>Methods</h2>",
             table(["method", *(f"{label}-shot" for label in labels)], rows,
-                  caption="error over that of predicting zero on the same touches, mean over runs")]
+                  caption=f"{_value(task)}, mean over runs; the best first")]
     maps = _maps(board, names, name)
     if maps:
         body += [f"<h2>Stiffness after {task.ranking_shot} touches</h2>",
@@ -208,14 +205,13 @@ def _how(board: Board) -> str:
         "higher is better" if task.metric.higher_is_better else "lower is better")
     if not _over_objects(board):
         return f"{what}. Mean ± standard deviation over {protocol.seeds} seeds."
-    return (f"{what}. An object's value is its error over that of predicting zero on the same touches. Mean ± standard "
-            f"error over objects: each is a test object once ({protocol.folds} folds, {protocol.draws} draws of the "
-            f"support, {protocol.trainings} trainings). Methods share a rank if their paired difference is below two "
-            f"standard errors.")
+    return (f"{what}. An object's value is its {_value(task)}. Mean ± standard error over objects: each is a test "
+            f"object once ({protocol.folds} folds, {protocol.draws} draws of the support, {protocol.trainings} "
+            f"trainings). Methods share a rank if their paired difference is below two standard errors.")
 
 
 def _cell(row: Row, task: Task, label: str) -> str:
-    if row.objects.get(label) and task.primary == "rmse_ratio":
+    if row.objects.get(label):
         return _interval(row.objects[label])
     return _score(row.scores.get(task.primary, {}).get(label))
 
@@ -260,13 +256,35 @@ def _comparison(board: Board, names: Sequence[str]) -> list[str]:
               for row, name in ranked[:MOST_LINES]]
     costs = {name: (row.result.timing.get("adapt_s", 0.0) / max(row.result.timing.get("adapts", 0.0), 1.0),
                     *interval(row.objects.get(task.ranking_shot, {}))) for row, name in ranked}
-    return ["<h2>Error over touches</h2>",
-            figure(charts.lines(labels, series, axis="error over that of zero", below="touches", level=1.0),
-                   f"Mean over objects and its standard error of the first {len(series)} rows; the dashed line is "
-                   f"predicting zero."),
-            "<h2>Error over time</h2>",
-            figure(charts.points(costs, across="seconds of an adaptation", axis=f"error at {task.ranking_shot}-shot"),
-                   "Error over that of predicting zero, against the time of adapting to a new object.")]
+    what = "Error" if _sign(task) > 0.0 else "Score"
+    shown = _value(task)
+    return [f"<h2>{what} over touches</h2>",
+            _over_touches(task, series, f"Mean over objects and its standard error of the first {len(series)} rows"),
+            f"<h2>{what} over time</h2>",
+            figure(charts.points(costs, across="seconds of an adaptation",
+                                 axis=f"{what.lower()} at {task.ranking_shot}-shot"),
+                   f"{shown[0].upper()}{shown[1:]}, against the time of adapting to a new object.")]
+
+
+def _over_touches(task: Task, series: Sequence[charts.Series], caption: str) -> str:
+    zero = task.primary == "rmse_ratio"
+    unit = unit_of(task.primary, task.observation.unit)
+    axis = "error over that of zero" if zero else f"{task.primary}{f' [{unit}]' if unit else ''}"
+    return figure(charts.lines(task.protocol.labels, series, axis=axis, below="touches", level=1.0 if zero else None),
+                  caption + ("; the dashed line is predicting zero." if zero else "."))
+
+
+def _value(task: Task) -> str:
+    """What the value of one object is."""
+    if task.primary == "rmse_ratio":
+        return "error over that of predicting zero on the same touches"
+    unit = unit_of(task.primary, task.observation.unit)
+    return f"{task.primary}{f' [{unit}]' if unit else ''}"
+
+
+def _sign(task: Task) -> float:
+    """Of the ascending order that puts the best value first."""
+    return -1.0 if task.metric.higher_is_better else 1.0
 
 
 def _literature(board: Board) -> list[str]:
@@ -305,8 +323,7 @@ def _object_table(board: Board, names: Sequence[str], objects: Sequence[str]) ->
     ranked = [(row, name) for row, name in zip(board.rows, names, strict=True) if row.rank and row.objects][:MOST_LINES]
     rows: list[list[Cell]] = [[link(_of_object(task, o), _called(task, o)),
                                *(f"{row.objects[task.ranking_shot][o]:.3f}" for row, _ in ranked)] for o in objects]
-    return table(["object", *(name for _, name in ranked)], rows,
-                 caption=f"error over that of predicting zero at {task.ranking_shot}-shot")
+    return table(["object", *(name for _, name in ranked)], rows, caption=f"{_value(task)}; {task.ranking_shot}-shot")
 
 
 def _maps(board: Board, names: Sequence[str], name: str) -> list[str]:
