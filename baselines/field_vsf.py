@@ -128,6 +128,7 @@ class GridVsf(NeuralVsf):
 
     Args:
         cell: edge of the finest grid's cells [m]; the others as of `NeuralVsf`, which has octaves instead.
+        device: "cpu". A GPU adds the gradients of the cells in no fixed order, and the same touches gave other answers.
     """
 
     _kind = "grid"
@@ -138,6 +139,10 @@ class GridVsf(NeuralVsf):
                  pose: str = "outline"):
         if not cell > 0.0:
             raise MethodError(f"grid-vsf: cell is {cell!r}; it must be greater than 0, in metres.")
+        if device != "cpu":
+            raise MethodError(f"grid-vsf: device is {device!r}, but it runs on the CPU only: a GPU adds the gradients "
+                              f"of the cells in no fixed order, so that the same touches give other answers. Leave out "
+                              f"device=; a fit takes about ten seconds.")
         super().__init__(iterations=iterations, batch=batch, samples=samples, rate=rate, free_space=free_space,
                          margin=margin, table_height=table_height, depth=depth, seed=seed, skin=skin, device=device,
                          pose=pose)

@@ -191,6 +191,8 @@ def test_failures_are_clear_or_have_a_defined_answer(seen):
         NeuralVsf(octaves=0)
     with pytest.raises(MethodError, match="share is 2"):
         ContactPoints(share=2)
+    with pytest.raises(MethodError, match="grid-vsf: device is 'cuda:0', but it runs on the CPU only"):
+        GridVsf(device="cuda:0")
 
 
 @pytest.mark.parametrize("angle, over", [(0.7, False), (-2.1, True)])

@@ -148,6 +148,8 @@ def evaluate(task: TaskName,
             raise MethodError(f"{len(failed)} of {len(made)} rows could not be made: "
                               + ", ".join(one.choice.stem for one in failed) + ". The messages are above; the same "
                               "command tries them again.")
+        if show:
+            print(f"\nvsfsim leaderboard --task {wanted.name}   # shows them")
         return
     _evaluate_each(names, wanted, out, preset, given, shared, json)
 

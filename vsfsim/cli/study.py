@@ -61,7 +61,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
             for name, message in make_missing(wanted, size, workers, progress=progress, device=device):
                 failed += [(name, message)] if message else []
                 if not quiet:
-                    print(f"{name}: {message or 'made'}", flush=True)
+                    print(f"{name}: {'could not be made' if message else 'made'}", flush=True)
     pages, numbers = [], []
     boards: dict = {}
     for one in known:
@@ -70,6 +70,7 @@ def study(names: Annotated[list[str] | None, typer.Argument(metavar="NAME", auto
         numbers.append(tables.table(one, size, found))
     report("\n\n".join(pages), numbers[0] if len(numbers) == 1 else numbers, json)
     if failed:
-        first, message = failed[0]
-        more = f"\n\n{len(failed) - 1} more could not be made, either." if len(failed) > 1 else ""
-        raise TaskError(f"{first}: {message.strip()}{more}")
+        reasons: dict[str, list[str]] = {}
+        for name, message in failed:
+            reasons.setdefault(message.strip(), []).append(name)
+        raise TaskError("\n\n".join(f"{'; '.join(which)}: {message}" for message, which in reasons.items()))
