@@ -53,6 +53,11 @@ class Model:
     """That of a nearly incompressible body with a lower bulk stiffness, see `elements.tet10.softened`."""
 
     @property
+    def coupled(self) -> bool:
+        """Whether elements connect the nodes: anchors, each on one node, do not (the tier `vsf`)."""
+        return any(block.nodes.shape[1] > 1 for block in self.blocks)
+
+    @property
     def keeps_volume(self) -> bool:
         """Whether the body is nearly incompressible: straight steps then change its energy by a change of volume."""
         return self.soft_factor is not None

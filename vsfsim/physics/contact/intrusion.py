@@ -57,6 +57,8 @@ class Intrusion:
         bodies: the rigid bodies (K).
         size: element size [m].
         device: Warp device.
+        coupled: whether the object's inner points go with its boundary. The tier `vsf` has columns under its boundary
+            and no state of what lies inside them: there only the boundary and points of the bodies are looked at.
     """
 
     tolerance: float
@@ -66,8 +68,9 @@ class Intrusion:
     fine: float
     """Penetration of a face above which it gets more contact points [m]."""
 
-    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str):
-        self.device, self.kernels = device, kernels()
+    def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str,
+                 coupled: bool = True):
+        self.device, self.kernels, self._coupled = device, kernels(), coupled
         k = self.kernels
         small = min(inner_radius(s) for s in bodies.shapes)
         self.tolerance = min(DEEP * size, _SMALL * small)
@@ -109,7 +112,7 @@ class Intrusion:
         wp.launch(k.volume, dim=inner.shape, device=device, inputs=[
             self._set, self._count, self._tets, self._samples, self._starts, origin, turn, at, wp.from_torch(inner),
             wp.from_torch(held)])
-        inside = inner.amax(dim=1)
+        inside = inner.amax(dim=1) if self._coupled else zeros(count)
         touch, sample = held.nonzero(as_tuple=True)
         if len(touch):
             depth, face = zeros(len(touch)), zeros(len(touch), dtype=torch.int32)

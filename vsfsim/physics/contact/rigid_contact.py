@@ -81,7 +81,7 @@ class RigidContact:
         self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
         # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
         self._fine = torch.as_tensor(np.zeros((0, 6)) if self._solid else shape_grid(3 * cuts), device=device)
-        check = Intrusion if self._solid else SheetIntrusion
+        check = functools.partial(Intrusion, coupled=model.coupled) if self._solid else SheetIntrusion
         self._passage = check(model.mesh, bodies, model.element_size, device=device)
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
