@@ -125,6 +125,7 @@ def first(value, **columns):
     (change(scores=lambda r: {**r.scores, "mae": {s: dataclasses.replace(v, std=9.0) for s, v in r.scores["mae"].items()
                                                   }}), "its mae at 0-shot is not that of its rows"),
     (change(queries=first(1e-3, sse=1)), "sums of errors that no errors have"),
+    (change(queries=first(0.0, sse=1)), "sums of errors that no errors have"),
     (change(queries=first("mock-0002-v0", object=1)), "query touch"),
     (change(queries=lambda r: {k: v[:-1] for k, v in r.queries.items()}), "missing or there twice"),
     (change(queries=lambda r: {k: [*v, v[0]] for k, v in r.queries.items()}), "missing or there twice"),
@@ -142,6 +143,16 @@ def test_numbers_that_disagree_are_not_ranked(task, record, result, tmp_path, wr
 def test_numbers_that_agree_are_ranked(task, record, result, written):
     (row,) = leaderboard.collect(task, [written[1]]).rows
     assert row.rank == 1 and row.scores == result.scores
+
+
+def test_errors_whose_squares_are_stored_as_zero_are_ranked(task, record, result, tmp_path):
+    """A field may predict nothing but for 1e-30 N: single precision has no such squares."""
+    rows = {name: list(result.queries[name]) for name in ("sse", "sae")}
+    rows["sse"][0], rows["sae"][0] = 0.0, 1e-27
+    tiny = change(queries=lambda r: {**r.queries, **rows})(result)
+    dataclasses.replace(tiny, scores=tiny.computed()).save(tmp_path / "r.json")
+    (row,) = leaderboard.collect(task, [tmp_path / "r.json"]).rows
+    assert row.rank == 1 and not row.mark
 
 
 def test_fewer_seeds_are_not_ranked(task, toy_dataset, record, tmp_path):

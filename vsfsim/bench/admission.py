@@ -11,6 +11,8 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from vsfsim.bench import fingerprint
 from vsfsim.bench.metrics import METRICS, PER_OBJECT, Answer
 from vsfsim.bench.result import Result
@@ -21,6 +23,7 @@ from vsfsim.core.errors import TaskError
 
 ROUNDING = 1e-6
 """Relative difference up to which a stored score is the one that its rows give; sums are stored to 16 digits."""
+_UNDERFLOW = float(np.finfo(np.float32).tiny)  # sums of smaller squares are stored as 0
 
 
 @dataclass(frozen=True)
@@ -88,7 +91,8 @@ def _wrong_rows(result: Result, task: Task, record: fingerprint.Record | None) -
     for row in rows:
         n, sse, sae = row["n"], row["sse"], row["sae"]
         slack = 1.0 + ROUNDING
-        if n != sizes[row["object"], row["touch"]] or sse > slack * sae**2 or sae**2 > slack * n * sse:
+        if (n != sizes[row["object"], row["touch"]] or sse > slack * sae**2 + _UNDERFLOW
+                or sae**2 > slack * n * (sse + _UNDERFLOW)):
             return "sums of errors that no errors have"
     return ""
 

@@ -105,19 +105,19 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
         same = next((k for k, before in enumerate(rows) if _is_same(result, before.result)), None)
         if same is None:
             objects = {shot: by_object(result, task.primary, shot) for shot in result.shots
-                       } if _over_objects(task) and not mark else {}
+                       } if over_objects(task) and not mark else {}
             rows.append(Row(None, mark, result, admission.scores, path, other and not mark, objects, origin[path]))
         elif rows[same].origin != origin[path]:
             rows[same] = dataclasses.replace(rows[same], origin="shipped, made again here")
     sign = -1.0 if task.metric.higher_is_better else 1.0
     good.sort(key=lambda row: (sign * row.scores[task.primary][task.ranking_shot].mean, row.result.method))
-    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if _over_objects(task) else range(
+    ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if over_objects(task) else range(
         1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
     return Board(task, reference, record is not None, (*ranked, *odd))
 
 
-def _over_objects(task: Task) -> bool:
+def over_objects(task: Task) -> bool:
     """Whether methods are compared object by object."""
     return bool(task.protocol.folds)
 
@@ -225,7 +225,7 @@ def _title(board: Board) -> str:
     unit = unit_of(task.primary, task.observation.unit) or "-"
     what = f"{'of' if task.metric.answer is Answer.READINGS else 'from'} {task.observation.name}"
     better = "higher" if task.metric.higher_is_better else "lower"
-    spread = "standard error over objects" if _over_objects(task) else "std over seeds"
+    spread = "standard error over objects" if over_objects(task) else "std over seeds"
     return (f"{task.primary} {what} [{unit}], mean ± {spread}, {better} is better; ranked at "
             f"{task.ranking_shot}-shot")
 
@@ -242,7 +242,7 @@ def _cells(board: Board, shown: Callable[[str], str] = plain) -> tuple[list[str]
         commit = str(row.result.made_by.get("commit") or "")[:7]
         made_by = f"{row.result.made_by.get('vsfsim')} {commit}".strip()
         rows.append([str(row.rank or "-"), shown(label) + (" *" if row.mark else " ~" if row.other_bits else ""),
-                     *(_over(row.objects[shot]) if row.objects and _over_objects(task) else _number(by_shot.get(shot))
+                     *(_over(row.objects[shot]) if row.objects and over_objects(task) else _number(by_shot.get(shot))
                        for shot in labels), _number(stiffness), f"{adapt:.2f} s",
                      shown(made_by)])
     return head, rows
@@ -265,7 +265,7 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
     lines = [f"* {shown(row.result.method)}: {shown(row.mark)}, not ranked" for row in board.rows if row.mark]
     if board.task.superseded_by:
         lines.append(superseded(board.task))
-    if _over_objects(board.task) and board.rows:
+    if over_objects(board.task) and board.rows:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
     if any(row.other_bits for row in board.rows):

@@ -16,7 +16,7 @@ import numpy as np
 from vsfsim.bench.board import charts
 from vsfsim.bench.board.compare import ByObject, interval, paired
 from vsfsim.bench.board.markup import Cell, figure, file_name, link, page, paragraph, table
-from vsfsim.bench.leaderboard import Board, Row, labels_of, superseded, unit_of
+from vsfsim.bench.leaderboard import Board, Row, labels_of, over_objects, superseded, unit_of
 from vsfsim.bench.reading_metrics import object_of
 from vsfsim.bench.stiffness_metrics import scale_of
 from vsfsim.bench.task import Task
@@ -103,7 +103,7 @@ def _index_row(board: Board) -> list[Cell]:
 
 def _task_page(board: Board, names: Sequence[str]) -> str:
     task, labels = board.task, board.task.protocol.labels
-    over = _over_objects(board)
+    over = over_objects(board.task)
     head = ["rank", "method", *(f"{label}-shot" for label in labels), *(["difference to the best"] if over else []),
             "stiffness", "50 %", "90 %"]
     rows: list[list[Cell]] = []
@@ -139,7 +139,7 @@ def _method_page(board: Board, row: Row, name: str) -> str:
                *(_score(by_shot.get(label)) for label in labels)] for metric, by_shot in row.scores.items()]
     body = [paragraph(f"{result.entry} on {task.name}; {f'rank {row.rank}' if row.rank else f'not ranked: {row.mark}'}."
                       f" The file is {row.path.name} ({row.origin}).")]
-    if row.objects and _over_objects(board):
+    if row.objects and over_objects(board.task):
         series = [charts.Series(name, [interval(row.objects.get(label, {})) for label in labels])]
         body.append(_over_touches(task, series, "Mean over objects and its standard error"))
     body += ["<h2>Scores</h2>", table(["metric", *(f"{label}-shot" for label in labels)], scores,
@@ -194,16 +194,12 @@ def _called(task: Task, name: str) -> str:
     return f"{name}, {models[int(number[1]) % len(models)]}" if models and number else name
 
 
-def _over_objects(board: Board) -> bool:
-    return any(row.objects for row in board.rows)
-
-
 def _how(board: Board) -> str:
     task, protocol = board.task, board.task.protocol
     unit = unit_of(task.primary, task.observation.unit)
     what = f"{task.primary}{f' [{unit}]' if unit else ''} at {task.ranking_shot}-shot ranks; " + (
         "higher is better" if task.metric.higher_is_better else "lower is better")
-    if not _over_objects(board):
+    if not over_objects(board.task):
         return f"{what}. Mean ± standard deviation over {protocol.seeds} seeds."
     return (f"{what}. An object's value is its {_value(task)}. Mean ± standard error over objects: each is a test "
             f"object once ({protocol.folds} folds, {protocol.draws} draws of the support, {protocol.trainings} "

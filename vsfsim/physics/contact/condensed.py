@@ -43,9 +43,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
-    if not contact.has_friction:
-        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
-    if not contact.shifts:
+    if not (contact.has_friction and contact.shifts):
         return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline)
     again = (error > tolerance).nonzero()[:, 0]

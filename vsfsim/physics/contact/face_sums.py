@@ -81,7 +81,6 @@ class FaceSums:
         out.scatter_(1, at[:, :, None].expand(-1, -1, 9), pairs)
         return out[:, :-1].reshape(k, u, u, 3, 3).transpose(2, 3).reshape(k, 3 * u, 3 * u)
 
-
     def block(self, columns: torch.Tensor, stiff: torch.Tensor, free: torch.Tensor,
               compliance: torch.Tensor) -> ContactBlock:
         """The stiffness of the nodes that are pushed, to be inverted with the ``compliance`` (k, 3 s, 3 s) [m/N].
@@ -127,8 +126,9 @@ def nodal_sums(local: torch.Tensor, shapes: torch.Tensor, force: torch.Tensor, n
 
 
 def at_points(local: torch.Tensor, shapes: torch.Tensor, nodal: torch.Tensor) -> torch.Tensor:
-    """Vectors at the nodes (k, 3 s) interpolated to the points of quadratic faces (k, 6 f, 3); ``local`` and ``shapes``
-    as for `nodal_sums`."""
+    """Vectors at the nodes (k, 3 s) interpolated to the points of quadratic faces (k, 6 f, 3), of some touches, face by
+    face: a table of all points and nodes is made for all touches, and mostly zeros. ``local`` and ``shapes`` as for
+    `nodal_sums`."""
     k, f = local.shape[:2]
     at = local.reshape(k, 6 * f, 1).expand(-1, -1, 3).long()
     return (shapes @ nodal.view(k, -1, 3).gather(1, at).view(k, f, 6, 3)).view(k, 6 * f, 3)

@@ -21,8 +21,6 @@ class Contact(Protocol):
     """Number of touches B."""
     has_friction: bool
     """Whether any pair of surfaces has a friction coefficient above 0."""
-    stick: float
-    """Tangential stiffness of a stuck point over the normal one [-]."""
     softening: torch.Tensor
     """Factor on the contact stiffness (B,) [-]: 1, but on the way to a frame that is hard to reach."""
     dof: torch.Tensor

@@ -71,7 +71,7 @@ class RigidContact:
                  exact: bool = True, local: bool = False):
         self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
         self.kernels = rigid_kernels.kernels()
-        self.has_friction, self.batch, self.stick = bool((friction > 0.0).any()), poses.shape[1], rigid_kernels.STICK
+        self.has_friction, self.batch = bool((friction > 0.0).any()), poses.shape[1]
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
         corners = model.mesh.faces.shape[1]
@@ -215,7 +215,7 @@ class RigidContact:
         self._launch(self.kernels.evaluate, columns,
                      [self._set, len(self.bodies), wp.from_torch(columns.to(torch.int32)), self._local,
                       self._stiffness, *self._local_indentation.arrays, *self._hosts, self._arrays["softening"],
-                      self._onset, self._coefficient, wp.from_torch(self.coulomb), self.stick],
+                      self._onset, self._coefficient, wp.from_torch(self.coulomb), rigid_kernels.STICK],
                      "x anchor owner limit across relief gap body normal force rows geometric coupling slips held "
                      "wrong_side energy")
 

@@ -278,7 +278,7 @@ class _Sparse:
     def ready(self, nodes: list[np.ndarray], deadline: float) -> bool:
         """See `Response`."""
         whole = self._few(3 * max(len(n) for n in nodes))
-        return all(self._factor.make(n, whole=whole, deadline=deadline) for n in nodes)
+        return self._factor.make(np.unique(np.concatenate(nodes)), whole=whole, deadline=deadline)
 
     def prepare(self, nodes: torch.Tensor) -> bool:
         """Make what `compliance` and `patch` need for forces on ``nodes`` (B, s) bool."""

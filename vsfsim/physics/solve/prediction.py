@@ -50,14 +50,17 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
     balance.u.copy_(chosen)
     if not (contact.has_friction and contact.shifts):
         return
-    for renewals in range(_RENEWALS + 1):
-        balance.evaluate(columns)
-        contact.update_friction(columns)
-        if renewals == _RENEWALS:
-            break
+    _renew(balance, columns)
+    for _ in range(_RENEWALS):
         with clock.measure("prediction"):
             change, error = contact.condensed(columns, contact.gather(balance.u)[columns], pushed, iterations=20,
                                               tolerance=1e-4)
         change[error > _USEFUL] = 0.0
         balance.u[:, columns] += contact.response.patch(columns, change).to(balance.real)
         pushed += change
+        _renew(balance, columns)
+
+
+def _renew(balance: Equilibrium, columns: torch.Tensor) -> None:
+    balance.evaluate(columns)
+    balance.contact.update_friction(columns)

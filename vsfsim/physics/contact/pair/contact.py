@@ -66,7 +66,6 @@ class PairContact:
     def __init__(self, model: Model, sensor: Model, friction: float, poses: np.ndarray, *, device: str, stride: float):
         self.model, self.sensor, self.device = model, sensor, device
         self.has_friction, self._coefficient = friction > 0.0, float(friction)
-        self.stick = STICK
         self.surfaces = PairSurfaces(model, sensor, poses, device=device, stride=stride)
         self._sides, self._kernels, self.batch = self.surfaces.sides, self.surfaces.kernels, self.surfaces.batch
         self.follows_below, self.coulomb = 0.0, torch.zeros(self.batch, dtype=torch.float64, device=device)
@@ -172,7 +171,7 @@ class PairContact:
         here, softening = self._positions(self.surfaces.x), wp.from_torch(self.softening)
         for side in self._sides:
             self._launch(self._kernels.evaluate, side, columns, [
-                *side.arrays("facet stiffness faces smooth"), softening, self.stick, here,
+                *side.arrays("facet stiffness faces smooth"), softening, STICK, here,
                 *side.arrays("candidates anchored anchor_face anchor_shape limit across"),
                 *side.arrays("gap face shape normal slope push drag slip rows slips wrong_side energy")])
         self._evaluated = None
@@ -354,7 +353,7 @@ class PairContact:
         if not chosen:
             return torch.zeros((len(columns), self.dof.shape[1]), dtype=torch.float64, device=self.device), None
         penalty = torch.cat([own.stiffness() * own.on for own in chosen], dim=1)
-        stiffness = self.stick * self.softening[columns][:, None] * penalty
+        stiffness = STICK * self.softening[columns][:, None] * penalty
         normal = torch.cat([own.side.memory["across"][own.at] for own in chosen], dim=1)
         axis = torch.nn.functional.one_hot(normal.abs().argmin(dim=2), 3).to(normal.dtype)
         first = torch.nn.functional.normalize(torch.linalg.cross(normal, axis), dim=2)
