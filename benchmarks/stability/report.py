@@ -12,9 +12,10 @@ import numpy as np
 
 from benchmarks.measurement import Column, Measurement, Table
 from benchmarks.stability.design import KINDS, Cell, Level
-from benchmarks.stability.judge import Outcome, Verdict
+from benchmarks.stability.judge import LATE, Outcome, Verdict
 
 SIMILAR = 1e-3  # relative difference of a force that the scaling of units forbids (float64)
+SPANS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 60.0)  # times of a frame that the report tells apart [s]
 _PAIRS = (("probe", "depth"), ("poisson", "depth"), ("contrast", "depth"), ("friction", "depth"), ("size", "young"),
           ("thickness", "depth"), ("tier", "element"), ("frames", "depth"))
 
@@ -59,6 +60,16 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measur
         tables.append(Table("Cells with frames that are marked, by reason",
                             (Column("reason", "reason"), Column("number", "cells", "1", form="d")),
                             [{"reason": reason, "number": n} for reason, n in reasons.most_common()], "reasons"))
+    limit = settings.get("limit")
+    if limit:
+        spans = [span for span in SPANS if span < limit] + [limit]
+        timed = [v for v in verdicts if v.cell.kind in ("solid", "bubble")]
+        tables.append(Table("Share of solids and bubbles all of whose frames converge within a time, in percent",
+                            (Column("cells", "cells"), Column("number", "number", "1", form="d"),
+                             *(Column(f"within_{span:g}", f"{span:g} s", "1", "%", ".1f") for span in spans)),
+                            [_within("all", timed, spans),
+                             _within("friction <= 1, depth <= 50 %", [v for v in timed if v.cell.moderate], spans)],
+                            "within"))
     worse = [v for v in verdicts if v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE)]
     if worse:
         tables.append(Table("Cells that are wrong, crashed or over the limit",
@@ -83,6 +94,14 @@ def _shares(name: str, verdicts: Sequence[Verdict]) -> dict[str, Any]:
     count = Counter(v.outcome for v in verdicts)
     return {"cells": name, "number": len(verdicts),
             **{o.value: count[o] / len(verdicts) if verdicts else None for o in Outcome}}
+
+
+def _within(name: str, verdicts: Sequence[Verdict], spans: Sequence[float]) -> dict[str, Any]:
+    good = np.array([v.slowest if v.outcome is Outcome.CONVERGED else np.inf for v in verdicts])
+    return {"cells": name, "number": len(verdicts),
+            # a step that has begun may end after the limit
+            **{f"within_{span:g}": float(np.mean(good <= (LATE if span == spans[-1] else 1.0) * span))
+               if len(good) else None for span in spans}}
 
 
 def picture(verdicts: Sequence[Verdict], file: Path) -> None:

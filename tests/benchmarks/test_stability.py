@@ -18,6 +18,7 @@ from vsfsim.core.shape import Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics.mesh.quadratic import quadratic_mesh
 from vsfsim.physics.mesh.structured import box
+from vsfsim.physics.solve.frames import Reason
 
 EXPECTED = json.loads((Path(__file__).parent / "stability_expected.json").read_text())
 LIMIT = 30.0  # of a frame [s]; three times that of the command, since CI's machines are shared
@@ -111,8 +112,9 @@ def test_a_membrane_inside_the_object_is_seen():
         assert any("in one another" in sentence for sentence in found) == wrong
 
 
-def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0)) -> Verdict:
-    return Verdict(cell, outcome, frames=2, converged=2, push=push)
+def verdict(cell: Cell, outcome: Outcome = Outcome.CONVERGED, push: tuple[float, ...] = (1.0, 2.0),
+            **more) -> Verdict:
+    return Verdict(cell, outcome, frames=2, converged=2, push=push, **more)
 
 
 @pytest.mark.parametrize("refused", [True, False])
@@ -146,6 +148,38 @@ def test_a_campaign_continues_and_refuses_other_circumstances(tmp_path, monkeypa
         campaign.finished(file, {"limit": 2.0})
     # with no budget left nothing new begins
     assert len(campaign.run(cells, file, limit=1.0, workers=1, budget=-1.0)) == 1
+
+
+def test_a_longer_limit_makes_only_the_cells_that_ended_at_the_shorter_one(tmp_path):
+    cells = [c for c in design() if c.kind == "solid"][:5]
+    rows = [verdict(cells[0]), verdict(cells[1], Outcome.MARKED, reasons={Reason.TIME.text: 2}),
+            verdict(cells[2], Outcome.MARKED, reasons={Reason.INTRUSION.text: 1}), verdict(cells[3], Outcome.LATE)]
+    before, file = tmp_path / "short.jsonl", tmp_path / "long.jsonl"
+    campaign.finished(before, {"limit": 1.0, "device": "cpu"})
+    with before.open("a") as out:
+        out.writelines(json.dumps(v.table()) + "\n" for v in rows)
+    with pytest.raises(VsfsimError, match=r"not below this run's 1\.0"):
+        campaign.take_over(before, file, {"limit": 1.0, "device": "cpu"})
+    with pytest.raises(VsfsimError, match=r"does not exist"):
+        campaign.take_over(tmp_path / "none", file, {"limit": 4.0, "device": "cpu"})
+    known = campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
+    assert known == [c.key for c in cells[:4]]
+    kept = [v.cell.key for v in campaign.finished(file, {"limit": 4.0, "device": "cpu"})]
+    assert kept == [cells[0].key, cells[2].key]
+    # what was made since then stays
+    with file.open("a") as out:
+        out.write(json.dumps(verdict(cells[1]).table()) + "\n")
+    campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
+    assert len(campaign.finished(file, {"limit": 4.0, "device": "cpu"})) == 3
+
+
+def test_shares_by_time():
+    """A cell counts within a time if its slowest frame took no longer, and within the limit if it converged."""
+    solids = [c for c in design() if c.kind == "solid"][:4]
+    some = [verdict(solids[0], slowest=0.3), verdict(solids[1], slowest=1.5), verdict(solids[2], slowest=4.2),
+            verdict(solids[3], Outcome.MARKED, slowest=0.1)]
+    row = report.measurement(some, {"limit": 4.0}).record()["within"][0]
+    assert [row[f"within_{span}"] for span in ("0.5", "1", "2", "4")] == [0.25, 0.25, 0.5, 0.75]
 
 
 def test_forces_that_do_not_scale_with_the_units_are_wrong():

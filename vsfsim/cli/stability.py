@@ -20,6 +20,10 @@ app = typer.Typer()
 @app.command()
 def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a run that was interrupted, or ended by "
                                                      "its budget, continues there.")] = Path("stability"),
+              longer_than: Annotated[Path | None, typer.Option(metavar="FOLDER",
+                                                               help="Take over what an earlier run, with a shorter "
+                                                                    "limit, has in this folder, and make only its "
+                                                                    "cells that ended at that limit.")] = None,
               budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                          help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
                                                               "default: make all cells.")] = None,
@@ -62,10 +66,14 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     seconds = None if budget is None else _seconds(budget)
     try:
         out.mkdir(parents=True, exist_ok=True)
+        circumstances = {"version": vsfsim.__version__, "commit": commit()}
+        if longer_than is not None:
+            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl",
+                                       {"limit": limit, "device": device, **circumstances})
+            cells = [c for c in cells if c.key in known]
         with Progress("stability") as progress:
             verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
-                                    budget=seconds, progress=progress,
-                                    circumstances={"version": vsfsim.__version__, "commit": commit()})
+                                    budget=seconds, progress=progress, circumstances=circumstances)
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
                           f"folder.") from None
