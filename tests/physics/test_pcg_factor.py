@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 import torch
 import warp as wp
 
@@ -283,3 +284,20 @@ def test_conjugate_gradients_end_at_the_deadline():
                                    tolerance=torch.full((3,), 1e-12, dtype=torch.float64), iterations=100, deadline=0.0)
     assert steps.tolist() == [1, 1, 1] and not negative.any()
     assert ((0.5 * x * (matrix @ x) - right * x).sum(dim=0) < 0.0).all()
+
+
+def test_a_new_body_frees_the_columns_of_the_body_before():
+    """A generator makes one object after the other; the columns of all would be gigabytes."""
+
+    def body(modulus):
+        matrix = modulus * (3.0 * np.eye(60) + np.eye(60, k=1) + np.eye(60, k=-1))
+        return RestFactor.of(sp.csr_matrix(matrix), np.ones(60), np.arange(20))
+
+    one = body(1.0)
+    before, whole = one.compliance(np.arange(8), np.arange(8)), one.whole_columns(np.arange(8))
+    assert len(one._columns) == len(one._whole) == 8
+    assert body(1.0) is one and len(one._columns) == 8, "the same body keeps them"
+    body(2.0)
+    assert not one._columns and not one._whole
+    np.testing.assert_array_equal(one.compliance(np.arange(8), np.arange(8)), before)
+    np.testing.assert_array_equal(one.whole_columns(np.arange(8)), whole)

@@ -90,6 +90,8 @@ class RestFactor:
             digest.update(np.ascontiguousarray(part).tobytes())
         key = digest.hexdigest()
         if key not in _factors:
+            for other in _factors.values():
+                other.forget()
             _factors[key] = cls(stiffness, free, surface_nodes, later=later)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
@@ -145,6 +147,13 @@ class RestFactor:
                 if rows is not None:
                     self._whole[i] = rows[3 * j:3 * j + 3]
         return True
+
+    def forget(self) -> None:
+        """Give back the memory of the columns; they are made again if they are asked for."""
+        self._columns.clear()
+        self._whole.clear()
+        if self._quick is not None and self._quick is not self:
+            self._quick.forget()
 
     def whole_columns(self, nodes: np.ndarray) -> np.ndarray:
         """Displacements of the whole body per unit force on ``nodes`` (s,): (3 s, 3 n) [m/N]."""
