@@ -5,6 +5,7 @@ page; the README's table stands between two marks, since GitHub includes nothing
 test compares them with what ships; the others measure, for minutes, on the machine that they name.
 """
 
+import functools
 import importlib
 import re
 import sys
@@ -34,7 +35,9 @@ def leaderboard(task: str) -> str:
     from vsfsim.bench.leaderboard import collect, markdown
     from vsfsim.bench.task import load_task
 
-    lines = markdown(collect(load_task(task))).splitlines()
+    if task not in BOARDS:
+        BOARDS[task] = collect(load_task(task))
+    lines = markdown(BOARDS[task]).splitlines()
     title = next(line for line in lines if "mean ± st" in line)
     title += "".join(f". {line[0].upper()}{line[1:]}." for line in lines if line.startswith("rank corr.: "))
     reasons: dict[str, list[str]] = {}
@@ -55,11 +58,10 @@ def leaderboard(task: str) -> str:
 def study(name: str, size: str = "mini") -> str:
     """The table of `vsfsim study NAME` from the results that ship; a variant without one has no row."""
     from vsfsim.bench.studies.report import cells, title
-    from vsfsim.bench.studies.results import stored
     from vsfsim.bench.studies.study import load_study
 
     one = load_study(name)
-    found = stored(one, size, boards=BOARDS, made=False)
+    found = results(name, size)
     head, rows = cells(one, found)
     note = f" {one.note}" if one.note else ""
     return (f"<!-- vsfsim study {name} --size {size} -->\n{one.title} ({one.source}): {title(one, size, found)}; "
@@ -67,14 +69,22 @@ def study(name: str, size: str = "mini") -> str:
             + piped(head, [[cell.replace(" *", " \\*") for cell in row] for row in rows if row[0] in found]))
 
 
+@functools.cache
+def results(name: str, size: str) -> dict:
+    """Results of a study that ship, by variant."""
+    from vsfsim.bench.studies.results import stored
+    from vsfsim.bench.studies.study import load_study
+
+    return stored(load_study(name), size, boards=BOARDS, made=False)
+
+
 def studies() -> list[str]:
     """Names of the studies that have two results or more among those that ship."""
-    from vsfsim.bench.studies.results import stored
     from vsfsim.bench.studies.study import load_study
     from vsfsim.bench.studies.study import studies as known
 
     every = [load_study(name) for name in known()]
-    return [one.name for one in every if not one.command and len(stored(one, "mini", boards=BOARDS, made=False)) > 1]
+    return [one.name for one in every if not one.command and len(results(one.name, "mini")) > 1]
 
 
 def measurement(name: str, tables: int, first: int = 0, dataset: str = "") -> str:
