@@ -106,7 +106,7 @@ def test_a_long_way_from_the_support_is_not_trusted_to_sixteen_bits(count, good)
     half."""
     matrix, points = _chain(count, stiff_in_bending=True)
     load = np.ones((3 * count, 1))
-    assert trusted(matrix, Multifrontal(matrix, points), load) is good
+    assert trusted(matrix, Multifrontal.of(matrix, points), load) is good
 
 
 def test_a_body_that_few_digits_lose_has_no_quick_factor(model):
@@ -127,4 +127,4 @@ def test_a_loose_part_is_refused():
     loose = matrix.tolil()
     loose[0, 0] = 1.0  # x is no longer held
     with pytest.raises(MeshError, match="not positive definite: a part of it can move freely"):
-        Multifrontal(loose.tocsr(), points)
+        Multifrontal.of(loose.tocsr(), points)

@@ -10,7 +10,7 @@ from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
-from vsfsim.physics.solve import pcg
+from vsfsim.physics.solve import pcg, tangent_factor
 from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver, SolverOptions
@@ -301,3 +301,40 @@ def test_a_new_body_frees_the_columns_of_the_body_before():
     assert not one._columns and not one._whole
     np.testing.assert_array_equal(one.compliance(np.arange(8), np.arange(8)), before)
     np.testing.assert_array_equal(one.whole_columns(np.arange(8)), whole)
+
+
+# ------------------------------------------------------------------------------------------ that of a strained body
+
+
+def test_a_factor_of_the_deformed_tangent_takes_fewer_iterations_to_the_same_equilibrium(block, monkeypatch):
+    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
+    poses = np.tile(np.eye(4), (2, 1, 1, 1))
+    poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.35]]
+    made = []
+    make = tangent_factor.TangentFactors._make
+    monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: made.append(make(*a)) or made[-1])
+
+    def press():
+        made.clear()
+        return Solver(model, Sphere(0.015), options=SolverOptions(seconds=1e9)).run(poses)
+
+    own = press()
+    assert made and None not in made and own.converged.all()
+    monkeypatch.setattr(tangent_factor, "_FEW", 0)
+    rest = press()
+    assert not made and rest.converged.all()
+    assert np.array_equal(own.force[0], rest.force[0]), "an easy frame keeps its bits"
+    print("iterations", own.cg_iterations.ravel(), "for", rest.cg_iterations.ravel())
+    assert own.cg_iterations[1] < 0.75 * rest.cg_iterations[1]
+    # both are balanced to 1e-4 of the force
+    assert np.abs(own.force - rest.force).max() < 2e-4 * np.abs(rest.force).max()
+    assert np.isclose(own.energy, rest.energy, rtol=2e-4).all()
+
+
+def test_a_factor_that_would_come_too_late_is_not_begun(block, monkeypatch):
+    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
+    poses = np.tile(np.eye(4), (1, 1, 1, 1))
+    poses[0, 0, :3, 3] = 0.003, 0.001, 0.045 - 0.35 * 0.03
+    monkeypatch.setattr(tangent_factor.TangentFactors, "_duration", lambda self: 1e9)
+    monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: pytest.fail("begun"))
+    Solver(model, Sphere(0.015), options=SolverOptions(seconds=100.0)).run(poses)

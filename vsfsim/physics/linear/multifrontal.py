@@ -13,63 +13,55 @@ may be lost; `trusted` tests it.
 """
 
 import functools
-from dataclasses import dataclass
+import time
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import warp as wp
-from scipy.linalg import lapack
 
-from vsfsim.core.errors import MeshError
-from vsfsim.physics.linear.dissection import Front, fronts
+from vsfsim.physics.linear.elimination import UNIT, Order, blocks_of
 
-_PAD = 16  # rows are padded to a multiple of this: whole vectors of the processor
-_UNIT = 32767.0  # the integer that represents 1
 _WIDE = 16  # right-hand sides that share one reading of the factor
 _FEW = 4  # fewer right-hand sides are solved one by one
 _ROWS = 4  # rows of a block that are unpacked together
 TRUST = 2e-2
 """Relative error in the energy norm up to which the factor preconditions as well as the exact one [-]."""
-_LOOSE = 1e15  # a pivot below this fraction of its diagonal entry (inverted) is treated as zero: it is rounding error
 
 
 class Multifrontal:
     """A symmetric positive definite matrix, factorised; `solve` is approximate.
 
     Args:
-        matrix: (3 n, 3 n), three unknowns for each node.
-        points: places of the nodes (n, 3), which only guide the order.
+        order: the order of elimination.
+        values: the blocks of the matrix (b, 3, 3), in the sequence of ``order``.
 
     Raises:
         MeshError: the matrix is not positive definite.
     """
 
-    def __init__(self, matrix: sp.spmatrix, points: np.ndarray):
-        matrix = matrix.tocsr()
-        self.size = matrix.shape[0]
-        coo = matrix.tocoo()
-        count = self.size // 3
-        graph = sp.csr_matrix((np.ones(coo.nnz), (coo.row // 3, coo.col // 3)), shape=(count, count))
-        tree = fronts(graph, points)
-        place = np.empty(self.size, np.int64)  # of every unknown in the padded vector of all fronts
-        # pivots and rows below, each with its padded number; where pivots, the blocks and the rows below begin
-        tables = np.zeros((len(tree), 7), np.int64)
-        slots, entries, below = 0, 0, 0
-        for f, front in enumerate(tree):
-            p, q = 3 * len(front.own), 3 * len(front.boundary)
-            pw, qw = _padded(p), _padded(q)
-            place[_unknowns(front.own)] = slots + np.arange(p)
-            tables[f] = p, pw, q, qw, slots, entries, below
-            slots, entries, below = slots + pw, entries + p * (pw + qw), below + q
-        self._slots, self._wide, self._fronts = slots, int(tables[:, [1, 3]].max()), len(tree)
-        factor = _Factor(np.zeros(entries, np.int16), np.zeros(slots, np.float32), np.zeros(below, np.float32))
-        _eliminate(matrix, tree, tables, factor)
+    order: Order
+    """Its order of elimination."""
+    seconds: float
+    """Duration of the elimination [s]."""
+
+    def __init__(self, order: Order, values: np.ndarray):
+        began = time.perf_counter()
+        self.order, self.size = order, len(order.place)
+        factor = order.eliminate(values)
+        self.seconds = time.perf_counter() - began
+        tables = order.tables
+        self._slots, self._wide, self._fronts = order.slots, int(tables[:, [1, 3]].max()), len(tables)
         self.bytes = sum(a.nbytes for a in (factor.blocks, factor.pivots, factor.rows))
-        below_at = np.concatenate([*(place[_unknowns(front.boundary)] for front in tree), [0]])
-        arrays = (tables, below_at.astype(np.int32), place.astype(np.int32), factor.blocks, factor.pivots, factor.rows)
+        arrays = (tables, order.below, order.place, factor.blocks, factor.pivots, factor.rows)
         self._arrays = [wp.array(a.ravel(), device="cpu") for a in arrays]
         self._vectors: dict[int, list[wp.array]] = {}  # of a solve, by its width
+
+    @classmethod
+    def of(cls, matrix: sp.spmatrix, points: np.ndarray) -> "Multifrontal":
+        """The factor of ``matrix`` (3 n, 3 n), see `Order`, and errors as the class."""
+        blocks = blocks_of(matrix)
+        return cls(Order(blocks, points), np.asarray(blocks.data, np.float64))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """An approximation of the inverse times ``right``, both (3 n, k) in double."""
@@ -88,16 +80,6 @@ class Multifrontal:
         return out
 
 
-@dataclass(frozen=True)
-class _Factor:
-    blocks: np.ndarray
-    """Q (p rows) and, after it, P^T (p rows) of every front, one after the other (e,), in units of 2^-15 [-]."""
-    pivots: np.ndarray
-    """d of the padded pivots of all fronts (v,) [sqrt(m/N)]."""
-    rows: np.ndarray
-    """r of all rows below, over 2^15 (w,) [sqrt(N/m)]."""
-
-
 def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, within: float = TRUST) -> bool:
     """Whether the factor solves for ``loads`` (3 n, k) to the relative error ``within`` in the matrix's energy norm."""
     x = factor.solve(loads)
@@ -107,55 +89,6 @@ def trusted(matrix: sp.spmatrix, factor: Multifrontal, loads: np.ndarray, *, wit
     return bool(np.isfinite(x).all() and (energy > 0.0).all() and (np.abs(error) <= within**2 * energy).all())
 
 
-def _padded(count: int) -> int:
-    return -(-count // _PAD) * _PAD
-
-
-def _unknowns(nodes: np.ndarray) -> np.ndarray:
-    return (3 * nodes[:, None] + np.arange(3)).ravel()
-
-
-def _eliminate(matrix: sp.csr_matrix, tree: list[Front], tables: np.ndarray, out: _Factor) -> None:
-    """Fill ``out``, front by front."""
-    local, diagonal = np.full(matrix.shape[0], -1), matrix.diagonal()
-    # updates of the boundaries of fronts whose parent comes later
-    left: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-    for f, (front, (p, pw, q, qw, slot, first, below)) in enumerate(zip(tree, tables, strict=True)):
-        own, boundary = _unknowns(front.own), _unknowns(front.boundary)
-        local[own] = np.arange(p)
-        local[boundary] = p + np.arange(q)
-        dense = np.zeros((p + q, p + q))
-        rows = matrix[own].tocoo()
-        column = local[rows.col]
-        kept = column >= 0  # the others were eliminated before, and stand in the children
-        dense[column[kept], rows.row[kept]] = rows.data[kept]
-        for c in front.children:
-            if c in left:
-                update, unknowns = left.pop(c)
-                at = local[unknowns]
-                dense[np.ix_(at, at)] += update
-        local[own] = local[boundary] = -1
-        if not p:  # no edges connect the halves
-            left[f] = dense, boundary
-            continue
-        lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
-        inverse, _ = lapack.dpotri(lower, lower=True)
-        if fault or (np.diag(inverse) * diagonal[own] > _LOOSE).any():
-            raise MeshError("The stiffness of the body at rest is not positive definite: a part of it can move freely, "
-                            "or elements have no volume. Hold the body by more of its nodes, or mend the mesh.")
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        ties = dense[p:, :p]
-        gain = ties @ inverse
-        d = np.sqrt(np.diag(inverse))
-        share = gain / d  # of a force of 1/d
-        r = np.maximum(np.abs(share).max(axis=1, initial=0.0), 1e-300)
-        out.blocks[first:first + p * pw].reshape(p, pw)[:, :p] = np.rint(_UNIT * (inverse / d / d[:, None]))
-        out.blocks[first + p * pw:first + p * (pw + qw)].reshape(p, qw)[:, :q] = np.rint(_UNIT * (share / r[:, None])).T
-        out.pivots[slot:slot + p], out.rows[below:below + q] = d, r / _UNIT
-        if q:
-            left[f] = dense[p:, p:] - gain @ ties.T, boundary
-
-
 # Two sweeps through the fronts: for one right-hand side, and for sixteen in one vector. Four rows of a block are read
 # at a time. Both read the forces from ``right`` and write the result to ``out``, each column scaled by its largest
 # entry, since single precision underflows for forces that are far below one.
@@ -163,7 +96,7 @@ _BEGIN = f"""
     const long long* t = table.data; const int* below = rows.data; const int* place = places.data;
     const short* block = blocks.data;
     const float* pivot = pivots.data; const float* ratio = ratios.data; const double* b = right.data + start;
-    const float unit = 1.0f / {_UNIT}f;
+    const float unit = 1.0f / {UNIT}f;
     // numbers in a cache line, and how far ahead of its use a line is prefetched: the processor itself prefetches no
     // further than a page, and rows are short
     const int LINE = 32, AHEAD = 4096, BEHIND = 2048;

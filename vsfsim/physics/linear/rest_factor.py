@@ -17,6 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
+from vsfsim.physics.linear.elimination import Order, blocks_of
 from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
@@ -80,6 +81,7 @@ class RestFactor:
         self._dense: dict[str, torch.Tensor] = {}
         self._on = ""
         self._quick: RestFactor | None = None
+        self._order: Order | None = None
 
     @classmethod
     def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *,
@@ -121,6 +123,12 @@ class RestFactor:
             if self._quick is self:
                 self._solver  # noqa: B018  it will be needed: made now, not in the time of a frame
         return self._quick
+
+    def order(self, points: np.ndarray) -> Order:
+        """The order of elimination of this body's mesh, made once; its nodes are at ``points`` (n, 3) [m]."""
+        if self._order is None:
+            self._order = Order(blocks_of(self._held), points)
+        return self._order
 
     def make(self, nodes: np.ndarray, *, whole: bool, deadline: float = float("inf")) -> bool:
         """Make columns of the inverse at ``nodes`` (s,). Their surface rows are kept, since neighbouring touches share
@@ -196,16 +204,15 @@ class QuickFactor(RestFactor):
     _kept = np.float32
 
     def __init__(self, exact: RestFactor, solver: Multifrontal):
-        began = time.perf_counter()
         self._begin(exact.stiffness, exact.free, exact._surface)
-        self._solver = solver
-        self.seconds = time.perf_counter() - began
+        self._solver, self._order = solver, solver.order
+        self.seconds = solver.seconds
 
     @classmethod
     def of_trusted(cls, exact: RestFactor, points: np.ndarray, *, within: float = TRUST) -> QuickFactor | None:
         """The quick factor, or None if its relative error for this body is not ``within`` a limit: it is tried with
         uniform forces along each axis and with random ones."""
-        solver = Multifrontal(exact._held, points)
+        solver = Multifrontal.of(exact._held, points)
         loads = np.concatenate([np.tile(np.eye(3), (len(points), 1)),
                                 np.random.default_rng(0).normal(size=(exact.size, 1))], axis=1)
         accurate = trusted(exact._held, solver, loads * exact.free[:, None], within=within)

@@ -10,11 +10,13 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
                      near: torch.Tensor, tolerance: torch.Tensor, iterations: int,
                      plain: bool = False, deadline: float = float("inf"), shift: torch.Tensor | None = None,
+                     factors: TangentFactors | None = None,
                      ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (tangent + contact) d = residual by `pcg`, or by `gmres` where the contact is not symmetric.
 
@@ -27,6 +29,7 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         tolerance: relative residual of each column (k,).
         iterations: limit.
         plain, deadline, shift: see `pcg.solve`.
+        factors: of deformed states, which precondition the touches that have one; they note the iterations.
 
     Returns:
         Directions (3 n, k) [m]; iterations of each (k,); the negative curvature that each met (k,) [-], 0 for none and
@@ -34,7 +37,9 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
-    block = contact.block(columns) if bool(contact.touches(columns).any()) else None
+    own_factor = [None if factors is None else factors.of(b) for b in columns.tolist()]
+    touched, at_rest = bool(contact.touches(columns).any()), None in own_factor
+    block = contact.block(columns) if touched and at_rest else None
     size = len(residual)
 
     class Part:
@@ -45,8 +50,11 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             self.columns, self.index = own, wp.from_torch(own.to(torch.int32))
             self.dof, self.mask = contact.dof[own], contact.mask[own]
             self.at = self.dof.clamp(min=0).T
-            if block is not None:
+            picked = range(len(own)) if which is None else which.tolist()
+            self.factors = [(j, own_factor[k]) for j, k in enumerate(picked) if own_factor[k] is not None]
+            if touched:
                 self.stiffness = stiffness if which is None else stiffness[which]
+            if block is not None:
                 self.block = block if which is None else block.pick(which)
 
         def patch(self, x: torch.Tensor) -> torch.Tensor:
@@ -64,16 +72,19 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         own = part(which)
         with clock.measure("products"):
             out = wp.to_torch(elasticity.multiply(own.index, wp.from_torch(x.contiguous())))
-        if block is not None:
+        if touched:
             out = out + spread(own.dof, (own.stiffness @ own.patch(x)[:, :, None])[:, :, 0], size).to(out.dtype)
         return out
 
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         with clock.measure("back-solves"):
-            y = response.solve(r.to(torch.float64))
-            if block is not None:
+            right = r.to(torch.float64)
+            y = torch.empty_like(right) if len(own.factors) == right.shape[1] else response.solve(right)
+            if block is not None and len(own.factors) < right.shape[1]:
                 y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
+            for j, factor in own.factors:
+                y[:, j:j + 1] = torch.as_tensor(factor.solve(right[:, j:j + 1].numpy()))
         return y.to(r.dtype)
 
     if not contact.symmetric:
@@ -82,4 +93,6 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
         return direction, steps, torch.zeros_like(tolerance), stiffness
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                            plain=plain, deadline=deadline, shift=shift)
+    if factors is not None:
+        factors.count(columns, steps)
     return direction, steps, negative, stiffness

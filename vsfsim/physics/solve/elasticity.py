@@ -13,8 +13,10 @@ import warp as wp
 
 import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
+from vsfsim.physics.linear.elimination import Order
 from vsfsim.physics.model import Model
 
+_TOGETHER = 1024  # elements whose tangents are made at once
 _CHUNKS = 64  # partial sums of the energy of a touch: enough threads for a GPU, and the same sum on every device
 
 
@@ -138,8 +140,27 @@ def kernels(real: type) -> Any:
     def mark(index: wp.array(dtype=wp.int32), value: wp.float64, out: wp.array(dtype=wp.float64)):
         out[index[wp.tid()]] = value
 
+    @wp.kernel(module=module, enable_backward=False)
+    def add_blocks(
+        # model
+        block: wp.array3d(dtype=wp.int32),
+        # state in
+        matrix_in: wp.array3d(dtype=real),
+        # state out
+        values_out: wp.array3d(dtype=wp.float64),
+    ):
+        # on a CPU one element after the other
+        t = wp.tid()
+        for i in range(block.shape[1]):
+            for j in range(block.shape[2]):
+                at = block[t, i, j]
+                if at >= 0:
+                    for c in range(3):
+                        for d in range(3):
+                            values_out[at, c, d] += wp.float64(matrix_in[t, 3 * i + c, 3 * j + d])
+
     return SimpleNamespace(gather=gather, remember=remember, partial=partial, whole=whole, add_part=add_part,
-                           add_parts=add_parts, mark=mark)
+                           add_parts=add_parts, mark=mark, add_blocks=add_blocks)
 
 
 class Collective:
@@ -304,6 +325,29 @@ class Elasticity:
                 self._together[i].tangent(index, u, projected)
             elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
+
+    def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
+        """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
+        in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
+        at = self._at.numpy()[:, touch]
+        for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
+            size = 3 * block.nodes.shape[1]
+            stored = np.ascontiguousarray(state.numpy()[:, :, touch:touch + 1])
+            places = order.find(block.nodes[:, :, None], block.nodes[:, None, :])
+            for first in range(0, len(block), _TOGETHER):
+                rows = slice(first, min(first + _TOGETHER, len(block)))
+                count = rows.stop - first
+                nodes = block.nodes[rows].astype(np.int64)
+                own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
+                alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
+                matrix = wp.empty((count, size, size), dtype=self.real, device="cpu")
+                wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
+                    alone, *(a[rows] for a in model[1:]), wp.zeros(size, dtype=wp.int32, device="cpu"),
+                    *(wp.array(a, dtype=self.real, device="cpu") for a in (
+                        own_at, stored[rows], np.tile(np.eye(size), (count, 1)))), matrix])
+                wp.launch(self.kernels.add_blocks, dim=count, device="cpu", inputs=[
+                    wp.array(places[rows], dtype=wp.int32, device="cpu"), matrix,
+                    wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
 
     def remembered(self, block: int) -> np.ndarray:
         """The state of the tangents of one block (m, state_size, B), read back to assemble a matrix on the host."""

@@ -3,7 +3,7 @@
     Pi(u) = sum of element energies - load . u + energy of the contact    ->    minimum
 
 Each linear system is solved by `pcg`, or by `gmres` where contact is not symmetric, preconditioned by the rest-state
-inverse with the contact block inverted exactly.
+inverse with the contact block inverted exactly, or by a factor of a deformed state (`tangent_factor`).
 Far from the solution, and after a step that failed, the tangent is projected to positive semi-definite; near it, and
 under planes, the true one serves, and one that has negative curvature is shifted until it has none (`_descend`).
 
@@ -27,6 +27,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
+from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
@@ -78,10 +79,12 @@ class Equilibrium:
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
         self.least = torch.full((batch,), -float("inf"), dtype=torch.float64, device=self.device)
+        self.factors = TangentFactors(model, elasticity, contact)
         self.reset_counts()
 
     def reset_counts(self) -> None:
         """Count iterations from zero."""
+        self.factors.begin_frame()
         self.newton, self.cg, self.reason = (np.zeros(len(self.every), int) for _ in range(3))
 
     def exhausted(self, host: np.ndarray) -> np.ndarray:
@@ -122,9 +125,8 @@ class Equilibrium:
         potential = energy + self.contact.energy(columns) - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
         state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
-                 "energy": energy,
+                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
                  "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)}
-        state["wrong_side"] = self.contact.wrong_side(columns)
         state["measure"] = self.measure(residual, contact)
         return state
 
@@ -194,6 +196,7 @@ class Equilibrium:
             far = (before > 0.3) | safe[open_]
             convex = safe[open_] if self.contact.shifts and not has_friction and self.contact.flat else far
             fresh = renew[open_] | (before > 0.05) | self._foreign[active]
+            fresh |= self.factors.renew(active, self.u, deadline)
             self._foreign[active] = False
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
@@ -221,8 +224,7 @@ class Equilibrium:
             stuck[open_] = ~moved & safe[open_] | rounded[open_]
             idle[open_] = torch.where(state["measure"][open_] < 0.9 * least[open_], 0, idle[open_] + 1)
             least[open_] = torch.minimum(least[open_], state["measure"][open_])
-            lost = open_[idle[open_] >= self.contact.patience]
-            lost = torch.cat([lost, open_[self._barred[active] >= _BARRED]])
+            lost = open_[(idle[open_] >= self.contact.patience) | (self._barred[active] >= _BARRED)]
             stuck[lost], held[lost] = True, False
             self.reason[active[stuck[open_]].cpu().numpy()] = Reason.STALLED
             safe[open_] = ~moved
@@ -287,7 +289,7 @@ class Equilibrium:
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=iterations or opt.cg,
                                 tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
-                                deadline=self._deadline, shift=shift)
+                                deadline=self._deadline, shift=shift, factors=self.factors)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
                  residual: torch.Tensor) -> torch.Tensor:
@@ -330,7 +332,6 @@ class Equilibrium:
         slopes = [(state["residual"][:, at] * direction).sum(dim=0) for direction in directions]
         step = torch.ones_like(slopes[0])
         differ = (directions[0] != directions[1]).any(dim=0)
-
         barred = torch.zeros_like(differ)
 
         def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
@@ -375,10 +376,9 @@ class Equilibrium:
                 break
             step[pending] *= 0.5
         self._barred[columns] = torch.where(barred & (step < _SHORT), self._barred[columns] + 1, 0)
-        if not len(pending):
-            return moved
-        self.u[:, columns[pending]] = base[:, pending]
-        self.evaluate(columns[pending])
+        if len(pending):
+            self.u[:, columns[pending]] = base[:, pending]
+            self.evaluate(columns[pending])
         return moved
 
     def _second_order(self, columns: torch.Tensor, residual: torch.Tensor) -> State:
