@@ -29,7 +29,7 @@ _PAIRS = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]])
 # Blocks of 160 to 1,280 tetrahedra are this much softer than a uniform strain says, 1.03 to 1.055 along the three axes.
 RELAXATION = 1.045
 OBSERVED_POISSON_RATIO, POISSON_SPREAD = 0.20, 0.03  # of blocks of 720 tetrahedra and more, see above
-BARRIER = 10.0  # modulus of the barrier that keeps a cell's volume over Young's modulus [-], see `elements.cell`
+CELL = 1.0  # modulus of the pressure that keeps a cell's volume over Young's modulus [-], see `elements.cell`
 _ROUNDS, _HASTE = 60, 1.8  # updates, and the power of each (1 is ISRA as published, and needs twice as many)
 
 
@@ -60,7 +60,7 @@ def cut_in_eight(mesh: QuadraticMesh) -> tuple[np.ndarray, np.ndarray]:
 
 def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio: float) -> tuple[Block, ...]:
     """Springs with the observed small-strain modulus E; their Poisson's ratio is `OBSERVED_POISSON_RATIO`. Springs
-    resist no change of volume, so cells do that are pushed nearly flat.
+    resist no change of volume, so cells do that have lost a tenth of theirs.
 
     Args:
         mesh: the placed mesh.
@@ -77,7 +77,7 @@ def spring_network(mesh: QuadraticMesh, young_modulus: np.ndarray, poisson_ratio
     strength = np.bincount(edge_of.ravel(), np.repeat(young_modulus.mean(axis=1)[owner] * volume, 6), len(edges))
     factor = _isotropic(len(mesh.points), cells, volume, edge_of, edge / np.sqrt(square)[:, None])
     return (spring.block(edges, mesh.points, RELAXATION * factor * strength / square),
-            cell.block(cells, mesh.points, BARRIER * young_modulus.mean(axis=1)[owner]))
+            cell.block(cells, mesh.points, CELL * young_modulus.mean(axis=1)[owner]))
 
 
 def _isotropic(points: int, cells: np.ndarray, volume: np.ndarray, edge_of: np.ndarray,

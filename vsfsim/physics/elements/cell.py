@@ -1,13 +1,14 @@
-"""Cell: four nodes, and a barrier that keeps the volume between them from vanishing.
+"""Cell: four nodes, and a pressure that keeps the volume between them from vanishing.
 
-    E(x) = k V / 2 max(0, J0 - J)^2,     J = (x_1 - x_0) x (x_2 - x_0) . (x_3 - x_0) / (6 V)
+    E(x) = k V (c^2 / 2 + c^4),     c = max(0, J0 - J),     J = (x_1 - x_0) x (x_2 - x_0) . (x_3 - x_0) / (6 V)
 
-V is the volume at rest and J0 = `LEAST`. Above it the cell does nothing: a network of springs keeps its law there.
-Below it the pressure k (J0 - J) opposes what springs do not, a cell that is pushed flat and inside out (Teschner et al.
-2004, "A versatile and robust model for geometrically complex deformable solids", section 3). It grows through J = 0, so
-a cell that was pushed through recovers.
+V is the volume at rest and J0 = `LEAST`. Above it the cell does nothing: a network of springs keeps its law at small
+strain. Below it the pressure k (c + 4 c^3) opposes what springs do not, a cell that is pushed flat and inside out
+(Teschner et al. 2004, "A versatile and robust model for geometrically complex deformable solids", section 3). It acts
+early, for a network of springs alone softens in compression and gives way: its cells collapse one by one below about
+half of their volume. It grows through J = 0, so a cell that was pushed through recovers.
 
-The tangent is k V (dJ (x) dJ - (J0 - J) d2J); the projected one has its first term alone.
+The tangent is k V ((1 + 12 c^2) dJ (x) dJ - (c + 4 c^3) d2J); the projected one has its first term alone.
 """
 
 import functools
@@ -21,8 +22,8 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 from vsfsim.physics.elements.block import Block
 
 NODES = 4
-LEAST = 0.4
-"""J0, volume over that at rest under which the barrier acts [-]."""
+LEAST = 0.9
+"""J0, volume over that at rest under which the pressure acts [-]."""
 
 
 def block(nodes: np.ndarray, points: np.ndarray, stiffness: np.ndarray) -> Block:
@@ -97,9 +98,9 @@ def kernels(real: type) -> Any:
         whole = real(6.0) * volume[t]
         j = wp.dot(wp.cross(d1, d2), d3) / whole
         short = wp.max(onset - j, real(0.0))
-        push = -stiffness[t] * short / real(6.0)
+        push = -stiffness[t] * short * (real(1.0) + real(4.0) * short * short) / real(6.0)
         give(force_out, t, b, push * wp.cross(d2, d3), push * wp.cross(d3, d1), push * wp.cross(d1, d2))
-        energy_out[t, b] = real(0.5) * stiffness[t] * volume[t] * short * short
+        energy_out[t, b] = stiffness[t] * volume[t] * short * short * (real(0.5) + short * short)
         det_out[t, b] = j
 
     @wp.kernel(module=module, enable_backward=False)
@@ -116,7 +117,7 @@ def kernels(real: type) -> Any:
         # state out
         state_out: wp.array3d(dtype=real),
     ):
-        # k / (36 V) (row 0) and -k (J0 - J) / 6 (row 1) where the barrier acts
+        # k (1 + 12 c^2) / (36 V) (row 0) and -k (c + 4 c^3) / 6 (row 1) where the pressure acts
         t, k = wp.tid()
         b = index[k]
         d1 = rest[t, 0] + edge(nodes, u_in, t, 1, b)
@@ -126,9 +127,9 @@ def kernels(real: type) -> Any:
         state_out[t, 0, b] = real(0.0)
         state_out[t, 1, b] = real(0.0)
         if short > real(0.0):
-            state_out[t, 0, b] = stiffness[t] / (real(36.0) * volume[t])
+            state_out[t, 0, b] = stiffness[t] * (real(1.0) + real(12.0) * short * short) / (real(36.0) * volume[t])
             if projected == 0:
-                state_out[t, 1, b] = -stiffness[t] * short / real(6.0)
+                state_out[t, 1, b] = -stiffness[t] * short * (real(1.0) + real(4.0) * short * short) / real(6.0)
 
     @wp.kernel(module=module, enable_backward=False)
     def multiply(
