@@ -66,7 +66,7 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measur
         timed = [v for v in verdicts if v.cell.kind in ("solid", "bubble")]
         tables.append(Table("Share of solids and bubbles all of whose frames converge within a time, in percent",
                             (Column("cells", "cells"), Column("number", "number", "1", form="d"),
-                             *(Column(f"within_{span:g}", f"{span:g} s", "1", "%", ".1f") for span in spans)),
+                             *(Column(f"within_{1e3 * span:g}_ms", f"{span:g} s", "1", "%", ".1f") for span in spans)),
                             [_within("all", timed, spans),
                              _within("friction <= 1, depth <= 50 %", [v for v in timed if v.cell.moderate], spans)],
                             "within"))
@@ -100,7 +100,7 @@ def _within(name: str, verdicts: Sequence[Verdict], spans: Sequence[float]) -> d
     good = np.array([v.slowest if v.outcome is Outcome.CONVERGED else np.inf for v in verdicts])
     return {"cells": name, "number": len(verdicts),
             # a step that has begun may end after the limit
-            **{f"within_{span:g}": float(np.mean(good <= (LATE if span == spans[-1] else 1.0) * span))
+            **{f"within_{1e3 * span:g}_ms": float(np.mean(good <= (LATE if span == spans[-1] else 1.0) * span))
                if len(good) else None for span in spans}}
 
 

@@ -179,7 +179,7 @@ def test_shares_by_time():
     some = [verdict(solids[0], slowest=0.3), verdict(solids[1], slowest=1.5), verdict(solids[2], slowest=4.2),
             verdict(solids[3], Outcome.MARKED, slowest=0.1)]
     row = report.measurement(some, {"limit": 4.0}).record()["within"][0]
-    assert [row[f"within_{span}"] for span in ("0.5", "1", "2", "4")] == [0.25, 0.25, 0.5, 0.75]
+    assert [row[f"within_{span}_ms"] for span in (500, 1000, 2000, 4000)] == [0.25, 0.25, 0.5, 0.75]
 
 
 def test_forces_that_do_not_scale_with_the_units_are_wrong():
