@@ -178,8 +178,12 @@ def test_shares_by_time():
     solids = [c for c in design() if c.kind == "solid"][:4]
     some = [verdict(solids[0], slowest=0.3), verdict(solids[1], slowest=1.5), verdict(solids[2], slowest=4.2),
             verdict(solids[3], Outcome.MARKED, slowest=0.1)]
-    row = report.measurement(some, {"limit": 4.0}).record()["within"][0]
+    found = report.measurement(some, {"limit": 4.0})
+    row = found.record()["within"][0]
     assert [row[f"within_{span}_ms"] for span in (500, 1000, 2000, 4000)] == [0.25, 0.25, 0.5, 0.75]
+    assert "75.0" in found.text()
+    rods = [verdict(c) for c in design() if c.kind == "rod"][:2]  # whose frames are not timed
+    assert "within a time" in report.measurement(rods, {"limit": 4.0}).text()
 
 
 def test_forces_that_do_not_scale_with_the_units_are_wrong():
