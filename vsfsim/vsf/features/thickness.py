@@ -39,6 +39,7 @@ NEAR = 0.05
 _NEIGHBOURS = 8
 _REACH = 0.025  # voxels further apart are not neighbours on a surface [m]
 _GAP = 10.0  # factor on the length of an edge across a gap
+_LEAST = 0.02  # of such a length: heights count from the lowest points but 0.2 %, and a leaf may hang far below [m]
 _FOOT = 0.03  # points within this height of the lowest one are the foot [m]
 
 
@@ -72,7 +73,7 @@ class PlaceDescriptor:
         mask = np.asarray(view.mask, bool)
         values = np.zeros((*mask.shape, 4), np.float32)
         values[mask, 0] = np.log(local_thickness(view)[mask])
-        values[mask, 1:] = np.log(place(view) + NEAR)
+        values[mask, 1:] = np.log(np.maximum(place(view) + NEAR, _LEAST))
         visible = values[mask].astype(np.float64)
         token = np.concatenate([visible.mean(axis=0), visible.std(axis=0)]).astype(np.float32)
         return FeatureImage(values, mask, token)
