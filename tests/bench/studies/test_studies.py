@@ -207,6 +207,9 @@ def test_the_command_lists_and_refuses(vsfsim, tmp_path):
     assert listed.returncode == 0 and all(name in listed.stdout for name in studies())
     unknown = vsfsim("study", "shoes-bredth", cwd=tmp_path)
     assert unknown.returncode == 2 and "shoes-breadth" in unknown.stderr
-    missing = vsfsim("study", "shoes-views", cwd=tmp_path)
+    # Another number of touches than any that ships: a result that is stored later cannot answer it.
+    own = studies()["shoes-views"].read_text().replace("touches = 10", "touches = 11")
+    (tmp_path / "mine.toml").write_text(own)
+    missing = vsfsim("study", "mine.toml", cwd=tmp_path)
     assert missing.returncode == 2
-    assert "vsfsim generate shoes-v2-mini --objects 12 --views 8 --touches 10" in missing.stderr
+    assert "vsfsim generate shoes-v2-mini --objects 12 --views 8 --touches 11" in missing.stderr
