@@ -6,9 +6,11 @@ import scipy.sparse as sp
 import torch
 import warp as wp
 
+from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid_contact import RigidContact
+from vsfsim.physics.linear.local_factor import LocalFactor
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
 from vsfsim.physics.solve import pcg, tangent_factor
 from vsfsim.physics.solve.direction import newton_direction
@@ -338,3 +340,44 @@ def test_a_factor_that_would_come_too_late_is_not_begun(block, monkeypatch):
     monkeypatch.setattr(tangent_factor.TangentFactors, "_duration", lambda self: 1e9)
     monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: pytest.fail("begun"))
     Solver(model, Sphere(0.015), options=SolverOptions(seconds=100.0)).run(poses)
+
+
+def test_a_local_factor_takes_fewer_iterations_to_the_same_equilibrium(block, monkeypatch):
+    """Of the nodes that a ball deforms most; without negative curvature the frames are those of the factor at rest."""
+    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
+    poses = np.tile(np.eye(4), (2, 1, 1, 1))
+    poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.3]]
+    monkeypatch.setattr(tangent_factor, "_FIRST", 10**6)  # no factor of the whole
+    made = []
+    make = tangent_factor.TangentFactors._make_local
+    monkeypatch.setattr(tangent_factor.TangentFactors, "_make_local", lambda *a: made.append(make(*a)) or made[-1])
+
+    def press():
+        made.clear()
+        return Solver(model, Sphere(0.015), options=SolverOptions(seconds=1e9)).run(poses)
+
+    own = press()
+    assert made and None not in made and own.converged.all()
+    monkeypatch.setattr(tangent_factor, "_NEAR", 10**6)
+    rest = press()
+    assert not made and rest.converged.all()
+    print("iterations", own.cg_iterations.ravel(), "for", rest.cg_iterations.ravel())
+    assert own.cg_iterations[1] < 0.75 * rest.cg_iterations[1]
+    # both are balanced to 1e-4 of the force
+    assert np.abs(own.force - rest.force).max() < 2e-4 * np.abs(rest.force).max()
+
+
+def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part():
+    random = np.random.default_rng(3)
+    a = random.normal(size=(30, 30))
+    a, p, at = a @ a.T + np.eye(30), np.diag(random.uniform(0.5, 2.0, 30)), np.array([3, 4, 7, 20, 21])
+    local = LocalFactor(sp.csr_matrix(a[at]), at, touched=np.array([3, 7, 29]))
+    part = np.zeros((30, 30))
+    part[np.ix_(at, at)] = np.linalg.inv(a[np.ix_(at, at)])
+    right = random.normal(size=30)
+    own, left = local.before(right)
+    expected = part @ right + (np.eye(30) - part @ a) @ p @ (right - a @ part @ right)
+    np.testing.assert_allclose(local.after(right, own, p @ left), expected, atol=1e-9 * np.abs(expected).max())
+    assert local.holds(np.array([7])) and not local.holds(np.array([7, 29])), "29 has no row in it"
+    with pytest.raises(MeshError, match="positive definite"):
+        LocalFactor(sp.csr_matrix(a[at] - 200.0 * np.eye(30)[at]), at, touched=at)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from vsfsim.core.scene import parse_scene
 from vsfsim.generate.effector import effector_of
 from vsfsim.generate.press_result import PressRequest
+from vsfsim.physics import tiers
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.solve.frames import Reason
 
@@ -31,6 +33,18 @@ shape = {{ {probe} }}
 path = [[0.0, 0.0, {top}], [0.0, 0.0, {low}], [0.01, 0.0, {low}]]
 rotation = [[0, 0, 0], [0, 0, 0], [0, 0, 0.7]]
 frames = [2, 2]
+"""
+BALL = """
+name = "ball"
+[object]
+shape = { box = [0.1, 0.1, 0.05] }
+resolution = 0.05
+young_modulus = 1e5
+[probe]
+shape = { sphere = 0.02 }
+[press]
+path = [[0.0, 0.0, 0.07], [0.0, 0.0, 0.06]]
+frames = [1]
 """
 BUBBLE = """
 name = "hard"
@@ -98,3 +112,14 @@ def test_no_frame_takes_a_fifth_more_than_its_limit_or_one_iteration(name, monke
     print(f"{name}: {np.round(seconds, 2)} s, least {least:.2f} s, growth {max(grows):.2f} s, "
           f"{late.sum()} of {len(late)} frames at the limit")
     assert seconds.max() <= 1.2 * LIMIT + least + max(grows)
+
+
+def test_a_stated_time_limit_is_the_only_one_of_a_frame(monkeypatch, tmp_path):
+    """Two conjugate gradients a frame are not enough here. Who states a time limit gets that time for the frame."""
+    own = tiers.options
+    monkeypatch.setattr(tiers, "options", lambda tier: dataclasses.replace(own(tier), cg_frame=2))
+    loaded = parse_scene(BALL, tmp_path / "ball.toml")
+    press = effector_of(loaded.sample(0)).press
+    few, timed = (press(loaded, PressRequest(tier="fem-coarse", seconds=seconds)) for seconds in (None, 60.0))
+    assert Reason.ITERATIONS.text in few.more["reason"]
+    assert set(timed.more["reason"]) == {Reason.NONE.text}

@@ -52,7 +52,8 @@ def press(scene: SceneName, tier: Tier = None, device: Device = "cpu", precision
           save: ArchiveFile = None,
           limit: Annotated[float | None, typer.Option(min=0.1, metavar="SECONDS",
                                                       help="Wall-clock limit of a frame; one that takes longer is "
-                                                           "marked. Default: the tier's own, 120.")] = None,
+                                                           "marked. Default: the tier's own, 120, and 1,500 "
+                                                           "conjugate gradients.")] = None,
           refine: Annotated[int | None, typer.Option(min=3, max=6, metavar="MESHES",
                                                      help="Press 3 to 6 finer and finer meshes: observed order of "
                                                           "convergence, extrapolated force and its error.")] = None

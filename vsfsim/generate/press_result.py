@@ -16,6 +16,8 @@ import numpy as np
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.sensing.surface import Surface
 
+_NO_LIMIT = 10**9
+
 
 @dataclass(frozen=True)
 class PressRequest:
@@ -39,8 +41,11 @@ class PressRequest:
     """Called with (done, in all, what)."""
 
     def limited(self, options: SolverOptions) -> SolverOptions:
-        """The options with this request's time limit."""
-        return options if self.seconds is None else dataclasses.replace(options, seconds=self.seconds)
+        """The options with this request's time limit. Who states one is ready to wait that long, so that the limits of
+        a frame's iterations, which end it on every machine alike, do not end it before."""
+        if self.seconds is None:
+            return options
+        return dataclasses.replace(options, seconds=self.seconds, cg_frame=_NO_LIMIT, newton_frame=_NO_LIMIT)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ On a patch's degrees of freedom the rest-state compliance A gives the elastic re
 
 which is the stationary point of 1/2 q^T A q + f0 . A q + (energy of the contact); a semi-smooth Newton method with a
 line search on that energy solves it for all touches at once. It is the `linear` tier, and the prediction of the others.
+Near the solution the contact of many points has its geometric term, without which the method converges linearly near a
+body's edges; where that leads up, it is left out again. Directions are in single precision there.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ _ROUNDING = 1e-12  # of the energy: rounding of the sum over the patch
 _FIRST_TOLERANCE = 1e-3  # of the contact without friction, which only leads the way
 _RELIEF = 0.01  # of the stick stiffness: about the stiffness of the body itself at a contact point
 _SHORTEST, _BACK = 1e-4, 0.1  # step of the line search; its least length over the one before
+_CURVED, _AGAIN = 0.01, 0.1  # error from which on the stiffness has its geometric term; part of it after a failure
+_PATIENCE = 8  # iterations without a new least error after which a problem is given up: its body slides about an edge
 _COMPACT = 0.8  # share of running touches under which the others are dropped from the tensors
 
 
@@ -37,23 +41,26 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
         iterations: limit of Newton's method.
         tolerance: relative error of the displacements of the patch, of all touches or of each (k,).
         start: first guess of the changes (k, 3 s) [N]; None is zero.
-        staged: whether this begins anew from the contact without friction where it fails.
+        staged: whether this must arrive: it begins anew from the contact without friction where it fails, and is not
+            given up for iterations without a gain.
         deadline: `time.perf_counter` after which no iteration but the first begins [s].
 
     Returns:
         Changes (k, 3 s) [N] and the relative errors left (k,).
     """
+    patience = iterations if staged else _PATIENCE
     if not (contact.has_friction and contact.shifts):
-        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline)
-    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline)
+        return _newton(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
+    best_change, error = _mixed(contact, columns, base, pushed, start, iterations, tolerance, deadline, patience)
     again = (error > tolerance).nonzero()[:, 0]
     if staged and len(again) and time.perf_counter() < deadline:
         # begin from the contact without friction
         some, limit = columns[again], contact.limit[columns[again]]
         contact.limit[some] = 0.0
-        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline)
+        part, _ = _newton(contact, some, base[again], pushed[again], None, iterations, _FIRST_TOLERANCE, deadline,
+                          patience)
         contact.limit[some] = limit
-        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline)
+        part, new = _mixed(contact, some, base[again], pushed[again], part, iterations, tolerance, deadline, patience)
         better = new < error[again]
         best_change[again[better]], error[again[better]] = part[better], new[better]
     return best_change, error
@@ -61,7 +68,7 @@ def solve(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch
 
 def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor,
             start: torch.Tensor | None, iterations: int, tolerance: float,
-            deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
+            deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
     compliance = contact.compliance[columns]
     q = torch.zeros_like(base) if start is None else start.clone()
     trial = base + _times(compliance, q) if start is not None else base.clone()
@@ -69,10 +76,12 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
     live = None  # indices of the touches in the tensors, None for all; many are dropped at once, since indexing costs
     dq, move = torch.zeros_like(q), torch.zeros_like(q)
     level, slope, step = best_error.clone(), torch.zeros_like(best_error), torch.ones_like(best_error)
-    error = best_error.clone()
+    error, most = best_error.clone(), torch.full_like(best_error, _CURVED)
+    curved = torch.zeros_like(best_error, dtype=torch.bool)
     wrong_side = torch.full_like(level, torch.iinfo(torch.int64).max, dtype=torch.int64)
     best_change = best.clone()
     running = torch.ones_like(best_error, dtype=torch.bool)
+    idle = torch.zeros_like(wrong_side)
     for step_number in range(iterations):
         if step_number and time.perf_counter() > deadline:
             break
@@ -86,6 +95,7 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
         shorter = torch.where(crossed > wrong_side, 0.5 * step, least.clamp(min=_BACK * step, max=0.5 * step))
         back = torch.where(far, step - shorter, 0.0)[:, None]
         step = torch.where(far, shorter, step)
+        most = torch.where(far & curved & (error < most), _AGAIN * error, most)
         if bool((far | ~running).all()):
             q, trial = q - back * dq, trial - back * move
             continue
@@ -97,13 +107,15 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
         better = fresh & (size < error)
         best_change = torch.where(better[:, None], nodal - pushed, best_change)
         error = torch.where(better, size, error)
-        running = running & (far | (size >= tolerance))
+        idle = torch.where(better, 0, idle + fresh.to(idle.dtype))
+        running = running & (far | (size >= tolerance)) & (idle < patience)
         left = int(running.sum())
         if left == 0:
             break
         ahead = running & ~far
         if bool(ahead.any()):
-            new = rho - contact.block(columns).apply(miss)
+            new, bent, up = _direction(contact, columns, rho, miss, ahead & (error < most))
+            curved, most = torch.where(ahead, bent, curved), torch.where(up, _AGAIN * error, most)
             dq = torch.where(ahead[:, None], new, dq)
             move = torch.where(ahead[:, None], _times(compliance, new), move)
             level, slope = torch.where(ahead, energy, level), torch.where(ahead, (new * miss).sum(dim=1), slope)
@@ -119,17 +131,28 @@ def _newton(contact: Contact, columns: torch.Tensor, base: torch.Tensor, pushed:
             live = keep if live is None else live[keep]
             columns, compliance, base, pushed, q, trial, dq, move = (
                 x[keep] for x in (columns, compliance, base, pushed, q, trial, dq, move))
-            level, slope, step, error, best_change, wrong_side = (
-                x[keep] for x in (level, slope, step, error, best_change, wrong_side))
+            level, slope, step, error, most, curved, best_change, wrong_side, idle = (
+                x[keep] for x in (level, slope, step, error, most, curved, best_change, wrong_side, idle))
             running = torch.ones_like(keep, dtype=torch.bool)
     where = slice(None) if live is None else live
     best[where], best_error[where] = best_change, error
     return best, best_error
 
 
+def _direction(contact: Any, columns: torch.Tensor, rho: torch.Tensor, miss: torch.Tensor,
+               curved: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Newton's direction (k, 3 s) [N], with the geometric term of the contact for touches that are ``curved`` (k,);
+    which of these have it (k,), and for which it was left out again because it led up (k,)."""
+    new = rho - contact.block(columns, torch.float32, curved).apply(miss)
+    up = curved & ((new * miss).sum(dim=1) <= 0.0)
+    if bool(up.any()):
+        new[up] = rho[up] - contact.block(columns[up], torch.float32).apply(miss[up])
+    return new, curved & ~up, up
+
+
 def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, start: torch.Tensor | None,
            iterations: int, tolerance: float | torch.Tensor,
-           deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
+           deadline: float, patience: int) -> tuple[torch.Tensor, torch.Tensor]:
     """As `_newton`, for touches of a solid with friction: Newton's method on the law in its mixed form.
 
     A point that slips has no stiffness along the slip. A step then throws it past its anchor, where it should stick,
@@ -142,13 +165,17 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
     trial = base + _times(compliance, q)
     best, error = q.clone(), torch.full((len(columns),), float("inf"), dtype=torch.float64, device=base.device)
     held = None
+    idle = torch.zeros(len(columns), dtype=torch.int64, device=base.device)
+    most, curved = torch.full_like(error, _CURVED), torch.zeros_like(idle, dtype=torch.bool)
     for step in range(iterations + 1):
         contact.evaluate(columns, trial)
         size = _times(compliance, contact.nodal(columns) - pushed - q).abs().amax(dim=1)
         size = size / trial.abs().amax(dim=1).clamp(min=1e-9)
         better = size < error
         best, error = torch.where(better[:, None], q, best), torch.where(better, size, error)
-        running = (error >= tolerance)[:, None]
+        most = torch.where(curved & ~better, _AGAIN * error, most)
+        idle = torch.where(better, 0, idle + 1)
+        running = ((error >= tolerance) & (idle < patience))[:, None]
         if step == iterations or not bool(running.any()) or (step and time.perf_counter() > deadline):
             break
         if held is not None:
@@ -157,7 +184,8 @@ def _mixed(contact: Any, columns: torch.Tensor, base: torch.Tensor, pushed: torc
         contact.evaluate(columns, trial)
         contact.relief[columns] = 1.0
         rho = contact.nodal(columns) - pushed - q
-        dq = rho - contact.block(columns, torch.float32).apply(_times(compliance, rho))
+        curved = size < most
+        dq = rho - contact.block(columns, torch.float32, curved).apply(_times(compliance, rho))
         move = _times(compliance, dq)
         held = contact.expected(columns, move)
         q, trial = torch.where(running, q + dq, q), torch.where(running, trial + move, trial)

@@ -113,8 +113,7 @@ class RigidContact:
         zeros = functools.partial(torch.zeros, dtype=torch.float64, device=self.device)
         dof = np.where(listed[:, :, None] >= 0, 3 * listed[:, :, None] + np.arange(3), -1).reshape(batch, 3 * nodes)
         same = hasattr(self, "dof") and np.array_equal(self.dof.cpu().numpy(), dof)
-        self.dof = tensor(dof)
-        self._index = self.dof.clamp(min=0)
+        self.dof, self._index = tensor(dof), tensor(dof).clamp(min=0)
         self.free = tensor(np.where(dof >= 0, self.model.free[np.maximum(dof, 0)], 0.0))
         self.mask = (self.dof >= 0).to(torch.float64)
         self.rest = tensor(np.where(dof >= 0, self.model.mesh.points.ravel()[np.maximum(dof, 0)], 0.0))
@@ -243,9 +242,8 @@ class RigidContact:
     def restore_friction(self, columns: torch.Tensor, state: tuple[Any, ...]) -> None:
         """See `Contact`; a patch that has grown since takes what its old points remembered."""
         if state:
-            points = self._body_points
-            restore(columns.tolist(), self._friction, state, (self.patches, points.met), self._table,
-                    points.body, self.model.mesh, self._u_before, self._before[1].numpy())
+            restore(columns.tolist(), self._friction, state, (self.patches, self._body_points.met), self._table,
+                    self._body_points.body, self.model.mesh, self._u_before, self._before[1].numpy())
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""
@@ -269,8 +267,8 @@ class RigidContact:
         if self._sums is not None:
             return self._sums.nodal(columns, self.force[columns])
         if self.device == "cpu":
-            nodes, local = self.dof.shape[1] // 3, wp.to_torch(self._local)[columns]
-            return nodal_sums(local, self._values[columns], self.force[columns], nodes)
+            own, nodes = (wp.to_torch(self._local)[columns], self._values[columns]), self.dof.shape[1] // 3
+            return nodal_sums(*own, self.force[columns], nodes)
         return (self._points[columns].mT @ self.force[columns]).flatten(1)
 
     def _held(self, columns: torch.Tensor) -> torch.Tensor:
@@ -319,9 +317,7 @@ class RigidContact:
             if curved:
                 out[geometric] += assemble(self._points, some, self._active(some), self._geometric, self.free[some])
             return out
-        own = self._own_stiffness(columns)
-        if curved:
-            own[geometric] += self._geometric[some]
+        own = self._own_stiffness(columns, geometric)
         return (self._assembled(columns, own) if self._sums is None else
                 self._sums.matrix(columns, own) * free[:, :, None] * free[:, None, :])
 
@@ -334,8 +330,11 @@ class RigidContact:
     def _assembled(self, columns: torch.Tensor, own: torch.Tensor) -> SparseStiffness:
         return SparseStiffness.of(wp.to_torch(self._local)[columns], self._values[columns], own, self.free[columns])
 
-    def _own_stiffness(self, columns: torch.Tensor) -> torch.Tensor:
-        return self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
+    def _own_stiffness(self, columns: torch.Tensor, geometric: torch.Tensor | None = None) -> torch.Tensor:
+        own = self._rows[columns].mT @ self._rows[columns] + self._coupling[columns]
+        if geometric is not None:
+            own[geometric] += self._geometric[columns[geometric]]
+        return own
 
     def rows(self, columns: torch.Tensor) -> torch.Tensor:
         """Rows R (k, m, 3 s) [sqrt(N/m)] of the points in contact, padded with 0: R^T R is the contact stiffness
@@ -348,15 +347,16 @@ class RigidContact:
         at, rows = wp.to_torch(self._local)[columns], self._rows[columns][:, :, 1:]
         return self.held[columns] + (rows.mT @ (rows @ at_points(at, self._values[columns], move)[..., None]))[..., 0]
 
-    def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64) -> ContactBlock:
-        """See `Contact`; ``real`` is the precision where many points touch."""
+    def block(self, columns: torch.Tensor, real: torch.dtype = torch.float64,
+              geometric: torch.Tensor | None = None) -> ContactBlock:
+        """See `Contact`. Where many points touch, ``real`` is the precision, and ``geometric`` (k,) bool as above."""
         compliance = self.compliance[columns] if len(columns) < self.batch else self.compliance
         if self._sums is None and not self._sparse(columns):
             return ContactBlock.of(self.rows(columns), compliance, nodes=self.has_friction)
-        own = self._own_stiffness(columns)
-        if self._sums is None:
-            return ContactBlock.sparse_of(self._assembled(columns, own), compliance, nodes=self.has_friction, real=real)
-        return self._sums.block(columns, own, self.free[columns], compliance)
+        if self._sums is not None:
+            return self._sums.block(columns, self._own_stiffness(columns), self.free[columns], compliance)
+        own = self._assembled(columns, self._own_stiffness(columns, geometric))
+        return ContactBlock.sparse_of(own, compliance, nodes=self.has_friction, real=real)
 
     def condensed(self, columns: torch.Tensor, base: torch.Tensor, pushed: torch.Tensor, *, iterations: int,
                   tolerance: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -385,8 +385,8 @@ class RigidContact:
         """See `Contact`."""
         cut, moved, kept = torch.zeros_like(self._member), [], self.friction_state()
         if isinstance(self._passage, Intrusion):
-            coarse = torch.as_tensor(self._cuts < CUTS[-1], device=self.device)
-            self._overlap[:, columns], met, cut = self._passage.grow(columns, pose, u, coarse, touched)
+            self._overlap[:, columns], met, cut = self._passage.grow(
+                columns, pose, u, torch.as_tensor(self._cuts < CUTS[-1], device=self.device), touched)
             moved, beside = self._body_points.renew(columns, pose, u, self.patches)
             met |= torch.as_tensor(beside, device=self.device)
         else:

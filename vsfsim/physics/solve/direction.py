@@ -10,7 +10,7 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
-from vsfsim.physics.solve.tangent_factor import TangentFactors
+from vsfsim.physics.solve.tangent_factor import TangentFactors, touched_unknowns
 
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,
@@ -37,9 +37,13 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     """
     response = contact.response
     stiffness = contact.stiffness(columns, near)
+    local = [None if factors is None else factors.local_of(b) for b in columns.tolist()]
     own_factor = [None if factors is None else factors.of(b) for b in columns.tolist()]
-    touched, at_rest = bool(contact.touches(columns).any()), None in own_factor
-    block = contact.block(columns) if touched and at_rest else None
+    touched = bool(contact.touches(columns).any())
+    # a local factor has the contact in it; the factor at rest has not, and is corrected for it where no other has
+    knows = [part is not None and part.holds(touched_unknowns(contact, stiffness, k, b)) if own is None else True
+             for k, (b, part, own) in enumerate(zip(columns.tolist(), local, own_factor, strict=True))]
+    block = contact.block(columns) if touched and not all(knows) else None
     size = len(residual)
 
     class Part:
@@ -52,8 +56,10 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
             self.at = self.dof.clamp(min=0).T
             picked = range(len(own)) if which is None else which.tolist()
             self.factors = [(j, own_factor[k]) for j, k in enumerate(picked) if own_factor[k] is not None]
+            self.local = [(j, local[k]) for j, k in enumerate(picked) if local[k] is not None]
             if touched:
                 self.stiffness = stiffness if which is None else stiffness[which]
+            self.lacks = torch.tensor([0.0 if knows[k] else 1.0 for k in picked], dtype=torch.float64)[:, None]
             if block is not None:
                 self.block = block if which is None else block.pick(which)
 
@@ -79,12 +85,17 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     def precondition(r: torch.Tensor, which: torch.Tensor | None) -> torch.Tensor:
         own = part(which)
         with clock.measure("back-solves"):
-            right = r.to(torch.float64)
+            right = r.to(torch.float64, copy=bool(own.local))
+            begun = [inner.before(right[:, j].numpy()) for j, inner in own.local]
+            for (j, _), (_, left) in zip(own.local, begun, strict=True):
+                right[:, j] = torch.as_tensor(left)
             y = torch.empty_like(right) if len(own.factors) == right.shape[1] else response.solve(right)
-            if block is not None and len(own.factors) < right.shape[1]:
-                y = y - response.patch(own.columns, own.block.apply(own.patch(y)))
+            if block is not None and bool(own.lacks.any()):
+                y = y - response.patch(own.columns, own.lacks.to(y.device) * own.block.apply(own.patch(y)))
             for j, factor in own.factors:
                 y[:, j:j + 1] = torch.as_tensor(factor.solve(right[:, j:j + 1].numpy()))
+            for (j, inner), (first, _) in zip(own.local, begun, strict=True):
+                y[:, j] = torch.as_tensor(inner.after(r[:, j].to(torch.float64).numpy(), first, y[:, j].numpy()))
         return y.to(r.dtype)
 
     if not contact.symmetric:
@@ -94,5 +105,5 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
     direction, steps, negative = pcg.solve(multiply, precondition, residual, tolerance=tolerance, iterations=iterations,
                                            plain=plain, deadline=deadline, shift=shift)
     if factors is not None:
-        factors.count(columns, steps)
+        factors.count(columns, steps, negative)
     return direction, steps, negative, stiffness

@@ -326,27 +326,29 @@ class Elasticity:
             elif own.tangent is not None:
                 self._launch(own.tangent, (len(block), len(index)), [*model, index, int(projected), u, state])
 
-    def add_matrices(self, touch: int, order: Order, values: np.ndarray) -> None:
+    def add_matrices(self, touch: int, order: Order, values: np.ndarray, at_nodes: np.ndarray | None = None) -> None:
         """Add the tangents of all elements of one touch, on a CPU, to the blocks ``values`` (b, 3, 3) [N/m] of a matrix
-        in this ``order``, supports not held: products of each element with the unit vectors of its own nodes."""
+        in this ``order``, supports not held: products of each element with the unit vectors of its own nodes. With
+        ``at_nodes`` (n,) bool only elements that have one of these nodes are added."""
         at = self._at.numpy()[:, touch]
         for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
             size = 3 * block.nodes.shape[1]
-            stored = np.ascontiguousarray(state.numpy()[:, :, touch:touch + 1])
-            places = order.find(block.nodes[:, :, None], block.nodes[:, None, :])
-            for first in range(0, len(block), _TOGETHER):
-                rows = slice(first, min(first + _TOGETHER, len(block)))
-                count = rows.stop - first
+            chosen = np.arange(len(block)) if at_nodes is None else np.flatnonzero(at_nodes[block.nodes].any(axis=1))
+            for first in range(0, len(chosen), _TOGETHER):
+                rows = chosen[first:first + _TOGETHER]
+                count = len(rows)
                 nodes = block.nodes[rows].astype(np.int64)
+                places = order.find(nodes[:, :, None], nodes[:, None, :])
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
                 alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
                 matrix = wp.empty((count, size, size), dtype=self.real, device="cpu")
                 wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
-                    alone, *(a[rows] for a in model[1:]), wp.zeros(size, dtype=wp.int32, device="cpu"),
+                    alone, *(wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu") for a in model[1:]),
+                    wp.zeros(size, dtype=wp.int32, device="cpu"),
                     *(wp.array(a, dtype=self.real, device="cpu") for a in (
-                        own_at, stored[rows], np.tile(np.eye(size), (count, 1)))), matrix])
+                        own_at, state.numpy()[rows, :, touch:touch + 1], np.tile(np.eye(size), (count, 1)))), matrix])
                 wp.launch(self.kernels.add_blocks, dim=count, device="cpu", inputs=[
-                    wp.array(places[rows], dtype=wp.int32, device="cpu"), matrix,
+                    wp.array(places, dtype=wp.int32, device="cpu"), matrix,
                     wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
 
     def remembered(self, block: int) -> np.ndarray:

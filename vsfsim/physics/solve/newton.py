@@ -31,11 +31,10 @@ from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
-# least shift of a tangent with negative curvature, and from which on it creeps; times that it is shifted
-_SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3
+_SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3  # of negative curvature: least, from which on it creeps; times
+_FAR_VOLUME = 3.0  # `SolverOptions.cg_far` of nearly incompressible bodies
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
-# steps in a row, shorter than this, after which points that come on the wrong side of a body mean that a touch is lost:
-# it is approached in shorter steps instead
+# steps in a row, shorter than this, that points on the wrong side of a body may cost before a touch counts as lost
 _BARRED, _SHORT = 2, 0.1
 State = dict[str, torch.Tensor]
 """Forces (internal, contact, residual), energies (energy, potential), least det F (det), points on the wrong side of a
@@ -286,10 +285,11 @@ class Equilibrium:
                    iterations: int | None = None, shift: torch.Tensor | None = None,
                    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
+        far = _FAR_VOLUME if self.model.keeps_volume else opt.cg_far
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
-                                iterations=iterations or opt.cg,
-                                tolerance=torch.where(near, 1.0, opt.cg_far) * opt.cg_tolerance, plain=opt.cg_plain,
-                                deadline=self._deadline, shift=shift, factors=self.factors)
+                                iterations=iterations or opt.cg, plain=opt.cg_plain, deadline=self._deadline,
+                                tolerance=opt.cg_tolerance * torch.where(near, 1.0, far), shift=shift,
+                                factors=self.factors)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
                  residual: torch.Tensor) -> torch.Tensor:
