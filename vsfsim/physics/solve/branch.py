@@ -1,35 +1,103 @@
-"""Which states lie on another branch than the equilibrium that a step begins from: a body has been let through."""
+"""Which states lie on another branch than the equilibrium that a step begins from: a body has been let through, or the
+object has snapped."""
 
 from __future__ import annotations
 
 import numpy as np
 import torch
+import warp as wp
 
+from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.newton import Equilibrium
 
+SNAP = 0.05
+"""Share of the energy that the bodies have put into the object, which a step may lose [-]."""
+_ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
 
-def bar(balance: Equilibrium, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
-    """Bar states of ``columns`` (k,) that have less potential than the present equilibria, on the way to ``pose``.
 
-    A body that moves on against the force on it does work, so without friction the potential grows. A state of less has
-    let the body through, between the contact points or around it.
+class Branch:
+    """The equilibria that the steps of a batch of touches begin from.
+
+    Made when no body touches the object yet, at the equilibrium under its weight.
 
     Args:
         balance: the touches; its ``least`` is set.
-        columns: touches (k,).
-        before, pose: poses of the equilibria, and at the end of the step (B, K, 4, 4).
     """
-    contact = balance.contact
-    if contact.has_friction or not contact.shifts:
-        return
-    contact.move(before, columns)
-    potential = balance.evaluate(columns)["potential"]
-    way = torch.as_tensor((pose - before)[..., :3, 3], device=balance.device)[columns]
-    force = contact.on_bodies(columns)
-    work, most = -(force * way).sum(dim=(1, 2)), (force.norm(dim=2) * way.norm(dim=2)).sum(dim=1)
-    balance.least[columns] = torch.where(work > 0.5 * most, potential, -float("inf"))
+
+    def __init__(self, balance: Equilibrium):
+        self._balance = balance
+        balance.elasticity.forces(wp.from_torch(balance.every.to(torch.int32)), wp.from_torch(balance.u))
+        self._rest = self._stored(balance.every)
+        self._kept = torch.full_like(balance.least, -float("inf"))  # energy that a step must keep [J]
+        self._push = torch.zeros_like(balance.least)  # length of the force on the bodies where it begins [N]
+        self._work = torch.zeros_like(balance.least)  # of that force along the step [J]
+        self._way: torch.Tensor | None = None  # of the bodies in the step (B, K, 3) [m]
+
+    def begin(self) -> None:
+        """Begin a step: nothing is known of its equilibria."""
+        self._balance.least[:] = self._kept[:] = -float("inf")
+
+    def bar(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
+        """Bar states of ``columns`` (k,) that have less potential than the present equilibria, on the way to ``pose``.
+
+        A body that moves on against the force on it does work, so without friction the potential grows. A state of less
+        has let the body through, between the contact points or around it. With friction, which takes up work, no state
+        is barred.
+
+        Args:
+            columns: touches (k,).
+            before, pose: poses of the equilibria, and at the end of the step (B, K, 4, 4).
+        """
+        balance, contact = self._balance, self._balance.contact
+        if not contact.shifts:
+            return
+        contact.move(before, columns)
+        state = balance.evaluate(columns)
+        way = torch.as_tensor((pose - before)[..., :3, 3], device=balance.device)
+        force = contact.on_bodies(columns)
+        work, most = _work(force, way[columns]), (force.norm(dim=2) * way[columns].norm(dim=2)).sum(dim=1)
+        inward, none = work > 0.5 * most, torch.full_like(work, -float("inf"))
+        balance.least[columns] = none if contact.has_friction else torch.where(inward, state["potential"], none)
+        straight = torch.as_tensor((pose[..., :3, :3] == before[..., :3, :3]).all(axis=(1, 2, 3)),
+                                   device=balance.device)  # the moments do no work
+        stored = self._stored(columns)
+        lost = SNAP * (stored - self._rest[columns]).clamp(min=0.0) + _ROUNDING * state["energy"].to(torch.float64)
+        kept = torch.where(inward & straight[columns], stored - lost, none)
+        # without friction every equilibrium of a step inward has more energy than those before it
+        self._kept[columns] = kept if contact.has_friction else torch.maximum(kept, self._kept[columns])
+        self._work[columns], self._push[columns], self._way = work, force.norm(dim=2).sum(dim=1), way
+
+    def lift(self, columns: torch.Tensor) -> None:
+        """Let ``columns`` (k,) go where they will."""
+        self._balance.least[columns] = -float("inf")
+
+    def mark(self, columns: torch.Tensor) -> None:
+        """Mark equilibria of ``columns`` (k,) that miss energy.
+
+        The bodies have done the work of their force along the step, at the least that of the smaller of the forces at
+        its ends. The object stores it, or friction has taken it up: the limits times the ways of slip, at the larger
+        push of both ends. Where both are less, the rest has become motion: the object has snapped, as a column does
+        that buckles. Where it comes to rest depends on that motion, which this solver does not know. In shorter steps
+        an object on its way loses nothing, and one that snaps as much.
+        """
+        balance, contact = self._balance, self._balance.contact
+        if self._way is None:
+            return
+        force = contact.on_bodies(columns)
+        work = torch.minimum(_work(force, self._way[columns]), self._work[columns]).clamp(min=0.0)
+        push = force.norm(dim=2).sum(dim=1)
+        taken = contact.energy(columns) * (self._push[columns] / push.clamp(min=1e-300)).clamp(min=1.0)
+        missing = (self._stored(columns) + taken < self._kept[columns] + work).cpu().numpy()
+        host = columns.cpu().numpy()
+        balance.reason[host[missing & (balance.reason[host] == Reason.NONE)]] = Reason.SNAPPED
+
+    def _stored(self, columns: torch.Tensor) -> torch.Tensor:
+        """Energy of object and weight in the states that were evaluated last (k,) [J]."""
+        balance = self._balance
+        energy = wp.to_torch(balance.elasticity.energy)[columns].to(torch.float64)
+        return energy - (balance.load * balance.u[:, columns]).sum(dim=0)
 
 
-def lift(balance: Equilibrium, columns: torch.Tensor) -> None:
-    """Let ``columns`` (k,) go where they will."""
-    balance.least[columns] = -float("inf")
+def _work(force: torch.Tensor, way: torch.Tensor) -> torch.Tensor:
+    """Work of bodies on the object (k,) [J]: ``force`` on them (k, K, 3) [N], ``way`` (k, K, 3) [m]."""
+    return -(force * way).sum(dim=(1, 2))

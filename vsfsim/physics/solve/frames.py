@@ -22,6 +22,7 @@ class Reason(IntEnum):
     INTRUSION = 8
     CRUSHED = 9
     PATH = 10
+    SNAPPED = 11
 
     @property
     def text(self) -> str:
@@ -33,7 +34,8 @@ class Reason(IntEnum):
                 "an element is inside out (det F <= 0)",
                 "a body lies inside another where no contact point feels it",
                 "an element is compressed below a tenth of its volume (det F < 0.1)",
-                "the frame itself is in equilibrium, but a step on the way to it was not")[self]
+                "the frame itself is in equilibrium, but a step on the way to it was not",
+                "the object snapped to another equilibrium, and which one depends on its motion")[self]
 
 
 @dataclass(frozen=True)

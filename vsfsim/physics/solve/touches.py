@@ -2,10 +2,10 @@
 
 All touches of one object advance together, one column each, on the device. A frame begins from a prediction (the last
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
-`Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps,
-and states that let a body through are barred (`branch`). A frame in which all of this fails is marked with the reason
-and never counts as data. With friction the result depends on the path: every step remembers where each point of the
-surface stuck.
+`Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps;
+states that let a body through are barred, and equilibria to which the object snapped are not taken (`branch`). A frame
+in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
+path: every step remembers where each point of the surface stuck.
 """
 
 from __future__ import annotations
@@ -25,8 +25,9 @@ from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve import audit, branch, path, weight
+from vsfsim.physics.solve import audit, path, weight
 from vsfsim.physics.solve.audit import Rows
+from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier, first_force
@@ -127,6 +128,7 @@ class Solver:
             self._linear_tier = LinearTier(self._balance)
         else:
             weight.apply(self._balance, previous)
+        self._branch = Branch(self._balance)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
@@ -191,11 +193,11 @@ class Solver:
         """The poses (B, K, 4, 4) from which the next step begins, each with its equilibrium: ``pose`` where one was
         found. The other touches return to ``before``, with the displacements ``begin`` (3 n, B) [m] and the state of
         ``friction`` there: what follows a step that failed must not rest on it. A state that is nearly balanced, by its
-        ``measure`` (B,), is kept; None if all have converged."""
+        ``measure`` (B,), is kept, if its path was; None if all have converged."""
         balance, contact = self._balance, self.contact
         lost = np.flatnonzero(balance.reason != Reason.NONE)
         if len(lost) and measure is not None:
-            near = (measure.cpu().numpy() < _NEARLY) & np.isin(balance.reason, _UNFINISHED)
+            near = (measure.cpu().numpy() < _NEARLY) & np.isin(balance.reason, _UNFINISHED) & ~self._broken
             lost = lost[~near[lost]]
         if len(lost):
             at = torch.as_tensor(lost, device=self.device)
@@ -232,7 +234,9 @@ class Solver:
         """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
         at a prediction."""
         balance, contact = self._balance, self.contact
-        branch.bar(balance, columns, before, pose)
+        self._broken = np.zeros(len(balance.every), bool)  # whose path has a step without an equilibrium
+        self._branch.begin()
+        self._branch.bar(columns, before, pose)
         contact.begin_step(before, balance.u)
         contact.move(pose, columns)
         if not contact.has_friction:
@@ -269,8 +273,9 @@ class Solver:
         contact.begin_step(before, begin)
         contact.move(pose, columns)
         if halvings == 0:
-            branch.lift(balance, columns)  # a body may snap
+            self._branch.lift(columns)  # a body may snap
         self._equilibrium(columns, pose, begin, deadline)
+        self._branch.mark(columns)
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
@@ -281,21 +286,26 @@ class Solver:
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
         contact.restore_friction(failed, friction)
-        branch.bar(balance, failed, before, middle)
+        self._branch.bar(failed, before, middle)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
         if time.perf_counter() > deadline:
             contact.move(pose, failed)
             balance.reason[host] = Reason.TIME
             return
-        lost = host[balance.reason[host] != Reason.NONE]
-        reasons = balance.reason[lost].copy()
+        # friction remembers a step that failed, and a body that snapped does not come back: what follows is no
+        # equilibrium of the true path
+        reason = balance.reason[host]
+        ends = (reason != Reason.NONE) & contact.has_friction | (reason == Reason.SNAPPED)
+        self._broken[host[ends]] = True
+        failed, host = failed[torch.as_tensor(~ends, device=self.device)], host[~ends]
+        if not len(host):
+            contact.move(pose, balance.every)
+            return
+        lost = torch.as_tensor(host[balance.reason[host] != Reason.NONE], device=self.device)
         contact.end_step(failed)
-        branch.bar(balance, failed, middle, pose)
-        branch.lift(balance, torch.as_tensor(lost, device=self.device))  # whose potential is that of no equilibrium
+        self._branch.bar(failed, middle, pose)
+        self._branch.lift(lost)  # whose potential is that of no equilibrium
         self._reach(failed, middle, pose, balance.u.clone(), deadline, halvings - 1, contact.friction_state())
-        if contact.has_friction and len(lost):
-            # friction remembers the step that failed: what follows is no equilibrium of the true path
-            balance.reason[lost] = reasons
 
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
@@ -333,7 +343,7 @@ class Solver:
         Where that leads to no balance, around a body that is deep in the object, say, the first guess stays."""
         balance, contact = self._balance, self.contact
         guess, least = balance.u.clone(), balance.least.clone()
-        branch.lift(balance, columns)
+        self._branch.lift(columns)
         balance.u[:, columns] = begin[:, columns]
         for softening in _SOFTENINGS:
             contact.softening[columns] = softening
