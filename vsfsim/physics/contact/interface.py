@@ -139,9 +139,9 @@ class Contact(Protocol):
     def no_force(self) -> torch.Tensor:
         """What `remember` returns without contact."""
 
-    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
-        """Whether a body lies inside another where no contact point feels it (k,) bool, by the geometry at the last
-        `extend_patch`."""
+    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
+        """Whether a body lies inside another where no contact point feels it, deeper than some ``times`` the tolerance
+        (k,) bool, by the geometry at the last `extend_patch`."""
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:

@@ -27,7 +27,8 @@ DEEP = 0.05
 FINE = 0.03
 """Penetration above which a face gets more contact points, over the element size [-]."""
 _FINE_SHARP = 0.045  # the same under bodies with edges, whose own points act by then, see `body_points`
-_LOST = 4.0  # times that tolerance: a body in contact that is deeper inside has been lost
+LOST = 4.0
+"""Times that tolerance: a body in contact that is deeper inside has been lost [-]."""
 _SMALL = 0.25  # the same over the inner radius of the smallest body
 _SPACING = 0.5  # of a body's samples over the element size, and over the inner radius of the body
 _GRID = (6, 20)  # least and most steps of the grid on a face
@@ -74,7 +75,7 @@ class Intrusion:
         k = self.kernels
         small = min(inner_radius(s) for s in bodies.shapes)
         self.tolerance = min(DEEP * size, _SMALL * small)
-        self.lost = _LOST * self.tolerance
+        self.lost = LOST * self.tolerance
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance
         self._set, self._count = bodies.upload(k.sdf, device), len(bodies)

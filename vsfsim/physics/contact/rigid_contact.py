@@ -376,9 +376,9 @@ class RigidContact:
         """See `Contact`."""
         return torch.zeros_like(self.rest)
 
-    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
+    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
         """See `Contact`."""
-        return self._overlap[:, columns].amax(dim=0) > self._passage.tolerance
+        return self._overlap[:, columns].amax(dim=0) > times * self._passage.tolerance
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:

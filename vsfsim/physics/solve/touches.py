@@ -23,6 +23,7 @@ import warp as wp
 from vsfsim.core.shape import ProbeShape
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.contact.intrusion import LOST
 from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.model import Model
 from vsfsim.physics.solve import audit, path, weight
@@ -329,7 +330,9 @@ class Solver:
             intruded = columns[contact.intruded(columns)]
             if grown:
                 self._contact_force = contact.no_force()
-                balance.u[:, intruded] = begin[:, intruded]  # that has closed around a body
+                # the new points feel a body that lies a little inside; not one that the object has closed around
+                closed = columns[contact.intruded(columns, LOST if contact.shifts else 1.0)]
+                balance.u[:, closed] = begin[:, closed]
                 state = balance.evaluate(columns)
             balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
             if not grown:

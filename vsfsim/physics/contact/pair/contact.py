@@ -122,9 +122,9 @@ class PairContact:
         self.surfaces.place_at(columns, u)
         self._find_candidates(columns, blend=columns)
 
-    def intruded(self, columns: torch.Tensor) -> torch.Tensor:
+    def intruded(self, columns: torch.Tensor, times: float = 1.0) -> torch.Tensor:
         """See `Contact`."""
-        return self._overlap[columns] > self._passage.tolerance
+        return self._overlap[columns] > times * self._passage.tolerance
 
     def extend_patch(self, columns: torch.Tensor, pose: np.ndarray, u: torch.Tensor, *,
                      touched: torch.Tensor | None = None) -> bool:
