@@ -1,5 +1,7 @@
 """Conjugate gradients by columns, the rest-state factor, and the preconditioner made of it."""
 
+import ctypes
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -367,7 +369,7 @@ def test_a_local_factor_takes_fewer_iterations_to_the_same_equilibrium(block, mo
     assert np.abs(own.force - rest.force).max() < 2e-4 * np.abs(rest.force).max()
 
 
-def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part():
+def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part(capfd):
     random = np.random.default_rng(3)
     a = random.normal(size=(30, 30))
     a, p, at = a @ a.T + np.eye(30), np.diag(random.uniform(0.5, 2.0, 30)), np.array([3, 4, 7, 20, 21])
@@ -381,3 +383,5 @@ def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part():
     assert local.holds(np.array([7])) and not local.holds(np.array([7, 29])), "29 has no row in it"
     with pytest.raises(MeshError, match="positive definite"):
         LocalFactor(sp.csr_matrix(a[at] - 200.0 * np.eye(30)[at]), at, touched=at)
+    ctypes.CDLL(None).fflush(None)
+    assert capfd.readouterr().out == "", "CHOLMOD's warning went into the user's table or JSON"

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,26 +22,35 @@ def kernel_cache() -> Path:
     return Path(wp.config.kernel_cache_dir)
 
 
+@contextlib.contextmanager
+def muted(descriptor: int) -> Iterator[None]:
+    """Drop what native libraries write straight to a file descriptor, 1 or 2, in which a user's table or JSON goes."""
+    kept, sink = os.dup(descriptor), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, descriptor)
+        yield
+    finally:
+        if os.name == "posix":
+            ctypes.CDLL(None).fflush(None)  # what C has buffered belongs to the sink, too
+        os.dup2(kept, descriptor)
+        os.close(kept)
+        os.close(sink)
+
+
 def _start() -> None:
     """No banner, and no warning that there is no GPU: the native library writes that one straight to stderr.
 
     Raises:
         VsfsimError: the folder for compiled kernels cannot be written.
     """
-    kept, sink = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     try:
-        os.dup2(sink, 2)
-        with wp.ScopedLogLevel(wp.LOG_ERROR):
+        with muted(2), wp.ScopedLogLevel(wp.LOG_ERROR):
             wp.init()
         if not os.access(kernel_cache(), os.W_OK):
             raise PermissionError(f"no right to write into '{kernel_cache()}'")
     except OSError as error:
         raise VsfsimError(f"compiled kernels cannot be kept: {error}. Give a folder that can be written: "
                           f"export WARP_CACHE_PATH=/tmp/warp") from error
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(sink)
     if wp.config.log_level == wp.LOG_INFO:
         wp.config.log_level = wp.LOG_WARNING
 

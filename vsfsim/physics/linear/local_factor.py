@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from vsfsim.core.errors import MeshError
+from vsfsim.physics.runtime import muted
 
 _INDEFINITE = "The tangent of a part of the body is not positive definite."
 _EXACT = 1e-6  # relative residual up to which a factor counts as one
@@ -36,8 +37,10 @@ class LocalFactor:
         part = rows[:, unknowns].tocoo()
         self._unknowns, self._rows, self._columns = unknowns, rows, rows.T.tocsr()
         try:
-            self._solver = cholespy.CholeskySolverD(len(unknowns), part.row.astype(np.int32), part.col.astype(np.int32),
-                                                    part.data.astype(np.float64), cholespy.MatrixType.COO)
+            with muted(1):  # CHOLMOD prints a warning where the part is not positive definite
+                self._solver = cholespy.CholeskySolverD(
+                    len(unknowns), part.row.astype(np.int32), part.col.astype(np.int32), part.data.astype(np.float64),
+                    cholespy.MatrixType.COO)
         except ValueError as e:
             raise MeshError(_INDEFINITE) from e
         self._touched = set(np.intersect1d(touched, unknowns).tolist())
