@@ -106,4 +106,11 @@ def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Te
                                            plain=plain, deadline=deadline, shift=shift)
     if factors is not None:
         factors.count(columns, steps, negative)
+        # a factor in short numbers may round to an indefinite one: then there is no step, and it is dropped
+        none = ((steps == 0) & (residual != 0.0).any(dim=0)).nonzero()[:, 0]
+        if len(none) and factors.drop(columns[none]):
+            direction[:, none], steps[none], negative[none], stiffness[none] = newton_direction(
+                elasticity, contact, columns[none], residual[:, none], near=near[none], tolerance=tolerance[none],
+                iterations=iterations, plain=plain, deadline=deadline, shift=None if shift is None else shift[none],
+                factors=factors)
     return direction, steps, negative, stiffness

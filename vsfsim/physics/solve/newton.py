@@ -335,7 +335,8 @@ class Equilibrium:
         barred = torch.zeros_like(differ)
 
         def accepted(new: State, pending: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
-            falls = new["potential"] <= potential[pending] - 1e-4 * step[pending] * slope[pending]
+            way = step[pending] * slope[pending]
+            falls = (new["potential"] <= potential[pending] - 1e-4 * way) & (way > 0.0)  # nowhere is no step
             decreases = ((new["measure"] < self.contact.decrease * measure[pending])
                          & (measure[pending] < self.contact.potential_trusted_above))
             if self.contact.has_friction:
@@ -347,8 +348,7 @@ class Equilibrium:
             barred[pending] |= good & beyond
             return good & ~beyond
 
-        moved = torch.zeros(len(columns), dtype=torch.bool, device=self.device)
-        pending = torch.arange(len(columns), device=self.device)
+        moved, pending = torch.zeros_like(differ), torch.arange(len(columns), device=self.device)
         for halvings in range(12):
             if halvings and time.perf_counter() > self._deadline:
                 break

@@ -102,6 +102,15 @@ class TangentFactors:
             self._near_spent[b] += max(0, number - _NEAR_USUAL)
             self._most[b] = max(self._most[b], number)
 
+    def drop(self, columns: torch.Tensor) -> bool:
+        """Drop the factors of the touches ``columns`` (k,) until the next frame; whether one of them had any."""
+        had = False
+        for b in columns.tolist():
+            had |= self._own[b] is not None or self._local[b] is not None
+            self._own[b], self._local[b] = None, None
+            self._lost[b] = self._no_local[b] = True
+        return had
+
     def renew(self, columns: torch.Tensor, u: torch.Tensor, deadline: float) -> torch.Tensor:
         """Make factors at the displacements u (3 n, B) [m] for those of the touches ``columns`` (k,) that need one and
         whose factor would be ready before the ``deadline`` of `time.perf_counter`. Returns for which (k,) bool: the
