@@ -382,7 +382,7 @@ def test_a_local_factor_takes_fewer_iterations_to_the_same_equilibrium(block, mo
 
     own = press()
     assert made and None not in made and own.converged.all()
-    monkeypatch.setattr(tangent_factor, "_NEAR", 10**6)
+    monkeypatch.setattr(tangent_factor, "_VOLUME_NEAR", 10**6)
     rest = press()
     assert not made and rest.converged.all()
     print("iterations", own.cg_iterations.ravel(), "for", rest.cg_iterations.ravel())

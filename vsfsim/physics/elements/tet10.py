@@ -44,7 +44,8 @@ from vsfsim.physics.elements.tet10_shape import shape_gradients
 NODES = 10
 POINTWISE = 4.0
 """Largest lambda at the Gauss points, in units of mu; 4 is all of lambda up to nu = 0.4."""
-_NEARLY_INCOMPRESSIBLE, _SOFT_BULK = 60.0, 30.0  # lambda_m over mu from which `softened` lowers it, and to which
+# lambda_m over mu from which `softened` lowers it, to this share of it and this multiple of mu at most
+_NEARLY_INCOMPRESSIBLE, _SOFT_SHARE, _SOFT_BULK = 60.0, 0.5, 120.0
 
 
 def block(nodes: np.ndarray, gradients: np.ndarray, volume: np.ndarray, mu: np.ndarray, lam: np.ndarray, *,
@@ -77,12 +78,14 @@ def softened(block: Block) -> Block:
 
     In a body that is strained by e, which volumes change under a displacement differs from that at rest by the order of
     e. A preconditioner with the whole lambda is then wrong by a factor of 1 + (lambda/mu) e^2, both ways. With a lower
-    lambda it is too soft for volumes, which costs fewer iterations: S1 at nu = 0.499 takes 128 conjugate gradients in
-    its last frame with the whole of it and 45 with 30 mu, at nu = 0.4999 more than 1,500 and 83.
+    lambda it is too soft for volumes, which costs fewer iterations: without other factors S1 at nu = 0.499 takes 128
+    conjugate gradients in its last frame with the whole of it and 45 with 30 mu, at nu = 0.4999 more than 1,500 and 83.
+    With a local factor where it is strained (`linear/local_factor.py`) 120 mu serves better than 30 mu.
     """
     p = block.parameters
     mu = p["mu"].mean(axis=1)
-    soft = np.where(p["mean_lam"] > _NEARLY_INCOMPRESSIBLE * mu, _SOFT_BULK * mu, p["mean_lam"])
+    lower = np.minimum(_SOFT_SHARE * p["mean_lam"], _SOFT_BULK * mu)
+    soft = np.where(p["mean_lam"] > _NEARLY_INCOMPRESSIBLE * mu, lower, p["mean_lam"])
     return block if np.array_equal(soft, p["mean_lam"]) else replace(block, parameters={**p, "mean_lam": soft})
 
 

@@ -10,7 +10,28 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import gmres, pcg
 from vsfsim.physics.solve.elasticity import Elasticity
+from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.tangent_factor import TangentFactors, touched_unknowns
+
+_LAST, _LOOSE = 0.5, 0.3  # of nearly incompressible bodies: share of the step's tolerance to solve to, and the most
+
+
+def linear_tolerance(options: SolverOptions, near: torch.Tensor, left: torch.Tensor | None) -> torch.Tensor:
+    """Relative residual (k,) [-] to which linear systems are solved.
+
+    Far from the solution a looser one serves. In a nearly incompressible body, which begins a step with ten times the
+    acting forces unbalanced, Newton's method converges as fast as its systems are solved there, too: all are solved to
+    one tolerance, and the last no further than the step asks for.
+
+    Args:
+        options: tolerances.
+        near: which touches are near their solution (k,) bool.
+        left: of touches of a nearly incompressible body, the part of the unbalanced forces that may remain at the end
+            of the step (k,) [-]; None for other bodies.
+    """
+    if left is None:
+        return options.cg_tolerance * torch.where(near, 1.0, options.cg_far)
+    return (_LAST * left).clamp(max=_LOOSE).clamp(min=options.cg_tolerance)
 
 
 def newton_direction(elasticity: Elasticity, contact: Contact, columns: torch.Tensor, residual: torch.Tensor, *,

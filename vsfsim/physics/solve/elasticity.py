@@ -346,7 +346,8 @@ class Elasticity:
                     alone, *(wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu") for a in model[1:]),
                     wp.zeros(size, dtype=wp.int32, device="cpu"),
                     *(wp.array(a, dtype=self.real, device="cpu") for a in (
-                        own_at, state.numpy()[rows, :, touch:touch + 1], np.tile(np.eye(size), (count, 1)))), matrix])
+                        own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size, self.real)[:count * size],
+                    matrix])
                 wp.launch(self.kernels.add_blocks, dim=count, device="cpu", inputs=[
                     wp.array(places, dtype=wp.int32, device="cpu"), matrix,
                     wp.array(values, dtype=wp.float64, device="cpu", copy=False)])
@@ -368,3 +369,9 @@ class Elasticity:
         self._launch(self.kernels.gather, (self._points, len(index)),
                      [self._start, self._slot, self._free, index, 1, self._force, out])
         return out
+
+
+@functools.cache
+def _units(size: int, real: type) -> wp.array:
+    """The unit vectors of elements with ``size`` degrees of freedom, `_TOGETHER` times below one another, on a CPU."""
+    return wp.array(np.tile(np.eye(size), (_TOGETHER, 1)), dtype=real, device="cpu")

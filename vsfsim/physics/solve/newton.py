@@ -24,7 +24,7 @@ from vsfsim.physics.contact.interface import Contact
 from vsfsim.physics.elements.neo_hooke import CRUSHED
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.direction import newton_direction
+from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.tangent_factor import TangentFactors
@@ -32,7 +32,6 @@ from vsfsim.physics.solve.tangent_factor import TangentFactors
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
 _SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3  # of negative curvature: least, from which on it creeps; times
-_FAR_VOLUME = 3.0  # `SolverOptions.cg_far` of nearly incompressible bodies
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, that points on the wrong side of a body may cost before a touch counts as lost
 _BARRED, _SHORT = 2, 0.1
@@ -78,6 +77,7 @@ class Equilibrium:
         self.free = torch.as_tensor(model.free, device=self.device)[:, None]
         self.every = torch.arange(batch, device=self.device)
         self.least = torch.full((batch,), -float("inf"), dtype=torch.float64, device=self.device)
+        self._acts = torch.ones_like(self.least)  # sum of the lengths of the acting forces at the last state [N]
         self.factors = TangentFactors(model, elasticity, contact)
         self.reset_counts()
 
@@ -123,11 +123,11 @@ class Equilibrium:
         energy = wp.to_torch(self.elasticity.energy)[columns]
         potential = energy + self.contact.energy(columns) - (self.load * moved).sum(dim=0)
         residual = (self.load + contact - internal) * self.free
-        state = {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
-                 "energy": energy, "wrong_side": self.contact.wrong_side(columns),
-                 "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)}
-        state["measure"] = self.measure(residual, contact)
-        return state
+        self._acts[columns] = self._acting(contact)
+        return {"internal": internal, "contact": contact, "potential": potential, "residual": residual,
+                "energy": energy, "wrong_side": self.contact.wrong_side(columns),
+                "det": wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64),
+                "measure": self.measure(residual, contact)}
 
     def measure(self, residual: torch.Tensor, contact: torch.Tensor) -> torch.Tensor:
         """Unbalanced over acting force (k,) [-]: sums of the lengths of nodal vectors (3 n, k) [N]."""
@@ -160,6 +160,7 @@ class Equilibrium:
         self.contact.coulomb[columns] = 0.0
         self.reason[columns.cpu().numpy()] = Reason.ITERATIONS
         self._deadline = self.contact.deadline = deadline
+        self._aim = tolerance
         for _ in range(self.options.newton * (1 + has_friction)):
             ready = held & ((state["measure"] <= torch.maximum(within, torch.full_like(within, tolerance))) | stuck)
             if has_friction and bool(ready.any()):
@@ -285,11 +286,10 @@ class Equilibrium:
                    iterations: int | None = None, shift: torch.Tensor | None = None,
                    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
-        far = _FAR_VOLUME if self.model.keeps_volume else opt.cg_far
+        left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=iterations or opt.cg, plain=opt.cg_plain, deadline=self._deadline,
-                                tolerance=opt.cg_tolerance * torch.where(near, 1.0, far), shift=shift,
-                                factors=self.factors)
+                                tolerance=linear_tolerance(opt, near, left), shift=shift, factors=self.factors)
 
     def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
                  residual: torch.Tensor) -> torch.Tensor:

@@ -37,6 +37,7 @@ _BYTES = 1e9  # of a factor while it is made
 # of the local factor: usual iterations, and those beyond them after which it is made; its nodes at most, and the
 # least displacement gradient there
 _NEAR_USUAL, _NEAR = 6, 10
+_VOLUME_USUAL, _VOLUME_NEAR = 4, 5  # the same in nearly incompressible bodies, whose systems take most of the time
 _NODES, _DEFORMED = 600, 0.03
 _GAIN = 0.7  # share of the iterations before that the first system with a new factor may take
 
@@ -61,6 +62,7 @@ class TangentFactors:
         self._lost = np.zeros(contact.batch, bool)  # whose new factor was no better
         self._local: list[LocalFactor | None] = [None] * contact.batch
         self._near_spent = np.zeros(contact.batch, int)  # iterations beyond the usual ones since that one was made
+        self._near_usual, self._near = ((_VOLUME_USUAL, _VOLUME_NEAR) if model.keeps_volume else (_NEAR_USUAL, _NEAR))
         self._no_local = np.zeros(contact.batch, bool)  # who cannot have one
         self._begin = np.zeros((contact.batch, len(model.free)))  # displacements that each factor was made at [m]
         self._serves = (contact.device == "cpu" and contact.shifts and contact.batch <= _FEW
@@ -99,7 +101,7 @@ class TangentFactors:
                 self._own[b], self._local[b], self._lost[b] = None, None, True
             self._tried[b] = 0
             self._spent[b] += max(0, number - _USUAL)
-            self._near_spent[b] += max(0, number - _NEAR_USUAL)
+            self._near_spent[b] += max(0, number - self._near_usual)
             self._most[b] = max(self._most[b], number)
 
     def drop(self, columns: torch.Tensor) -> bool:
@@ -119,7 +121,7 @@ class TangentFactors:
         if not self._serves or not self._contact.symmetric:
             return made
         for k, b in enumerate(columns.tolist()):
-            if self._near_spent[b] > _NEAR and not self._no_local[b] and time.perf_counter() < deadline:
+            if self._near_spent[b] > self._near and not self._no_local[b] and time.perf_counter() < deadline:
                 if self._local[b] is None:
                     self._spent[b] = 0  # before a factor of the whole the local one has its turn
                 with clock.measure("local factors"):
@@ -155,7 +157,7 @@ class TangentFactors:
         if order.bytes > _BYTES:
             return None
         try:
-            out = Multifrontal(order, self._matrix(column, u))
+            out = Multifrontal(order, self._matrix(column, u)[0])
         except MeshError:  # rounding
             return None
         self._seconds = time.perf_counter() - began
@@ -178,14 +180,16 @@ class TangentFactors:
         most = np.sort(np.argsort(-turned, kind="stable")[:_NODES])
         at_nodes = np.zeros(len(turned), bool)
         at_nodes[most[turned[most] > _DEFORMED]] = True
-        order = self._order
-        values = self._matrix(column, u, at_nodes)
-        matrix = sp.bsr_matrix((values, order.neighbours, order.start), shape=(3 * len(turned), 3 * len(turned)))
-        unknowns = np.flatnonzero(np.repeat(at_nodes, 3) & (self._model.free > 0.0))
-        if not len(unknowns):
+        own = np.repeat(at_nodes, 3)
+        free = own & (self._model.free > 0.0)
+        if not free.any():
             return None
+        order = self._order
+        values, here = self._matrix(column, u, at_nodes)
+        start = np.concatenate([[0], np.cumsum(np.diff(order.start)[at_nodes])])
+        rows = sp.bsr_matrix((values, order.neighbours[here], start), shape=(own.sum(), len(own))).tocsr()
         try:
-            return LocalFactor(matrix.tocsr()[unknowns], unknowns, touched)
+            return LocalFactor(rows[free[own]], np.flatnonzero(free), touched)
         except MeshError:
             return None
 
@@ -193,19 +197,22 @@ class TangentFactors:
     def _order(self) -> Order:
         return self._rest.order(self._model.mesh.points)
 
-    def _matrix(self, column: torch.Tensor, u: torch.Tensor, at_nodes: np.ndarray | None = None) -> np.ndarray:
-        """Blocks of the projected tangent with the contact's stiffness, supports held; only the rows of ``at_nodes``
-        are complete if these are given."""
+    def _matrix(self, column: torch.Tensor, u: torch.Tensor, at_nodes: np.ndarray | None = None,
+                ) -> tuple[np.ndarray, np.ndarray | slice]:
+        """Blocks of the projected tangent with the contact's stiffness, supports held, and their numbers in the order;
+        only those in the rows of ``at_nodes`` if these are given."""
         order = self._order
         self._elasticity.tangent(wp.from_torch(column.to(torch.int32)), wp.from_torch(u), projected=True)
         values = np.zeros((len(order.neighbours), 3, 3))
         self._elasticity.add_matrices(int(column[0]), order, values, at_nodes)
         self._add_contact(column, order, values)
+        here = slice(None) if at_nodes is None else np.flatnonzero(at_nodes[order.owners])
+        values, owners, neighbours = values[here], order.owners[here], order.neighbours[here]
         free = self._model.free.reshape(-1, 3)
-        values *= free[order.owners][:, :, None] * free[order.neighbours][:, None, :]
-        diagonal = order.owners == order.neighbours
-        values[diagonal] += (1.0 - free[order.owners[diagonal]])[:, :, None] * np.eye(3)
-        return values
+        values *= free[owners][:, :, None] * free[neighbours][:, None, :]
+        diagonal = owners == neighbours
+        values[diagonal] += (1.0 - free[owners[diagonal]])[:, :, None] * np.eye(3)
+        return values, here
 
     def _add_contact(self, column: torch.Tensor, order: Order, values: np.ndarray) -> None:
         row, col, data = _entries(self._contact.stiffness(column), 0)
