@@ -129,7 +129,7 @@ class Solver:
             self._linear_tier = LinearTier(self._balance)
         else:
             weight.apply(self._balance, previous)
-        self._branch = Branch(self._balance)
+            self._branch = Branch(self._balance)
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
