@@ -1,6 +1,5 @@
 """Conjugate gradients by columns, the rest-state factor, and the preconditioner made of it."""
 
-import ctypes
 
 import numpy as np
 import pytest
@@ -8,13 +7,11 @@ import scipy.sparse as sp
 import torch
 import warp as wp
 
-from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Sphere
 from vsfsim.physics.contact.bodies import RigidBodies
 from vsfsim.physics.contact.rigid_contact import RigidContact
-from vsfsim.physics.linear.local_factor import LocalFactor
 from vsfsim.physics.linear.rest_factor import RestFactor, response, spread
-from vsfsim.physics.solve import pcg, tangent_factor
+from vsfsim.physics.solve import pcg
 from vsfsim.physics.solve.direction import newton_direction
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver, SolverOptions
@@ -305,105 +302,3 @@ def test_a_new_body_frees_the_columns_of_the_body_before():
     assert not one._columns and not one._whole
     np.testing.assert_array_equal(one.compliance(np.arange(8), np.arange(8)), before)
     np.testing.assert_array_equal(one.whole_columns(np.arange(8)), whole)
-
-
-# ------------------------------------------------------------------------------------------ that of a strained body
-
-
-def test_a_factor_of_the_deformed_tangent_takes_fewer_iterations_to_the_same_equilibrium(block, monkeypatch):
-    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
-    poses = np.tile(np.eye(4), (2, 1, 1, 1))
-    poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.35]]
-    made = []
-    make = tangent_factor.TangentFactors._make
-    monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: made.append(make(*a)) or made[-1])
-
-    def press():
-        made.clear()
-        return Solver(model, Sphere(0.015), options=SolverOptions(seconds=1e9)).run(poses)
-
-    own = press()
-    assert made and None not in made and own.converged.all()
-    monkeypatch.setattr(tangent_factor, "_FEW", 0)
-    rest = press()
-    assert not made and rest.converged.all()
-    assert np.array_equal(own.force[0], rest.force[0]), "an easy frame keeps its bits"
-    print("iterations", own.cg_iterations.ravel(), "for", rest.cg_iterations.ravel())
-    assert own.cg_iterations[1] < 0.75 * rest.cg_iterations[1]
-    # both are balanced to 1e-4 of the force
-    assert np.abs(own.force - rest.force).max() < 2e-4 * np.abs(rest.force).max()
-    assert np.isclose(own.energy, rest.energy, rtol=2e-4).all()
-
-
-def test_a_factor_that_rounds_to_an_indefinite_one_is_dropped(block, monkeypatch):
-    """Its entries are short numbers. Newton's method then took empty steps until its limit (cell 2c2228ac8076 of the
-    stability map: hundreds in a frame)."""
-    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
-    poses = np.tile(np.eye(4), (2, 1, 1, 1))
-    poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.35]]
-    made = []
-
-    class Indefinite(tangent_factor.Multifrontal):
-        def __init__(self, *a):
-            made.append(self)
-            super().__init__(*a)
-
-        def solve(self, right):
-            return -1e-9 * right
-
-    monkeypatch.setattr(tangent_factor, "Multifrontal", Indefinite)
-    frames = Solver(model, Sphere(0.015), options=SolverOptions(seconds=1e9)).run(poses)
-    print("Newton steps", frames.iterations.ravel())
-    assert frames.converged.all() and len(made) == 1
-
-
-def test_a_factor_that_would_come_too_late_is_not_begun(block, monkeypatch):
-    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
-    poses = np.tile(np.eye(4), (1, 1, 1, 1))
-    poses[0, 0, :3, 3] = 0.003, 0.001, 0.045 - 0.35 * 0.03
-    monkeypatch.setattr(tangent_factor.TangentFactors, "_duration", lambda self: 1e9)
-    monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: pytest.fail("begun"))
-    Solver(model, Sphere(0.015), options=SolverOptions(seconds=100.0)).run(poses)
-
-
-def test_a_local_factor_takes_fewer_iterations_to_the_same_equilibrium(block, monkeypatch):
-    """Of the nodes that a ball deforms most; without negative curvature the frames are those of the factor at rest."""
-    model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
-    poses = np.tile(np.eye(4), (2, 1, 1, 1))
-    poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.3]]
-    monkeypatch.setattr(tangent_factor, "_FIRST", 10**6)  # no factor of the whole
-    made = []
-    make = tangent_factor.TangentFactors._make_local
-    monkeypatch.setattr(tangent_factor.TangentFactors, "_make_local", lambda *a: made.append(make(*a)) or made[-1])
-
-    def press():
-        made.clear()
-        return Solver(model, Sphere(0.015), options=SolverOptions(seconds=1e9)).run(poses)
-
-    own = press()
-    assert made and None not in made and own.converged.all()
-    monkeypatch.setattr(tangent_factor, "_VOLUME_NEAR", 10**6)
-    rest = press()
-    assert not made and rest.converged.all()
-    print("iterations", own.cg_iterations.ravel(), "for", rest.cg_iterations.ravel())
-    assert own.cg_iterations[1] < 0.75 * rest.cg_iterations[1]
-    # both are balanced to 1e-4 of the force
-    assert np.abs(own.force - rest.force).max() < 2e-4 * np.abs(rest.force).max()
-
-
-def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part(capfd):
-    random = np.random.default_rng(3)
-    a = random.normal(size=(30, 30))
-    a, p, at = a @ a.T + np.eye(30), np.diag(random.uniform(0.5, 2.0, 30)), np.array([3, 4, 7, 20, 21])
-    local = LocalFactor(sp.csr_matrix(a[at]), at, touched=np.array([3, 7, 29]))
-    part = np.zeros((30, 30))
-    part[np.ix_(at, at)] = np.linalg.inv(a[np.ix_(at, at)])
-    right = random.normal(size=30)
-    own, left = local.before(right)
-    expected = part @ right + (np.eye(30) - part @ a) @ p @ (right - a @ part @ right)
-    np.testing.assert_allclose(local.after(right, own, p @ left), expected, atol=1e-9 * np.abs(expected).max())
-    assert local.holds(np.array([7])) and not local.holds(np.array([7, 29])), "29 has no row in it"
-    with pytest.raises(MeshError, match="positive definite"):
-        LocalFactor(sp.csr_matrix(a[at] - 200.0 * np.eye(30)[at]), at, touched=at)
-    ctypes.CDLL(None).fflush(None)
-    assert capfd.readouterr().out == "", "CHOLMOD's warning went into the user's table or JSON"
