@@ -328,8 +328,8 @@ def test_heavy_sagging(device, young_modulus):
 
 
 def test_a_ball_deeper_than_its_radius_is_not_let_through(block, line, device):
-    """There the surface may slide around the ball, and softer contact let it through. Over five places of the ball within
-    0.5 mm and two kinds of processor the last push is 11.08 to 11.15 N, after 14 to 26 Newton steps."""
+    """There the surface may slide around the ball, and softer contact let it through. Over five places of the ball
+    within 0.5 mm and two kinds of processor the last push is 11.08 to 11.15 N, after 14 to 26 Newton steps."""
     model = block((0.04, 0.04, 0.12), 0.0101, poisson_ratio=0.45)
     ball = Sphere(0.008)
     frames = Solver(model, ball, device=device, options=SolverOptions(tolerance=1e-3)).run(
