@@ -12,6 +12,7 @@ from vsfsim.physics.solve.newton import Equilibrium
 
 SNAP = 0.05
 """Share of the energy that the bodies have put into the object, which a step may lose [-]."""
+_DOUBTFUL = 0.005  # share of that energy that makes a step doubtful, which can be made in shorter ones [-]
 _ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
 
 
@@ -32,6 +33,7 @@ class Branch:
         self._push = torch.zeros_like(balance.least)  # length of the force on the bodies where it begins [N]
         self._work = torch.zeros_like(balance.least)  # of that force along the step [J]
         self._way: torch.Tensor | None = None  # of the bodies in the step (B, K, 3) [m]
+        self._smooth = _SmoothForce()
 
     def begin(self) -> None:
         """Begin a step: nothing is known of its equilibria."""
@@ -55,6 +57,8 @@ class Branch:
         state = balance.evaluate(columns)
         way = torch.as_tensor((pose - before)[..., :3, 3], device=balance.device)
         force = contact.on_bodies(columns)
+        self._smooth.begin(columns, torch.as_tensor(before[..., :3, 3], device=balance.device), force, way,
+                           self._stored(columns) + contact.energy(columns))
         work, most = _work(force, way[columns]), (force.norm(dim=2) * way[columns].norm(dim=2)).sum(dim=1)
         inward, none = work > 0.5 * most, torch.full_like(work, -float("inf"))
         balance.least[columns] = none if contact.has_friction else torch.where(inward, state["potential"], none)
@@ -71,8 +75,12 @@ class Branch:
         """Let ``columns`` (k,) go where they will."""
         self._balance.least[columns] = -float("inf")
 
-    def mark(self, columns: torch.Tensor) -> None:
+    def mark(self, columns: torch.Tensor, *, last: bool) -> None:
         """Mark equilibria of ``columns`` (k,) that miss energy.
+
+        A step that is not the ``last`` resort is made again in shorter ones if it is doubtful only: without friction
+        it has stored less than a smooth force between its ends would have, by more than that estimate may be wrong. A
+        long step may end in another equilibrium than short ones, where the surface has slid around an edge, say.
 
         The bodies have done the work of their force along the step, at the least that of the smaller of the forces at
         its ends. The object stores it, or friction has taken it up: the limits times the ways of slip, at the larger
@@ -87,7 +95,12 @@ class Branch:
         work = torch.minimum(_work(force, self._way[columns]), self._work[columns]).clamp(min=0.0)
         push = force.norm(dim=2).sum(dim=1)
         taken = contact.energy(columns) * (self._push[columns] / push.clamp(min=1e-300)).clamp(min=1.0)
-        missing = (self._stored(columns) + taken < self._kept[columns] + work).cpu().numpy()
+        stored = self._stored(columns)
+        lacks = stored + taken < self._kept[columns] + work
+        if not last and not contact.has_friction:
+            lacks |= self._kept[columns].isfinite() & self._smooth.lacks(
+                columns, force, stored + contact.energy(columns), self._rest[columns])
+        missing = lacks.cpu().numpy()
         host = columns.cpu().numpy()
         balance.reason[host[missing & (balance.reason[host] == Reason.NONE)]] = Reason.SNAPPED
 
@@ -96,6 +109,53 @@ class Branch:
         balance = self._balance
         energy = wp.to_torch(balance.elasticity.energy)[columns].to(torch.float64)
         return energy - (balance.load * balance.u[:, columns]).sum(dim=0)
+
+
+class _SmoothForce:
+    """What a step stores if the force on the bodies is a parabola through its ends and the equilibrium before it."""
+
+    _older: tuple[torch.Tensor, torch.Tensor] | None = None
+    """Places (B, K, 3) [m] of the equilibria before those that the steps begin at, and forces (B, K, 3) [N] there."""
+    _now: tuple[torch.Tensor, torch.Tensor]
+    """Those of the equilibria that the steps begin at."""
+    _way: torch.Tensor
+    """Of the bodies in the steps (B, K, 3) [m]."""
+    _stored: torch.Tensor
+    """Energy that the steps begin with (B,) [J]."""
+
+    def begin(self, columns: torch.Tensor, place: torch.Tensor, force: torch.Tensor, way: torch.Tensor,
+              stored: torch.Tensor) -> None:
+        """Begin steps of ``columns`` (k,) at equilibria that have ``stored`` (k,) [J], of bodies at ``place`` (B, K, 3)
+        [m] with ``force`` on them (k, K, 3) [N], along ``way`` (B, K, 3) [m]."""
+        if self._older is None:
+            none = torch.full_like(place, float("nan"))
+            self._older, self._now, self._way, self._stored = (none, none), (none, none), none, none[:, 0, 0].clone()
+        fresh = (self._now[0][columns] != place[columns]).flatten(1).any(dim=1)[:, None, None]
+        self._older = tuple(old.index_copy(0, columns, torch.where(fresh, now[columns], old[columns]))
+                            for old, now in zip(self._older, self._now, strict=True))
+        self._now = (self._now[0].index_copy(0, columns, place[columns]), self._now[1].index_copy(0, columns, force))
+        self._way, self._stored[columns] = self._way.index_copy(0, columns, way[columns]), stored
+
+    def lacks(self, columns: torch.Tensor, force: torch.Tensor, stored: torch.Tensor,
+              rest: torch.Tensor) -> torch.Tensor:
+        """Whether steps of ``columns`` end with too little energy (k,) bool.
+
+        Args:
+            columns: touches (k,).
+            force: on the bodies at the ends (k, K, 3) [N].
+            stored: at the ends (k,) [J].
+            rest: stored before anything was touched (k,) [J].
+        """
+        assert self._older is not None
+        way, back = self._way[columns], self._now[0][columns] - self._older[0][columns]
+        along = (way * back).sum(dim=(1, 2)) / (way * way).sum(dim=(1, 2)).clamp(min=1e-300)
+        ends, starts, before = (_work(f, way) for f in (force, self._now[1][columns], self._older[1][columns]))
+        # integral of a parabola: the trapezoid's without a third of its bend, which is also the error that is granted
+        bend = ((ends - starts) - (starts - before) / along) / (1.0 + along) / 6.0
+        straight = (along > 0.0) & ((along[:, None, None] * way - back).norm(dim=(1, 2)) < 0.1 * back.norm(dim=(1, 2)))
+        due = 0.5 * (starts + ends) - bend
+        total = self._stored[columns] - rest + due
+        return straight & (stored - self._stored[columns] < due - bend.abs() - _DOUBTFUL * total)
 
 
 def _work(force: torch.Tensor, way: torch.Tensor) -> torch.Tensor:

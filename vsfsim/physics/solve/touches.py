@@ -42,6 +42,7 @@ _SOFTENINGS, _SOFT_TOLERANCE = (0.003, 0.05), 0.05  # of the contact stiffness, 
 _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later frame may begin from
 _NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
+_DOUBTS = 2  # times that a step is halved because its energy is doubtful, and no more
 _GROWTHS = 8  # times that the patch may grow in a step, cuts of its faces included
 
 
@@ -276,7 +277,7 @@ class Solver:
         if halvings == 0:
             self._branch.lift(columns)  # a body may snap
         self._equilibrium(columns, pose, begin, deadline)
-        self._branch.mark(columns)
+        self._branch.mark(columns, last=halvings + _DOUBTS <= self.options.halvings)
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
