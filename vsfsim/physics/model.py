@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -93,10 +94,11 @@ class Model:
 
     def hold(self, free: np.ndarray) -> Model:
         """The same body with other supports: 1 where a degree of freedom may move (3 n,)."""
-        surface, soft = self.mesh.surface_nodes(), self.soft_factor
+        soft, make = self.soft_factor, functools.partial(RestFactor, free=free, points=self.mesh.points,
+                                                         surface_nodes=self.mesh.surface_nodes())
         return dataclasses.replace(
-            self, free=free, factor=RestFactor(self.factor.stiffness, free, surface, later=self._quick_serves),
-            soft_factor=None if soft is None else RestFactor(soft.stiffness, free, surface, later=True))
+            self, free=free, factor=make(self.factor.stiffness, later=self._quick_serves),
+            soft_factor=None if soft is None else make(soft.stiffness, later=True))
 
 
 def held_nodes(points: np.ndarray, fixed: str | tuple[float, ...], tolerance: float) -> np.ndarray:
@@ -229,12 +231,13 @@ def build_model(solid: Solid, young_modulus: np.ndarray, *, poisson_ratio: float
             f"A part inside is so stiff that it only moves and turns. It acts with a modulus {lowered:.2g} times "
             f"smaller, which lowers the force by 0.2 % at most.")))
     blocks = elements(placed, acting, poisson_ratio)
-    stiffness, surface = assemble(len(placed.points), blocks), placed.surface_nodes()
+    stiffness = assemble(len(placed.points), blocks)
+    factor = functools.partial(RestFactor.of, free=free, surface_nodes=placed.surface_nodes(), points=placed.points)
     softer = tuple(block.softened() for block in blocks)
     compressible = all(a is b for a, b in zip(softer, blocks, strict=True))
-    soft = None if compressible else RestFactor.of(assemble(len(placed.points), softer), free, surface, later=True)
+    soft = None if compressible else factor(assemble(len(placed.points), softer), later=True)
     size = float((6.0 * placed.volume.mean()) ** (1.0 / 3.0))
     return Model(placed, blocks, young_modulus, free, gravity_load(placed, density, np.asarray(gravity)),
                  young_modulus[placed.owner].mean(axis=1), solid, size,
-                 RestFactor.of(stiffness, free, surface, later=soft is not None or len(placed.points) > _LARGE),
+                 factor(stiffness, later=soft is not None or len(placed.points) > _LARGE),
                  soft_factor=soft)

@@ -5,6 +5,7 @@ own the bookkeeping took two thirds of the time.
 """
 
 import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +21,9 @@ UNIT = 32767.0
 """The integer that represents 1 in a stored block."""
 _PAD = 16  # rows are padded to a multiple of this: whole vectors of the processor
 _STRIP = 192  # rows of an update that are multiplied together
+NOT_DEFINITE = ("The stiffness of the body at rest is not positive definite: a part of it can move freely, or elements "
+                "have no volume. Hold the body by more of its nodes, or mend the mesh.")
+"""What `MeshError` says of such a matrix."""
 _LOOSE = 1e15  # a pivot below this fraction of its diagonal entry (inverted) is treated as zero: it is rounding error
 
 
@@ -95,6 +99,32 @@ class Order:
         at = np.searchsorted(self._keys, key)
         return np.where(self._keys[np.minimum(at, len(self._keys) - 1)] == key, at, -1).astype(np.int32)
 
+    def walk(self, values: np.ndarray) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
+        """The fronts of the matrix with the blocks ``values`` (b, 3, 3) [N/m], children first.
+
+        Yields:
+            Number of the front; its own unknowns (p,); its matrix (p + q, p + q), of which only the lower triangle
+            means anything, with its own p rows first; and where its update (q, q) must be written before the next front
+            is asked for, its lower triangle at least.
+        """
+        work, stack = np.zeros(self._wide**2), np.empty(self._room)  # zeros: what lies above the diagonal is finite
+        arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
+            self._at, *self._lists, self.start, self.neighbours, values, np.full(len(self.start) - 1, -1, np.int32),
+            work, stack)]
+        for f, own in enumerate(self._own):
+            p, q = int(self.tables[f, 0]), int(self.tables[f, 2])
+            wp.launch(_gather(), dim=1, device="cpu", inputs=[f, *arrays])
+            dense = work[:(p + q)**2].reshape(p + q, p + q)
+            update = stack[self._at[f, 3]:self._at[f, 3] + q * q].reshape(q, q)
+            if p:
+                yield f, own, dense, update
+            else:  # no edges connect the halves
+                update[:] = dense
+
+    def unknowns_below(self, front: int) -> np.ndarray:
+        """Later unknowns (q,) that those of a ``front`` are connected to, in the order of its matrix."""
+        return _unknowns(self._lists[1][self._at[front, 1]:self._at[front + 1, 1]])
+
     def eliminate(self, values: np.ndarray) -> Factor:
         """Eliminate the matrix with the blocks ``values`` (b, 3, 3) [N/m], in the order of ``matrix``'s.
 
@@ -103,28 +133,17 @@ class Order:
         """
         out = Factor(np.zeros(self._entries, np.int16), np.zeros(self.slots, np.float32),
                      np.zeros(self._below, np.float32))
-        work, stack = np.zeros(self._wide**2), np.empty(self._room)  # zeros: what lies above the diagonal is finite
         count = len(self.start) - 1
         diagonal = np.zeros((count, 3))
         on = self.owners == self.neighbours
         diagonal[self.owners[on]] = np.diagonal(values[on], axis1=1, axis2=2)
         diagonal = diagonal.ravel()
-        arrays = [wp.array(a.ravel(), device="cpu", copy=False) for a in (
-            self._at, *self._lists, self.start, self.neighbours, values, np.full(count, -1, np.int32), work, stack)]
-        for f, (own, (p, pw, q, qw, slot, first, below)) in enumerate(zip(self._own, self.tables.tolist(),
-                                                                          strict=True)):
-            wp.launch(_gather(), dim=1, device="cpu", inputs=[f, *arrays])
-            dense = work[:(p + q)**2].reshape(p + q, p + q)
-            update = stack[self._at[f, 3]:self._at[f, 3] + q * q].reshape(q, q)
-            if not p:  # no edges connect the halves
-                update[:] = dense
-                continue
+        for f, own, dense, update in self.walk(values):
+            p, pw, q, qw, slot, first, below = self.tables[f].tolist()
             lower, fault = lapack.dpotrf(dense[:p, :p], lower=True)
             inverse, _ = lapack.dpotri(lower, lower=True)
             if fault or (np.diag(inverse) * diagonal[own] > _LOOSE).any():
-                raise MeshError("The stiffness of the body at rest is not positive definite: a part of it can move "
-                                "freely, or elements have no volume. Hold the body by more of its nodes, or mend the "
-                                "mesh.")
+                raise MeshError(NOT_DEFINITE)
             inverse = np.tril(inverse) + np.tril(inverse, -1).T
             ties = dense[p:, :p]
             gain = ties @ inverse

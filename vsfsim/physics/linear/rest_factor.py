@@ -1,8 +1,8 @@
 """The rest-state stiffness, inverted once for an object: it serves every touch of it.
 
-On the CPU it is a sparse Cholesky factor (CHOLMOD through cholespy) and, for few touches, the columns of the inverse
-under the patch. On a GPU it is the dense inverse, so that one product (n x n x B) serves all touches at once where
-triangular solves would be slow.
+On the CPU it is a sparse Cholesky factor (CHOLMOD through cholespy, of a large body `large_factor`) and, for few
+touches, the columns of the inverse under the patch. On a GPU it is the dense inverse, so that one product (n x n x B)
+serves all touches at once where triangular solves would be slow.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import scipy.sparse as sp
 import torch
 
 from vsfsim.physics.linear.elimination import Order, blocks_of
+from vsfsim.physics.linear.large_factor import LargeFactor
 from vsfsim.physics.linear.multifrontal import TRUST, Multifrontal, trusted
 
 _CHUNK = 64  # right-hand sides solved at once: more gain nothing on a CPU and cost memory
@@ -25,6 +26,7 @@ _KEPT = 4  # factors kept in this process, by content
 _FEW = 4  # touches; from five on, a batch of triangular solves is as fast as reading their columns
 # columns read at once; share of a patch that is pushed up to which picking its columns is the faster way
 _ROWS, _SPARSE = 32, 0.4
+_LARGE = 60_000  # unknowns from which on `LargeFactor` takes a fifth of CHOLMOD's time or less
 _DENSE = 80_000  # unknowns; the dense inverse needs three times n^2 doubles for a moment: 154 GB here
 
 _factors: OrderedDict[str, RestFactor] = OrderedDict()
@@ -38,6 +40,7 @@ class RestFactor:
         free: 1 where a degree of freedom may move, 0 where it is held (3 n,).
         surface_nodes: nodes (s,) that `compliance` may be asked for.
         later: factorise at the first use.
+        points: places of the nodes (n, 3) [m], which guide the elimination of a large body; CHOLMOD serves without.
     """
 
     size: int
@@ -50,8 +53,9 @@ class RestFactor:
     """Memory for columns of the inverse, of the touches of one run [byte]."""
     _kept: type = np.float64  # of the whole columns
 
-    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False):
-        self.seconds = 0.0
+    def __init__(self, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False,
+                 points: np.ndarray | None = None):
+        self.seconds, self._points = 0.0, points
         self._begin(stiffness, free, surface_nodes)
         if not later:
             self._solver  # noqa: B018  the factor is made here
@@ -63,6 +67,10 @@ class RestFactor:
         began = time.perf_counter()
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
+        if self._points is not None and self.size >= _LARGE:
+            large = LargeFactor(self.order(self._points), np.asarray(blocks_of(k).data, np.float64))
+            self.seconds = time.perf_counter() - began
+            return large
         solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
                                           k.data.astype(np.float64), cholespy.MatrixType.COO)
         self.seconds = time.perf_counter() - began
@@ -84,8 +92,8 @@ class RestFactor:
         self._order: Order | None = None
 
     @classmethod
-    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *,
-           later: bool = False) -> RestFactor:
+    def of(cls, stiffness: sp.csr_matrix, free: np.ndarray, surface_nodes: np.ndarray, *, later: bool = False,
+           points: np.ndarray | None = None) -> RestFactor:
         """The factor of this matrix: the one that this process made before, or a new one; arguments as the class."""
         digest = hashlib.sha256()
         for part in (stiffness.indptr, stiffness.indices, stiffness.data, free, np.asarray(surface_nodes)):
@@ -94,7 +102,7 @@ class RestFactor:
         if key not in _factors:
             for other in _factors.values():
                 other.forget()
-            _factors[key] = cls(stiffness, free, surface_nodes, later=later)
+            _factors[key] = cls(stiffness, free, surface_nodes, later=later, points=points)
             while len(_factors) > _KEPT:
                 _factors.popitem(last=False)
         _factors.move_to_end(key)
