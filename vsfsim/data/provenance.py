@@ -3,18 +3,33 @@
 from __future__ import annotations
 
 import functools
+import os
+import re
 import subprocess
 from pathlib import Path
 
 import vsfsim
+from vsfsim.core.errors import VsfsimError
+
+VARIABLE = "VSFSIM_COMMIT"
+"""Environment variable that names the commit of a copy without .git, as on a machine that is borrowed for a while."""
 
 
 @functools.cache
 def commit() -> str | None:
-    """The git commit of this checkout, with "+changes" if tracked files differ from it; None in an installed wheel."""
+    """The git commit of this checkout, with "+changes" if tracked files differ from it; of a copy without .git what
+    `VARIABLE` says, or None.
+
+    Raises:
+        VsfsimError: `VARIABLE` is not the name of a commit.
+    """
     root = Path(vsfsim.__file__).resolve().parent.parent
     if not (root / ".git").exists():
-        return None
+        said = os.environ.get(VARIABLE)
+        if said is not None and not re.fullmatch(r"[0-9a-f]{40}(\+changes)?", said):
+            raise VsfsimError(f"{VARIABLE} is '{said}', which is no commit. Give the 40 hexadecimal digits that `git "
+                              f"rev-parse HEAD` prints where the copy was made, or unset it.")
+        return said
     try:
         head = subprocess.run(["git", "-C", str(root), "rev-parse", "HEAD"], capture_output=True, text=True, timeout=10,
                               check=True).stdout.strip()
