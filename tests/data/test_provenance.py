@@ -29,5 +29,5 @@ def test_a_copy_knows_its_commit_only_if_it_is_told(copy, monkeypatch):
 
 def test_what_is_no_commit_is_refused(copy, monkeypatch):
     monkeypatch.setenv(provenance.VARIABLE, "main")
-    with pytest.raises(VsfsimError, match="VSFSIM_COMMIT is 'main', which is no commit. Give the 40"):
+    with pytest.raises(VsfsimError, match="VSFSIM_COMMIT is 'main', which is no commit"):
         provenance.commit()
