@@ -37,7 +37,7 @@ _BYTES = 1e9  # of a factor while it is made
 # of the local factor: usual iterations, and those beyond them after which it is made; its nodes at most, and the
 # least displacement gradient there
 _NEAR_USUAL, _NEAR = 6, 10
-_VOLUME_USUAL, _VOLUME_NEAR = 4, 5  # the same in nearly incompressible bodies, whose systems take most of the time
+_VOLUME_USUAL, _VOLUME_NEAR = 3, 3  # the same in nearly incompressible bodies, whose systems take most of the time
 _NODES, _DEFORMED = 600, 0.03
 _GAIN = 0.7  # share of the iterations before that the first system with a new factor may take
 
