@@ -215,6 +215,8 @@ class Options:
     """Largest number of segments of petioles and blades; the plant has only as many leaves as this allows."""
     size: float
     """Factor on the lengths of stems and branches; diameters and leaves keep theirs [-]."""
+    girth: float
+    """Factor on the diameters of stems, branches, petioles and midribs, and so on those of their wires [-]."""
     leaves: float
     """Factor on the number of leaves of an axis [-]."""
     segment: float
@@ -239,13 +241,13 @@ def read_options(parameters: Mapping[str, Any], where: str) -> Options:
         raise SceneError(f"{where}: plant is {plant!r}. {did_you_mean(str(plant), names)}")
     number = {key: _number(parameters, key, default, low, high, where) for key, default, low, high in (
         ("variation", 0.1, 0.0, 0.5), ("wood_segments", 160, 10, 1000), ("leaf_segments", 260, 0, 2000),
-        ("size", 1.0, 0.3, 2.0), ("leaves", 1.0, 0.1, 5.0),
+        ("size", 1.0, 0.3, 2.0), ("girth", 1.0, 0.5, 2.0), ("leaves", 1.0, 0.1, 5.0),
         ("segment", 0.025, 0.002, 0.1))}
     yields = parameters.get("yields", False)
     if not isinstance(yields, bool):
         raise SceneError(f"{where}: yields is {yields!r}; it must be true or false.")
     return Options(plant, number["variation"], int(number["wood_segments"]), int(number["leaf_segments"]),
-                   number["size"], number["leaves"], number["segment"], yields)
+                   number["size"], number["girth"], number["leaves"], number["segment"], yields)
 
 
 def name_of(options: Options, pick: int, number: int) -> str:

@@ -106,7 +106,7 @@ def _sized(named: Named, options: Options, rng: np.random.Generator) -> Kind:
     kind = KINDS[named.kind]
     wild = options.plant == "random"
     f = np.exp((math.log(1.3) if wild else math.log1p(options.variation)) * rng.uniform(-1.0, 1.0, 8))
-    size, girth = options.size * named.size * f[0], named.girth * f[1]
+    size, girth = options.size * named.size * f[0], options.girth * named.girth * f[1]
 
     def scaled(stalk: Stalk, by: float) -> Stalk:
         return replace(stalk, length=size * by * stalk.length, diameter=girth * stalk.diameter)

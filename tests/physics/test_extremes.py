@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+import torch
 from frame_checks import numbers_stand_for_equilibria
 from scipy.optimize import brentq
 
@@ -16,6 +17,7 @@ from vsfsim.physics.contact.rigid_contact import RigidContact
 from vsfsim.physics.mesh.quadratic import gauss_points
 from vsfsim.physics.mesh.structured import box
 from vsfsim.physics.model import build_model
+from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import OF_AN_EQUILIBRIUM, Reason
 from vsfsim.physics.solve.linear_tier import LinearTier
 from vsfsim.physics.solve.touches import Solver, SolverOptions
@@ -352,3 +354,24 @@ def test_a_linear_frame_whose_patch_grows_too_often_is_marked(block, line, devic
 def grows(real):
     """`RigidContact.extend_patch` that says that the patch grew."""
     return lambda *args, **kwargs: real(*args, **kwargs) or True
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_what_single_precision_cannot_balance_is_solved_in_double(device, friction, monkeypatch):
+    """A part a million times stiffer turns. Cell 04bba4ba69df of the stability map had none of four frames in single
+    precision, and all of them in double, each in less than a second."""
+    model = body(inclusion(1e6))
+    poses = np.tile(np.eye(4), (3, 1, 1, 1))
+    poses[:, 0, :3, 3] = [[0.002, 0.001, 0.045 - d] for d in (0.001, 0.004, 0.008)]
+
+    def solver(precision, **limits):
+        return Solver(model, PROBE, friction=friction, device=device, precision=precision,
+                      options=SolverOptions(**{"tolerance": 1e-3, "seconds": 1e9, **limits}))
+
+    both = solver("float32")
+    single, again = both.run(poses), both.run(poses)
+    assert single.converged.all() and both._balance.real is torch.float64
+    assert np.array_equal(single.force, again.force), "a run does not depend on the run before"
+    assert single.force == pytest.approx(solver("float64").run(poses).force, rel=3e-3, abs=1e-2)
+    monkeypatch.setattr(touches, "is_single", lambda _: False)
+    assert not solver("float32", halvings=0).run(poses).converged.all(), "this case needs double precision"

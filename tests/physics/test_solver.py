@@ -16,7 +16,8 @@ from vsfsim.physics.linear import rest_factor
 from vsfsim.physics.linear.rest_factor import RestFactor
 from vsfsim.physics.solve import touches
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.touches import FLOAT32_ACCEPT, Solver
+from vsfsim.physics.solve.precision import FLOAT32_ACCEPT
+from vsfsim.physics.solve.touches import Solver
 
 SIZE = (0.06, 0.06, 0.03)
 PROBE = Sphere(0.015)

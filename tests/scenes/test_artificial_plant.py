@@ -139,3 +139,21 @@ def test_wires_yield_at_their_plastic_moment_where_the_scene_says_so():
         assert core[branch, 1] == pytest.approx(YIELD_STRESS * p.wire[branch] ** 3 / 6.0)
     with pytest.raises(SceneError, match="yields is 1; it must be true or false"):
         planted("monstera", yields=1)
+
+
+def test_girth_scales_diameters_and_wires_and_nothing_else():
+    thin, thick = (planted("rubber-plant", girth=girth) for girth in (1.0, 1.3))
+    round_part = np.isin(thin.region, (TRUNK, BRANCH, PETIOLE))
+    assert np.array_equal(thin.parent, thick.parent) and np.array_equal(thin.nodes, thick.nodes)
+    assert thick.radius[round_part] == pytest.approx(1.3 * thin.radius[round_part])
+    assert thick.wire == pytest.approx(1.3 * thin.wire)
+    leaf = thin.region == LEAF
+    assert np.array_equal(thin.half_width[leaf], thick.half_width[leaf])
+    assert (thick.young_modulus[leaf] > 1.5 * thin.young_modulus[leaf]).all()  # of the midrib, by the fourth power
+    assert np.array_equal(planted("rubber-plant").young_modulus, thin.young_modulus)
+
+
+@pytest.mark.parametrize("girth", [0.4, 2.5, True])
+def test_a_girth_out_of_range_is_refused(girth):
+    with pytest.raises(SceneError, match=r"girth is .* must be a number from 0\.5 to 2"):
+        planted("rubber-plant", girth=girth)

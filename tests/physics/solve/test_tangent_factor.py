@@ -18,6 +18,7 @@ def test_a_factor_of_the_deformed_tangent_takes_fewer_iterations_to_the_same_equ
     model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.35]]
+    monkeypatch.setattr(tangent_factor, "_VOLUME_NEAR", 10**6)  # no local factor
     made = []
     make = tangent_factor.TangentFactors._make
     monkeypatch.setattr(tangent_factor.TangentFactors, "_make", lambda *a: made.append(make(*a)) or made[-1])
@@ -45,6 +46,7 @@ def test_a_factor_that_rounds_to_an_indefinite_one_is_dropped(block, monkeypatch
     model = block((0.06, 0.06, 0.03), 0.015, poisson_ratio=0.4999)
     poses = np.tile(np.eye(4), (2, 1, 1, 1))
     poses[:, 0, :3, 3] = np.array([0.003, 0.001, 0.045]) - np.array([0.0, 0.0, 0.03]) * [[0.02], [0.35]]
+    monkeypatch.setattr(tangent_factor, "_VOLUME_NEAR", 10**6)  # no local factor
     made = []
 
     class Indefinite(tangent_factor.Multifrontal):

@@ -15,7 +15,8 @@ from vsfsim.physics.solve import elasticity
 
 
 def solver_kernels(precision: str, kinds: Iterable[str] = ("tet10",)) -> list[Any]:
-    """One kernel of each module that the solver launches at a precision, for a model of these ``kinds`` of elements."""
+    """One kernel of each module that the solver launches at a precision, for a model of these ``kinds`` of elements.
+    A step that single precision cannot balance is solved in double."""
     return [*_body_kernels(precision, kinds), rigid_kernels.kernels().evaluate]
 
 
@@ -25,6 +26,8 @@ def coupled_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:
 
 
 def _body_kernels(precision: str, kinds: Iterable[str]) -> list[Any]:
-    real = wp.float64 if precision == "float64" else wp.float32
-    elements = [importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels(real).forces for kind in kinds]
-    return [*elements, elasticity.kernels(real).gather]
+    out = []
+    for real in (wp.float64,) if precision == "float64" else (wp.float32, wp.float64):
+        out += [importlib.import_module(f"vsfsim.physics.elements.{kind}").kernels(real).forces for kind in kinds]
+        out.append(elasticity.kernels(real).gather)
+    return out

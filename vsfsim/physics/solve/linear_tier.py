@@ -21,7 +21,7 @@ _RENEWALS, RENEWED = 60, 5e-4
 # of the tolerance, with friction: contact is so stiff that displacements known to 1e-4 leave forces open by 3 %, and
 # friction limits renewed from such forces jump about (130 renewals in 8 frames of a dragged plate, 30 with this)
 _CLOSER = 1e-2
-_GROWTHS = 4  # times that the patch may grow in a frame
+_GROWTHS = 12  # times that the patch may grow in a frame
 
 
 class LinearTier:
@@ -39,6 +39,12 @@ class LinearTier:
         model = balance.model
         sag = model.factor.solve((model.load * model.free)[:, None])
         self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
+
+    @property
+    def accept(self) -> float:
+        """Measure under which a frame counts as balanced [-]."""
+        accept = self._balance.accept
+        return max(accept, RENEWED) if self._contact.has_friction else accept
 
     def frame(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor,
               deadline: float) -> tuple[torch.Tensor, State]:

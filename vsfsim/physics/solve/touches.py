@@ -31,11 +31,11 @@ from vsfsim.physics.solve.audit import Rows
 from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
-from vsfsim.physics.solve.linear_tier import RENEWED, LinearTier, first_force
+from vsfsim.physics.solve.linear_tier import LinearTier, first_force
 from vsfsim.physics.solve.newton import Equilibrium, State
+from vsfsim.physics.solve.precision import is_single, limits, to_double
 from vsfsim.physics.solve.prediction import predict
 
-FLOAT32_AIM, FLOAT32_ACCEPT = 1e-3, 3e-3  # tolerance aimed at, and what counts as converged, in single precision
 FAR = 100.0
 """Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
 _SOFTENINGS, _SOFT_TOLERANCE = (0.003, 0.05), 0.05  # of the contact stiffness, stage by stage; their tolerance
@@ -65,8 +65,8 @@ class Solver:
         shapes: the rigid bodies (K).
         friction: Coulomb's coefficient with the object, one for all or one for each body [-].
         device: Warp device, "cpu" or "cuda:0".
-        precision: "float32" or "float64", of elements and vectors; the rest-state inverse and the contact are always
-            float64.
+        precision: "float32" or "float64", of elements and vectors where Newton's method moves them; the rest-state
+            inverse and the contact are always float64, and so are steps that single precision cannot balance.
         options: limits.
         linear: use the linear elasticity of the rest state (the `linear` tier) instead of Newton's method.
     """
@@ -81,16 +81,10 @@ class Solver:
     def _setup(self, model: Model, bodies: RigidBodies, friction: np.ndarray, device: str, precision: str,
                options: SolverOptions | None, linear: bool) -> None:
         self.model, self.bodies, self.friction = model, bodies, friction
-        options = options or SolverOptions()
-        if precision == "float32":
-            # rounding of the nodal forces leaves about 1e-3 unbalanced: less would only cost iterations
-            options = dataclasses.replace(options, tolerance=max(options.tolerance, FLOAT32_AIM),
-                                          newton=min(options.newton, 15))
-        self.options = options
-        self._accept = options.tolerance if precision == "float64" else max(options.tolerance, FLOAT32_ACCEPT)
-        self._linear_accept = max(self._accept, RENEWED) if self.friction.any() else self._accept
+        self.options = options or SolverOptions()
         self.device, self.precision, self.linear = device, precision, linear
-        self.elasticity = Elasticity(model, device=device, real=wp.float64 if precision == "float64" else wp.float32)
+        single = precision == "float32" and not linear
+        self.elasticity = Elasticity(model, device=device, real=wp.float32 if single else wp.float64)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
 
@@ -122,8 +116,9 @@ class Solver:
         frames, batch = poses.shape[:2]
         self.elasticity.begin(batch)
         self.contact, previous = self._make_contact(poses)
-        self._balance = Equilibrium(self.model, self.elasticity, self.contact, self.options, floor=self._floor,
-                                    accept=self._accept)
+        options, accept = limits(self.options, single=self.elasticity.real is wp.float32)
+        self._balance = Equilibrium(self.model, self.elasticity, self.contact, options, floor=self._floor,
+                                    accept=accept)
         every = self._balance.every
         self._contact_force = self.contact.no_force()
         if self.linear:
@@ -145,10 +140,7 @@ class Solver:
                 way = list(path.pieces(previous, poses[t], self._stride, self.bodies))
                 self.contact.deadline, late = deadline, False
                 for pose in way:
-                    begin, friction = self._balance.u.clone(), self.contact.friction_state()
-                    self._touched = (self.contact.recall(self._contact_force) != 0.0).any(dim=1)
-                    self._start(every, previous, pose)
-                    self._reach(every, previous, pose, begin, deadline, self.options.halvings, friction)
+                    begin, friction = self._step(previous, pose, deadline)
                     self._contact_force = self.contact.remember(every)
                     if pose is way[-1]:
                         break
@@ -232,6 +224,23 @@ class Solver:
 
     # ------------------------------------------------------------------------------------------ one frame
 
+    def _step(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> tuple[torch.Tensor, Any]:
+        """Bring all touches from their equilibria at ``before`` into equilibrium at ``pose`` (B, K, 4, 4); what fails
+        in single precision, in double. Returns the displacements (3 n, B) [m] and the state of friction that it began
+        with."""
+        balance, contact = self._balance, self.contact
+        begin, friction = balance.u.clone(), contact.friction_state()
+        self._touched = (contact.recall(self._contact_force) != 0.0).any(dim=1)
+        while True:
+            self._start(balance.every, before, pose)
+            self._reach(balance.every, before, pose, begin, deadline, self.options.halvings, friction)
+            if not is_single(balance) or not balance.reason.any() or time.perf_counter() > deadline:
+                return begin, friction
+            to_double(balance, self.options)
+            begin = begin.to(balance.real)
+            balance.u.copy_(begin)
+            contact.restore_friction(balance.every, friction)
+
     def _start(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
         """Begin at the equilibrium of this very pose if it is known (without friction unloading retraces loading), else
         at a prediction."""
@@ -281,7 +290,7 @@ class Solver:
         asked = columns.cpu().numpy()
         again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
         failed = columns[torch.as_tensor(again, device=self.device)]
-        if not len(failed) or halvings == 0 or time.perf_counter() > deadline:
+        if not len(failed) or halvings == 0 or is_single(balance) or time.perf_counter() > deadline:
             return
         host = failed.cpu().numpy()
         middle = pose.copy()
@@ -319,7 +328,7 @@ class Solver:
             self._lead(far, begin, deadline)
             state = balance.evaluate(columns)
         for _ in range(_GROWTHS):
-            balance.solve(columns, state, self.options.tolerance, deadline)
+            balance.solve(columns, state, balance.options.tolerance, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
@@ -377,7 +386,7 @@ class Solver:
         balance.reset_counts()
         balance.newton += 1
         late = time.perf_counter() > deadline
-        lost = (state["measure"] > self._linear_accept).cpu().numpy()
+        lost = (state["measure"] > self._linear_tier.accept).cpu().numpy()
         balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
         if not self._linear_tier.checked:
             balance.reason[:] = Reason.TIME if late else Reason.PATCH
@@ -387,5 +396,5 @@ class Solver:
 
     def _report(self, state: State) -> Rows:
         """The values of one frame from the state of all touches."""
-        return audit.report(self._balance, state, self._grounding, linear=self.linear,
-                            accept=self._linear_accept if self.linear else self._accept)
+        accept = self._linear_tier.accept if self.linear else self._balance.accept
+        return audit.report(self._balance, state, self._grounding, linear=self.linear, accept=accept)
