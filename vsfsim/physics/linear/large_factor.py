@@ -1,7 +1,7 @@
 """An exact Cholesky factor of a large body: dense fronts along a nested dissection, in double precision.
 
 CHOLMOD, as cholespy calls it, eliminates column by column at the speed of the memory; dense fronts (Duff and Reid 1983)
-let the processor work at its full speed. A body of 41,000 nodes takes 133 s there and 9 s here, one of 100,000 nodes
+let the processor work at its full speed. A body of 41,000 nodes takes 111 s there and 12 s here, one of 100,000 nodes
 more than 20 minutes and two.
 """
 
