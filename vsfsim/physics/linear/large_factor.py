@@ -7,14 +7,12 @@ more than 20 minutes and two.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-
 import numpy as np
 import torch
 
 from vsfsim.core.errors import MeshError
 from vsfsim.physics.linear.elimination import NOT_DEFINITE, Order
+from vsfsim.physics.threads import torch_threads
 
 _STRIP = 192  # rows of an update that are multiplied together
 _Front = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
@@ -36,7 +34,7 @@ class LargeFactor:
 
     def __init__(self, order: Order, values: np.ndarray):
         self._fronts: list[_Front] = []
-        with _one_thread():
+        with torch_threads(1):  # fronts are small: more would wait for one another, for seconds on a loaded machine
             for front, own, dense, update in order.walk(values):
                 p, matrix = len(own), torch.from_numpy(dense)
                 lower, fault = torch.linalg.cholesky_ex(matrix[:p, :p])  # reads the lower triangle
@@ -53,21 +51,10 @@ class LargeFactor:
         """Write the inverse times ``right`` to ``out``, both (3 n, k) in double."""
         out[:] = right
         x = torch.from_numpy(out)
-        with _one_thread():
+        with torch_threads(1):
             for own, below, lower, ties in self._fronts:
                 part = torch.linalg.solve_triangular(lower, x[own], upper=False)
                 x[own] = part
                 x[below] -= ties @ part
             for own, below, lower, ties in reversed(self._fronts):
                 x[own] = torch.linalg.solve_triangular(lower.mT, x[own] - ties.mT @ x[below], upper=True)
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Fronts are small: threads would wait for one another, for seconds on a loaded machine."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)

@@ -62,8 +62,6 @@ class RestFactor:
 
     @functools.cached_property
     def _solver(self) -> Any:
-        import cholespy  # CHOLMOD; only a body that is solved needs it
-
         began = time.perf_counter()
         k = self._held
         # the factor stays in double: single precision loses the soft parts of a body with stiff inclusions
@@ -71,6 +69,8 @@ class RestFactor:
             large = LargeFactor(self.order(self._points), np.asarray(blocks_of(k).data, np.float64))
             self.seconds = time.perf_counter() - began
             return large
+        import cholespy  # CHOLMOD; only a body that is solved needs it
+
         solver = cholespy.CholeskySolverD(self.size, k.row.astype(np.int32), k.col.astype(np.int32),
                                           k.data.astype(np.float64), cholespy.MatrixType.COO)
         self.seconds = time.perf_counter() - began

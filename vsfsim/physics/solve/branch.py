@@ -57,8 +57,9 @@ class Branch:
         state = balance.evaluate(columns)
         way = torch.as_tensor((pose - before)[..., :3, 3], device=balance.device)
         force = contact.on_bodies(columns)
-        self._smooth.begin(columns, torch.as_tensor(before[..., :3, 3], device=balance.device), force, way,
-                           self._stored(columns) + contact.energy(columns))
+        if not contact.has_friction:
+            self._smooth.begin(columns, torch.as_tensor(before[..., :3, 3], device=balance.device), force,
+                               self._stored(columns) + contact.energy(columns))
         work, most = _work(force, way[columns]), (force.norm(dim=2) * way[columns].norm(dim=2)).sum(dim=1)
         inward, none = work > 0.5 * most, torch.full_like(work, -float("inf"))
         balance.least[columns] = none if contact.has_friction else torch.where(inward, state["potential"], none)
@@ -99,7 +100,7 @@ class Branch:
         lacks = stored + taken < self._kept[columns] + work
         if not last and not contact.has_friction:
             lacks |= self._kept[columns].isfinite() & self._smooth.lacks(
-                columns, force, stored + contact.energy(columns), self._rest[columns])
+                columns, self._way[columns], force, stored + contact.energy(columns), self._rest[columns])
         missing = lacks.cpu().numpy()
         host = columns.cpu().numpy()
         balance.reason[host[missing & (balance.reason[host] == Reason.NONE)]] = Reason.SNAPPED
@@ -118,36 +119,34 @@ class _SmoothForce:
     """Places (B, K, 3) [m] of the equilibria before those that the steps begin at, and forces (B, K, 3) [N] there."""
     _now: tuple[torch.Tensor, torch.Tensor]
     """Those of the equilibria that the steps begin at."""
-    _way: torch.Tensor
-    """Of the bodies in the steps (B, K, 3) [m]."""
     _stored: torch.Tensor
     """Energy that the steps begin with (B,) [J]."""
 
-    def begin(self, columns: torch.Tensor, place: torch.Tensor, force: torch.Tensor, way: torch.Tensor,
-              stored: torch.Tensor) -> None:
+    def begin(self, columns: torch.Tensor, place: torch.Tensor, force: torch.Tensor, stored: torch.Tensor) -> None:
         """Begin steps of ``columns`` (k,) at equilibria that have ``stored`` (k,) [J], of bodies at ``place`` (B, K, 3)
-        [m] with ``force`` on them (k, K, 3) [N], along ``way`` (B, K, 3) [m]."""
+        [m] with ``force`` on them (k, K, 3) [N]."""
         if self._older is None:
             none = torch.full_like(place, float("nan"))
-            self._older, self._now, self._way, self._stored = (none, none), (none, none), none, none[:, 0, 0].clone()
+            self._older, self._now, self._stored = (none, none), (none, none), none[:, 0, 0].clone()
         fresh = (self._now[0][columns] != place[columns]).flatten(1).any(dim=1)[:, None, None]
         self._older = tuple(old.index_copy(0, columns, torch.where(fresh, now[columns], old[columns]))
                             for old, now in zip(self._older, self._now, strict=True))
         self._now = (self._now[0].index_copy(0, columns, place[columns]), self._now[1].index_copy(0, columns, force))
-        self._way, self._stored[columns] = self._way.index_copy(0, columns, way[columns]), stored
+        self._stored[columns] = stored
 
-    def lacks(self, columns: torch.Tensor, force: torch.Tensor, stored: torch.Tensor,
+    def lacks(self, columns: torch.Tensor, way: torch.Tensor, force: torch.Tensor, stored: torch.Tensor,
               rest: torch.Tensor) -> torch.Tensor:
         """Whether steps of ``columns`` end with too little energy (k,) bool.
 
         Args:
             columns: touches (k,).
+            way: of the bodies in the steps (k, K, 3) [m].
             force: on the bodies at the ends (k, K, 3) [N].
             stored: at the ends (k,) [J].
             rest: stored before anything was touched (k,) [J].
         """
         assert self._older is not None
-        way, back = self._way[columns], self._now[0][columns] - self._older[0][columns]
+        back = self._now[0][columns] - self._older[0][columns]
         along = (way * back).sum(dim=(1, 2)) / (way * way).sum(dim=(1, 2)).clamp(min=1e-300)
         ends, starts, before = (_work(f, way) for f in (force, self._now[1][columns], self._older[1][columns]))
         # integral of a parabola: the trapezoid's without a third of its bend, which is also the error that is granted

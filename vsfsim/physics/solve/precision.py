@@ -45,4 +45,3 @@ def to_double(balance: Equilibrium, options: SolverOptions) -> None:
     balance.real, balance.u = torch.float64, balance.u.to(torch.float64)
     balance.options, balance.accept = limits(options, single=False)
     balance.factors = TangentFactors(balance.model, balance.elasticity, balance.contact)
-    balance.factors.begin_frame()

@@ -35,6 +35,7 @@ from vsfsim.physics.solve.linear_tier import LinearTier, first_force
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.precision import is_single, limits, to_double
 from vsfsim.physics.solve.prediction import predict
+from vsfsim.physics.threads import torch_threads
 
 FAR = 100.0
 """Measure at the start of a frame above which softer contact leads the way; at 1 nothing balances the contact yet."""
@@ -104,13 +105,8 @@ class Solver:
         """
         if poses.ndim == 4:
             poses = poses[:, :, None]
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)  # so that the bits do not depend on the machine's load
-        try:
-            with torch.no_grad():
-                return self._run(poses, keep, progress)
-        finally:
-            torch.set_num_threads(threads)
+        with torch_threads(1), torch.no_grad():  # one, so that the bits do not depend on the machine's load
+            return self._run(poses, keep, progress)
 
     def _run(self, poses: np.ndarray, keep: bool, progress: Callable[[int], None] | None) -> Frames:
         frames, batch = poses.shape[:2]

@@ -14,8 +14,7 @@ NLL fell by 0.18 to 0.27 with a variance and by 0.25 to 0.35 with a standard dev
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +23,7 @@ from torch import nn
 from torch.nn import functional
 
 from vsfsim.core.errors import VsfError, did_you_mean
+from vsfsim.physics.threads import torch_threads
 from vsfsim.vsf.adam import Adam
 from vsfsim.vsf.estimate.evidence import Evidence
 from vsfsim.vsf.meta.composition import Composition, GaussianPrior
@@ -179,7 +179,7 @@ def train(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[Meta
     rng = np.random.default_rng(np.random.SeedSequence(seed))
     # On the CPU, synchronising threads over many small matrices costs up to fifteen times what they gain.
     largest = max(block.rows.numel() for task in tasks for block in task.evidence.blocks)
-    with _threads(1 if largest < _SMALL else torch.get_num_threads()):
+    with torch_threads(1 if largest < _SMALL else torch.get_num_threads()):
         return _descend(prior, tasks, validation, rate, epochs, patience, seed, rng, progress)
 
 
@@ -220,16 +220,6 @@ def _descend(prior: MetaPrior, tasks: Sequence[MetaTask], validation: Sequence[M
         prior.load_state_dict(kept)
     prior.eval()
     return Training(best, tuple(history), tuple(checked))
-
-
-@contextmanager
-def _threads(count: int) -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @torch.no_grad()
