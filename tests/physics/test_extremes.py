@@ -5,7 +5,6 @@ import time
 
 import numpy as np
 import pytest
-import torch
 from frame_checks import numbers_stand_for_equilibria
 from scipy.optimize import brentq
 
@@ -243,6 +242,7 @@ def test_a_crushed_element_is_marked(device):
     frames = Solver(model.hold(free.ravel()), Plane(), device=device, options=SolverOptions(tolerance=1e-3)).run(poses)
     assert frames.reason[:, 0].tolist() == [Reason.NONE, Reason.NONE, Reason.NONE, Reason.CRUSHED]
     assert frames.min_det_f[-1, 0] < 0.1 < frames.min_det_f[2, 0]
+    assert frames.iterations[-1, 0] < 30, "the same equilibrium found twice is enough; 63 shorter steps took 68"
     for name in OF_AN_EQUILIBRIUM:
         values = getattr(frames, name)
         assert np.isfinite(values[:3]).all() and np.isnan(values[3]).all(), name
@@ -370,7 +370,7 @@ def test_what_single_precision_cannot_balance_is_solved_in_double(device, fricti
 
     both = solver("float32")
     single, again = both.run(poses), both.run(poses)
-    assert single.converged.all() and both._balance.real is torch.float64
+    assert single.converged.all() and both.went_double
     assert np.array_equal(single.force, again.force), "a run does not depend on the run before"
     assert single.force == pytest.approx(solver("float64").run(poses).force, rel=3e-3, abs=1e-2)
     monkeypatch.setattr(touches, "is_single", lambda _: False)

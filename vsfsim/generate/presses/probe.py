@@ -196,7 +196,9 @@ def solve(prepared: Prepared, request: PressRequest) -> PressResult:
              *(f"obstacle {i + 1}" for i in range(len(scene.obstacles))))
     fields, more = solved(frames)
     notes = (*prepared.notes, *model.solid.notes, *path_notes(gap, float(way.max()), inside),
-             *edge_notes(names, scene.bodies, body_force))
+             *edge_notes(names, scene.bodies, body_force),
+             *(["Single precision could not balance a frame: it and those after it were solved in double."]
+               if solver.went_double else []))
     tets, nodes = len(model.mesh.tets), len(model.mesh.points)
     more |= {"body_force": body_force, "bodies": names, "friction": scene.frictions, "pressure": None,
              "build_seconds": prepared.seconds, "tets": tets, "nodes": nodes, "tier": tier, "device": request.device,

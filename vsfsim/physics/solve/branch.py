@@ -14,6 +14,7 @@ SNAP = 0.05
 """Share of the energy that the bodies have put into the object, which a step may lose [-]."""
 _DOUBTFUL = 0.005  # share of that energy that makes a step doubtful, which can be made in shorter ones [-]
 _ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
+_SAME = 1e-2  # relative difference of least det F under which two crushed equilibria at one pose are the same
 
 
 class Branch:
@@ -34,9 +35,11 @@ class Branch:
         self._work = torch.zeros_like(balance.least)  # of that force along the step [J]
         self._way: torch.Tensor | None = None  # of the bodies in the step (B, K, 3) [m]
         self._smooth = _SmoothForce()
+        self._crushed: dict[int, tuple[bytes, float]] = {}  # of touches: a pose and the least det F found there
 
     def begin(self) -> None:
         """Begin a step: nothing is known of its equilibria."""
+        self._crushed.clear()
         self._balance.least[:] = self._kept[:] = -float("inf")
 
     def bar(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
@@ -71,6 +74,21 @@ class Branch:
         # without friction every equilibrium of a step inward has more energy than those before it
         self._kept[columns] = kept if contact.has_friction else torch.maximum(kept, self._kept[columns])
         self._work[columns], self._push[columns], self._way = work, force.norm(dim=2).sum(dim=1), way
+
+    def repeats(self, columns: torch.Tensor, pose: np.ndarray) -> np.ndarray:
+        """Which of ``columns`` (k,) have found at ``pose`` (B, K, 4, 4) the same crushed equilibrium as once before in
+        this step (k,) bool: the object is crushed there, and shorter steps do not change that."""
+        balance, out = self._balance, []
+        det = wp.to_torch(balance.elasticity.least_det)
+        for touch in columns.tolist():
+            here, least = pose[touch].tobytes(), float(det[touch])
+            crushed = balance.reason[touch] == Reason.CRUSHED
+            known = self._crushed.get(touch)
+            out.append(bool(crushed) and known is not None and known[0] == here
+                       and abs(known[1] - least) <= _SAME * least)
+            if crushed:
+                self._crushed[touch] = here, least
+        return np.array(out, bool)
 
     def lift(self, columns: torch.Tensor) -> None:
         """Let ``columns`` (k,) go where they will."""

@@ -4,8 +4,7 @@ All touches of one object advance together, one column each, on the device. A fr
 two frames extrapolated, their contact corrected by the condensed problem) and is brought into equilibrium by
 `Equilibrium`, through softer contact where a body is met deep. A touch that fails is approached again in halved steps;
 states that let a body through are barred, and equilibria to which the object snapped are not taken (`branch`). A frame
-in which all of this fails is marked with the reason and never counts as data. With friction the result depends on the
-path: every step remembers where each point of the surface stuck.
+in which all of this fails is marked and never counts as data. With friction every step remembers where points stuck.
 """
 
 from __future__ import annotations
@@ -88,6 +87,11 @@ class Solver:
         self.elasticity = Elasticity(model, device=device, real=wp.float32 if single else wp.float64)
         self._grounding = torch.as_tensor(model.grounding(), device=device)[:, None]
         self._floor = model.least_force()
+
+    @property
+    def went_double(self) -> bool:
+        """Whether the last run began in single precision and ended in double."""
+        return self.elasticity.real is wp.float32 and not is_single(self._balance)
 
     def run(self, poses: np.ndarray, *, keep: bool = False, progress: Callable[[int], None] | None = None) -> Frames:
         """Follow the bodies through all frames.
@@ -284,12 +288,12 @@ class Solver:
         self._equilibrium(columns, pose, begin, deadline)
         self._branch.mark(columns, last=halvings + _DOUBTS <= self.options.halvings)
         asked = columns.cpu().numpy()
-        again = (balance.reason[asked] != Reason.NONE) & ~balance.exhausted(asked)
+        hopeless = balance.exhausted(asked) | self._branch.repeats(columns, pose)
+        again = (balance.reason[asked] != Reason.NONE) & ~hopeless
         failed = columns[torch.as_tensor(again, device=self.device)]
         if not len(failed) or halvings == 0 or is_single(balance) or time.perf_counter() > deadline:
             return
-        host = failed.cpu().numpy()
-        middle = pose.copy()
+        host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
         contact.restore_friction(failed, friction)
