@@ -24,6 +24,7 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 ANCHORINGS = 3
 """How often an anchor that a step makes may be set in this step."""
 _LEAST_DAMPING = wp.constant(wp.float64(1.0 / 16.0))
+_AITKEN = 12  # renewals of a step with the damping of each limit by itself
 _ZERO, _HALF, _ONE = (wp.constant(wp.float64(value)) for value in (0.0, 0.5, 1.0))
 
 
@@ -135,14 +136,36 @@ class Relaxation:
         """Damping of the changes (B, ...) [-]."""
         self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
         """How often the anchor of each point was set in this step (B, ...) [-]."""
+        self.renewals = torch.zeros(size[0], dtype=torch.int64, device=device)
+        """How often the limits of each touch were renewed in this step (B,)."""
         self.arrays = [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.residual)]
         """The tensors as Warp arrays, in the order that the kernels take them; all are only ever written in place."""
 
     def begin_step(self) -> None:
         """Forget the step before."""
         self.damping.fill_(1.0)
-        for value in (self.anchorings, self.change, self.residual):
+        for value in (self.anchorings, self.change, self.residual, self.renewals):
             value.zero_()
+
+    def steady(self, columns: torch.Tensor, limit: torch.Tensor, before: torch.Tensor, coulomb: torch.Tensor) -> None:
+        """Take half of every change from the twelfth renewal of a step on.
+
+        Aitken's damping follows each limit by itself. Where limits depend on one another, as under a ball whose points
+        slide about each other, it may lead them around for ever, while halved changes of all come to rest.
+
+        Args:
+            columns: touches whose limits were just renewed (k,).
+            limit: the limits of all touches (B, ...) [N], changed in place.
+            before: those of ``columns`` before (k, ...) [N].
+            coulomb: touches whose limits follow the normal forces within an iteration have 1 there (B,).
+        """
+        self.renewals[columns] += 1
+        late = ((self.renewals[columns] > _AITKEN) & (coulomb[columns] == 0.0)).nonzero()[:, 0]
+        if len(late):
+            at = columns[late]
+            change = self.change[at].view_as(before[late])
+            limit[at] = before[late] + 0.5 * change
+            self.residual[at] = 0.5 * self.change[at].abs()
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """Sum of the residuals of Coulomb's law of the touches ``columns`` (k,): (k,) [N]."""

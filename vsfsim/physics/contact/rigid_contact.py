@@ -42,9 +42,8 @@ class RigidContact:
     """
 
     potential_trusted_above, decrease = 0.05, 0.5
-    deadline = float("inf")
+    deadline, patience = float("inf"), 10**9  # the limit on iterations ends a touch
     _begun: np.ndarray | None = None
-    patience = 10**9  # never: the limit on iterations ends a touch
 
     patches: list[Patch]
     """The patch of each touch (B)."""
@@ -202,8 +201,7 @@ class RigidContact:
 
     def _launch(self, kernel: object, columns: torch.Tensor, model: list[object], names: str,
                 *more: wp.array) -> None:
-        """Run a kernel over the faces of ``columns``: after its ``model`` come the present poses and the arrays with
-        these ``names``; those of the poses before stand for "<"."""
+        """Run a kernel over the faces of ``columns``; arrays are found by their ``names``, the poses before by "<"."""
         state = [a for name in names.split() for a in (self._before if name == "<" else (self._arrays[name],))]
         wp.launch(kernel, dim=(self._local.shape[1], len(columns)), device=self.device,
                   inputs=[self._shape, self._part, *model, *self._pose, *state, *more])
@@ -221,11 +219,13 @@ class RigidContact:
     def update_friction(self, columns: torch.Tensor) -> None:
         """See `Contact`."""
         if self.has_friction:
+            before = self.limit[columns]
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
                           *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
                           self._onset, self._coefficient, wp.from_torch(self.coulomb)],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
+            self._relaxation.steady(columns, self.limit, before, self.coulomb)
 
     def end_step(self, columns: torch.Tensor) -> None:
         """See `Contact`."""

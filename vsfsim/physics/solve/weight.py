@@ -12,6 +12,7 @@ from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.newton import Equilibrium
 
 _NEWTON, _LEAST = 12, 1 / 256  # iterations for one part of the load; the smallest part
+_FALLS = 0.5  # part of the unbalanced forces that so many iterations may leave for as many more
 
 
 def apply(balance: Equilibrium, pose: np.ndarray) -> None:
@@ -38,8 +39,13 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
         balance.load = (done + share) * whole
         balance.u[:, :1] = u + share * slope
         balance.reset_counts()
-        balance.solve(first, balance.evaluate(first), options.tolerance, deadline)
-        if balance.reason[0] == Reason.NONE:
+        state, left = balance.evaluate(first), np.inf
+        while float(state["measure"][0]) < _FALLS * left:  # a network of springs takes many iterations, and arrives
+            left = float(state["measure"][0])
+            balance.solve(first, state, options.tolerance, deadline)
+            if balance.reason[0] != Reason.ITERATIONS:
+                break
+        if balance.reason[0] == Reason.NONE or (balance.reason[0] == Reason.TIME and done + share == 1.0):
             slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
             done, part = done + share, 2.0 * part
         else:
