@@ -228,6 +228,25 @@ def test_single_precision_ends_at_the_floor_of_rounding(block, line, device):
     assert frames.force[:, 0, 2] == pytest.approx([0.603, 1.919], rel=5e-3)  # in double precision
 
 
+def test_weight_from_a_state_without_a_number_is_put_on_in_parts(block, line, device, monkeypatch):
+    """Not balanced, because nothing says so: a prediction whose measure was not finite passed for the equilibrium."""
+    model = block((0.04, 0.04, 0.02), 0.01, density=1000.0, gravity=(0.0, 0.0, -98.1))
+    put_on, evaluate, asked, found = touches.weight.apply, touches.Equilibrium.evaluate, iter((True,)), []
+
+    def lost_first(self, columns):
+        state = evaluate(self, columns)
+        return {**state, "measure": state["measure"] * float("nan")} if next(asked, False) else state
+
+    def watched(balance, pose):
+        put_on(balance, pose)
+        found.append(float(evaluate(balance, balance.every)["measure"][0]))
+
+    monkeypatch.setattr(touches.Equilibrium, "evaluate", lost_first)
+    monkeypatch.setattr(touches.weight, "apply", watched)
+    Solver(model, PROBE, device=device).run(line([[0.0, 0.0, 0.05]], PROBE))
+    assert found[0] <= SolverOptions().tolerance
+
+
 def test_a_crushed_element_is_marked(device):
     """Between walls a flat press to 93 % leaves 7 % of the volume: an equilibrium of the continued law, and no datum.
     Its numbers are kept apart."""

@@ -24,7 +24,9 @@ import vsfsim.physics.runtime  # noqa: F401  starts Warp quietly
 ANCHORINGS = 3
 """How often an anchor that a step makes may be set in this step."""
 _LEAST_DAMPING = wp.constant(wp.float64(1.0 / 16.0))
-_AITKEN = 12  # renewals of a step with the damping of each limit by itself
+# Renewals of a step in which each limit has a damping of its own; from then on all have this one: with 0.3 sixty
+# renewals were too few, 0.5 and 0.7 arrive alike (`test_frames_of_columns_arrive`).
+_AITKEN, _STEADY = wp.constant(12), wp.constant(wp.float64(0.5))
 _ZERO, _HALF, _ONE = (wp.constant(wp.float64(value)) for value in (0.0, 0.5, 1.0))
 
 
@@ -107,16 +109,22 @@ def linearised(u: wp.vec3d, held: wp.vec3d, normal: wp.vec3d, stiffness: wp.floa
 
 
 @wp.func
-def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_change: wp.float64):
+def relaxed(asked: wp.float64, present: wp.float64, damping: wp.float64, last_change: wp.float64, renewals: int):
     """Aitken's relaxation of one limit [N].
 
-    From the limit that Coulomb's law asks for, the present one, its damping [-] and its last full change [N]: the next
-    limit, its damping, this full change, and the part of it that is held back, the residual of the law [N].
+    From the limit that Coulomb's law asks for, the present one, its damping [-], its last full change [N] and the
+    number of this renewal in the step: the next limit, its damping, this full change, and the part of it that is held
+    back, the residual of the law [N].
+
+    Aitken's damping follows each limit by itself. Where limits depend on one another, as under a ball whose points
+    slide about each other, it may lead them around for ever, while equally damped changes of all come to rest.
     """
     change = asked - present
     part = damping
     if (last_change - change) * last_change > _ZERO:
         part = wp.clamp(damping * last_change / (last_change - change), _LEAST_DAMPING, _ONE)
+    if renewals > _AITKEN:
+        part = _STEADY
     return present + part * change, part, change, (_ONE - part) * wp.abs(change)
 
 
@@ -136,7 +144,7 @@ class Relaxation:
         """Damping of the changes (B, ...) [-]."""
         self.anchorings = torch.zeros(size, dtype=torch.int32, device=device)
         """How often the anchor of each point was set in this step (B, ...) [-]."""
-        self.renewals = torch.zeros(size[0], dtype=torch.int64, device=device)
+        self.renewals = torch.zeros(size[0], dtype=torch.int32, device=device)
         """How often the limits of each touch were renewed in this step (B,)."""
         self.arrays = [wp.from_torch(t) for t in (self.anchorings, self.damping, self.change, self.residual)]
         """The tensors as Warp arrays, in the order that the kernels take them; all are only ever written in place."""
@@ -146,26 +154,6 @@ class Relaxation:
         self.damping.fill_(1.0)
         for value in (self.anchorings, self.change, self.residual, self.renewals):
             value.zero_()
-
-    def steady(self, columns: torch.Tensor, limit: torch.Tensor, before: torch.Tensor, coulomb: torch.Tensor) -> None:
-        """Take half of every change from the twelfth renewal of a step on.
-
-        Aitken's damping follows each limit by itself. Where limits depend on one another, as under a ball whose points
-        slide about each other, it may lead them around for ever, while halved changes of all come to rest.
-
-        Args:
-            columns: touches whose limits were just renewed (k,).
-            limit: the limits of all touches (B, ...) [N], changed in place.
-            before: those of ``columns`` before (k, ...) [N].
-            coulomb: touches whose limits follow the normal forces within an iteration have 1 there (B,).
-        """
-        self.renewals[columns] += 1
-        late = ((self.renewals[columns] > _AITKEN) & (coulomb[columns] == 0.0)).nonzero()[:, 0]
-        if len(late):
-            at = columns[late]
-            change = self.change[at].view_as(before[late])
-            limit[at] = before[late] + 0.5 * change
-            self.residual[at] = 0.5 * self.change[at].abs()
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """Sum of the residuals of Coulomb's law of the touches ``columns`` (k,): (k,) [N]."""

@@ -219,13 +219,13 @@ class RigidContact:
     def update_friction(self, columns: torch.Tensor) -> None:
         """See `Contact`."""
         if self.has_friction:
-            before = self.limit[columns]
+            self._relaxation.renewals[columns] += 1
             self._launch(self.kernels.update_friction, columns,
                          [self._set, wp.from_torch(columns.to(torch.int32)), self._local, self._stiffness,
                           *self._local_indentation.arrays, *self._hosts[:2], self._arrays["softening"],
-                          self._onset, self._coefficient, wp.from_torch(self.coulomb)],
+                          self._onset, self._coefficient, wp.from_torch(self.coulomb),
+                          wp.from_torch(self._relaxation.renewals)],
                          "x < before gap body normal anchor owner limit across", *self._relaxation.arrays)
-            self._relaxation.steady(columns, self.limit, before, self.coulomb)
 
     def end_step(self, columns: torch.Tensor) -> None:
         """See `Contact`."""

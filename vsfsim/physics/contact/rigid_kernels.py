@@ -236,6 +236,7 @@ def kernels() -> Any:
         onset: real,
         coefficient: wp.array(dtype=real),
         coulomb: wp.array(dtype=real),
+        renewals: wp.array(dtype=wp.int32),
         # state in
         origin: wp.array2d(dtype=vec3),
         turn: wp.array2d(dtype=mat33),
@@ -289,7 +290,7 @@ def kernels() -> Any:
             residual = real(0.0)
             if coulomb[b] == real(0.0):
                 limit, damping, change, residual = friction.relaxed(limit, limit_out[b, f, q], damping_out[b, f, q],
-                                                                    change_out[b, f, q])
+                                                                    change_out[b, f, q], renewals[b])
                 damping_out[b, f, q] = damping
                 change_out[b, f, q] = change
             limit_out[b, f, q] = limit

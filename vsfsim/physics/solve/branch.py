@@ -76,19 +76,17 @@ class Branch:
         self._work[columns], self._push[columns], self._way = work, force.norm(dim=2).sum(dim=1), way
 
     def repeats(self, columns: torch.Tensor, pose: np.ndarray) -> np.ndarray:
-        """Which of ``columns`` (k,) have found at ``pose`` (B, K, 4, 4) the same crushed equilibrium as once before in
-        this step (k,) bool: the object is crushed there, and shorter steps do not change that."""
-        balance, out = self._balance, []
-        det = wp.to_torch(balance.elasticity.least_det)
-        for touch in columns.tolist():
-            here, least = pose[touch].tobytes(), float(det[touch])
-            crushed = balance.reason[touch] == Reason.CRUSHED
+        """Note the crushed equilibria of ``columns`` (k,) at ``pose`` (B, K, 4, 4), and say which were found there
+        before in this step (k,) bool: the object is crushed there, and shorter steps do not change that."""
+        balance, host = self._balance, columns.cpu().numpy()
+        out = np.zeros(len(host), bool)
+        for k in np.flatnonzero(balance.reason[host] == Reason.CRUSHED):
+            touch, here = int(host[k]), pose[host[k]].tobytes()
+            least = float(wp.to_torch(balance.elasticity.least_det)[touch])
             known = self._crushed.get(touch)
-            out.append(bool(crushed) and known is not None and known[0] == here
-                       and abs(known[1] - least) <= _SAME * least)
-            if crushed:
-                self._crushed[touch] = here, least
-        return np.array(out, bool)
+            out[k] = known is not None and known[0] == here and abs(known[1] - least) <= _SAME * least
+            self._crushed[touch] = here, least
+        return out
 
     def lift(self, columns: torch.Tensor) -> None:
         """Let ``columns`` (k,) go where they will."""

@@ -39,13 +39,17 @@ def apply(balance: Equilibrium, pose: np.ndarray) -> None:
         balance.load = (done + share) * whole
         balance.u[:, :1] = u + share * slope
         balance.reset_counts()
-        state, left = balance.evaluate(first), np.inf
-        while float(state["measure"][0]) < _FALLS * left:  # a network of springs takes many iterations, and arrives
-            left = float(state["measure"][0])
+        state = balance.evaluate(first)
+        while True:
+            before = float(state["measure"][0])
             balance.solve(first, state, options.tolerance, deadline)
-            if balance.reason[0] != Reason.ITERATIONS:
+            left = float(state["measure"][0])
+            # a network of springs takes many iterations, and arrives
+            if balance.reason[0] != Reason.ITERATIONS or not left < _FALLS * before:
                 break
-        if balance.reason[0] == Reason.NONE or (balance.reason[0] == Reason.TIME and done + share == 1.0):
+        # out of time the first frame goes on, unless the body at rest (1) is nearer to the balance
+        late = balance.reason[0] == Reason.TIME and done + share == 1.0 and left < 1.0
+        if balance.reason[0] == Reason.NONE or late:
             slope, u = (balance.u[:, :1] - u) / share, balance.u[:, :1].clone()
             done, part = done + share, 2.0 * part
         else:

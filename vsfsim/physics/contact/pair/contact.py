@@ -183,13 +183,12 @@ class PairContact:
         softening = wp.from_torch(self.softening)
         before, swept = self._positions(self.surfaces.x_before), self._positions(self.surfaces.x_swept)
         for side in self._sides:
-            limits = side.memory["limit"][columns]
+            side.relaxation.renewals[columns] += 1
             self._launch(self._kernels.update_friction, side, columns, [
-                *side.arrays("stiffness faces"), softening, self._coefficient,
+                *side.arrays("stiffness faces"), softening, self._coefficient, wp.from_torch(side.relaxation.renewals),
                 *side.arrays("candidates"), before, swept,
                 *side.arrays("gap face shape normal anchored anchor_face anchor_shape limit across"),
                 *side.arrays("anchorings damping change residual")])
-            side.relaxation.steady(columns, side.memory["limit"], limits, self.coulomb)
 
     def friction_residual(self, columns: torch.Tensor) -> torch.Tensor:
         """See `Contact`."""

@@ -271,6 +271,7 @@ def kernels() -> Any:
         faces: wp.array3d(dtype=wp.int32),
         softening: wp.array(dtype=real),
         coefficient: real,
+        renewals: wp.array(dtype=wp.int32),
         # state in
         candidates_in: wp.array3d(dtype=wp.int32),
         x_before: wp.array2d(dtype=vec3),
@@ -321,7 +322,7 @@ def kernels() -> Any:
                 anchor_shape_out[b, q] = shape
                 anchored_out[b, q] = new
         limit, damping, change, residual = friction.relaxed(limit, limit_out[b, q], damping_out[b, q],
-                                                            change_out[b, q])
+                                                            change_out[b, q], renewals[b])
         limit_out[b, q] = limit
         damping_out[b, q] = damping
         change_out[b, q] = change
