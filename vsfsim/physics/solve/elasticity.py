@@ -342,8 +342,10 @@ class Elasticity:
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
                 alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
                 matrix = wp.empty((count, size, size), dtype=self.real, device="cpu")
+                given = [a if i in own.shared else wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu")
+                         for i, a in enumerate(model[1:])]
                 wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
-                    alone, *(wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu") for a in model[1:]),
+                    alone, *given,
                     wp.zeros(size, dtype=wp.int32, device="cpu"),
                     *(wp.array(a, dtype=self.real, device="cpu") for a in (
                         own_at, state.numpy()[rows, :, touch:touch + 1])), _units(size, self.real)[:count * size],
