@@ -208,20 +208,31 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
         # A limit of seconds would cut touches by how busy the machine is; iterations are limited.
         frames = Solver(model, scene.probe, friction=scene.object.friction, device=device, linear=True,
                         options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
-        vectors = np.where(frames.converged[..., None], frames.force, frames.unbalanced_force)
-        force = np.linalg.norm(vectors, axis=-1)
         for k, a in enumerate(part):
-            curve = np.concatenate([[0.0], force[:, k]])
+            found = frames.converged[:, k]
+            if not found.any():
+                raise SceneError(f"{scene.source} [touches]: the linear response to the touch at {a.target.round(3)} m "
+                                 f"was not found ({frames.reason[-1, k]}); use a smaller depth.")
+            curve = _over_depth(depth, np.linalg.norm(frames.force[:, k], axis=1), found)
             over = np.flatnonzero(curve > spec.force_limit)
             cut = spec.depth
             if len(over):
                 i = int(over[0])
                 share = (spec.force_limit - curve[i - 1]) / (curve[i] - curve[i - 1])
                 cut = spec.depth * (i - 1 + share) / steps + (spec.force_limit / spring if spring else 0.0)
-            along = np.maximum.accumulate(np.concatenate([[0.0], np.maximum(-vectors[:, k] @ a.axis, 0.0)]))
+            along = np.maximum.accumulate(np.maximum(_over_depth(depth, -frames.force[:, k] @ a.axis, found), 0.0))
             out.append(dataclasses.replace(a, depth=min(a.depth, float(cut)),
                                            response=along if spring is not None else None))
     return out
+
+
+def _over_depth(depth: np.ndarray, force: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Force [N] at depth 0 and at each ``depth`` (k,) [m] from those ``found`` (k,): straight between them, and on past
+    the last as just before it. A frame without an equilibrium tells no force."""
+    at, known = np.concatenate([[0.0], depth[found]]), np.concatenate([[0.0], force[found]])
+    slope = (known[-1] - known[-2]) / (at[-1] - at[-2])
+    every = np.concatenate([[0.0], depth])
+    return np.where(every > at[-1], known[-1] + slope * (every - at[-1]), np.interp(every, at, known))
 
 
 def give_way(a: Aim, spec: TouchSpec, stiffness: float, poses: np.ndarray) -> np.ndarray:

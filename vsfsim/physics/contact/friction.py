@@ -25,7 +25,7 @@ ANCHORINGS = 3
 """How often an anchor that a step makes may be set in this step."""
 _LEAST_DAMPING = wp.constant(wp.float64(1.0 / 16.0))
 # Renewals of a step in which each limit has a damping of its own; from then on all have this one: with 0.3 sixty
-# renewals were too few, 0.5 and 0.7 arrive alike (`test_friction_limits_come_to_rest`).
+# renewals were too few, 0.5 and 0.7 arrive alike (`test_frames_of_columns_arrive`).
 _AITKEN, _STEADY = wp.constant(12), wp.constant(wp.float64(0.5))
 _ZERO, _HALF, _ONE = (wp.constant(wp.float64(value)) for value in (0.0, 0.5, 1.0))
 

@@ -12,6 +12,7 @@ import torch
 
 from vsfsim.physics import clock
 from vsfsim.physics.contact import condensed
+from vsfsim.physics.contact.patch import Patch
 from vsfsim.physics.linear.rest_factor import spread
 from vsfsim.physics.solve import path
 from vsfsim.physics.solve.newton import Equilibrium, State
@@ -70,10 +71,10 @@ class LinearTier:
             # stiff contact reports forces with a far larger error than that of the displacements
             on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
             balance.u.copy_(self._sag + contact.response.patch(every, force))
-            self.checked = growths > 0 and time.perf_counter() <= deadline
+            self.checked, old = growths > 0 and time.perf_counter() <= deadline, list(contact.patches)
             if not self.checked or not contact.extend_patch(every, pose, balance.u):
                 break
-            start = contact.no_force()
+            start = self._on_grown(old, force)
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)
@@ -83,6 +84,15 @@ class LinearTier:
         state["measure"] = torch.maximum(balance.measure(state["residual"], acting), error)
         contact.end_step(every)
         return force, state
+
+    def _on_grown(self, old: Sequence[Patch], force: torch.Tensor) -> torch.Tensor:
+        """Contact forces (B, 3 s) [N] on the present patches: ``force`` (B, 3 s) [N] at the nodes of the ``old`` ones.
+        From no force under a deep body the next solution may lie on its other side."""
+        out, place = self._contact.no_force(), np.zeros(len(self._balance.model.mesh.points), np.int64)
+        for b, (before, now) in enumerate(zip(old, self._contact.patches, strict=True)):
+            place[now.nodes] = np.arange(len(now.nodes))
+            out[b].view(-1, 3)[place[before.nodes]] = force[b].view(-1, 3)[:len(before.nodes)]
+        return out
 
     def _solve(self, start: torch.Tensor, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Contact forces (B, 3 s) [N] and their relative errors (B,); the friction limit is renewed until it no longer
