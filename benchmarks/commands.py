@@ -264,7 +264,7 @@ def touches(dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Fol
 @app.command(name="shoe-forces")
 def shoe_forces(dataset: Annotated[Path | None, typer.Argument(metavar="DATASET",
                                                                help="Folder of a dataset of named shoes; default: "
-                                                                    "datasets/shoes-v2-mini-v2.")] = None,
+                                                                    "datasets/shoes-v2-mini-v3.")] = None,
                 out: JsonFile = None) -> None:
     """How hard the parts of shoes push back at 5 and 10 mm of travel, by material."""
     from benchmarks.shoe_forces import measure

@@ -15,7 +15,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
-TASKS = ("fewshot-shoes-v2-v2", "fewshot-shoes-v2-mini-v2", "fewshot-plants-v4-mini-v1", "fewshot-plants-v3-mini-v2",
+TASKS = ("fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-mini-v1", "fewshot-plants-v3-mini-v2",
          "fewshot-shoes-mini-v1", "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1",
          "fewshot-shoes-punyo-mini-v1",
          "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",
@@ -111,7 +111,7 @@ MEASURED: dict[str, Callable[[], str]] = {
     **{f"study-{name}-standard": partial(study, name, "standard") for name in STANDARD},
     "solver": partial(measurement, "solver", 2), "laws": partial(measurement, "laws", 1),
     "shoe-forces": partial(measurement, "shoe-forces", 1),
-    "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v2")}
+    "shoe-classes": partial(measurement, "shoe-forces", 2, 1, "shoes-v2-v3")}
 """Table by name of its file."""
 
 

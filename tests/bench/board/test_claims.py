@@ -12,7 +12,7 @@ from vsfsim.bench.result import Result
 from vsfsim.bench.studies.study import load_study, studies
 from vsfsim.bench.task import load_task
 
-TASK = "fewshot-shoes-v2-mini-v2"
+TASK = "fewshot-shoes-v2-mini-v3"
 
 
 def row(method, values, preset="tuned"):

@@ -112,7 +112,7 @@ def test_a_superseded_task_has_its_own_table_and_an_object_the_model_that_its_sc
     index = Page(_index([old, board]))
     assert index.tags.count("table") == 2 and " ".join(index.words).count("superseded by") == 1
     assert " ".join(Page(_index([board])).words).count("superseded by") == 0
-    assert _called(load_task("fewshot-shoes-v2-mini-v2"), "shoes-v2-mini-0003") == (
+    assert _called(load_task("fewshot-shoes-v2-mini-v3"), "shoes-v2-mini-0003") == (
         "shoes-v2-mini-0003, felt-slipper")
     assert _called(board.task, "mock-0003") == "mock-0003"
 
