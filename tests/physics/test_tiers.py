@@ -17,6 +17,7 @@ from vsfsim.core.scene import parse_scene
 from vsfsim.core.shape import Plane, Sphere
 from vsfsim.core.solid import Solid
 from vsfsim.physics import tiers
+from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.newton import Equilibrium
 from vsfsim.physics.solve.touches import Solver
 
@@ -128,6 +129,25 @@ def test_frames_of_columns_arrive(key, count, tmp_path):
     in the eighth frame of twelve."""
     frames = gather(next(c for c in design() if c.key == key), tmp_path, 60.0)
     assert frames.converged[:count].all() and (np.diff(frames.push[:count]) > 0.0).all()
+
+
+def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):
+    """After a step of six times its thickness both faces lie in the ball: frames were not found, or called converged
+    with 4 to 25 times the force."""
+    model, probe = block((0.001, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
+    options = SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))
+
+    face, middle = model.mesh.points.max(axis=0)[0], model.mesh.points.mean(axis=0)[1]
+
+    def press(step):
+        poses = line([[face + 0.02 - x, middle, 0.06] for x in np.arange(step, 0.0121, step)], probe, (-1.0, 0.0, 0.0))
+        frames = Solver(model, probe, linear=True, options=options).run(poses)
+        assert frames.converged.all()
+        return np.linalg.norm(frames.force[-1, 0])
+
+    known = press(0.001)
+    for step in (0.002, 0.003, 0.004, 0.006):
+        assert press(step) == pytest.approx(known, rel=0.01)
 
 
 def test_a_network_settles_under_its_weight(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ from vsfsim.generate.cloud import cloud_normals
 from vsfsim.physics.contact import sdf
 from vsfsim.physics.contact.body_samples import sharp_samples
 from vsfsim.physics.model import Model
-from vsfsim.physics.solve.frames import SolverOptions
+from vsfsim.physics.solve.frames import Reason, SolverOptions
 from vsfsim.physics.solve.touches import Solver
 from vsfsim.robot.path import turn_to
 
@@ -201,7 +201,7 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
     # A spring needs fewer steps, because the mount is recorded where it was. Small batches keep the patches small: all
     # touches of a batch have patches as large as the largest.
     steps, width = (_STEPS, len(aims)) if spring is None else (_SPRING_STEPS, _SPRING_BATCH)
-    depth = spec.depth * np.arange(1, steps + 1) / steps
+    depth = spec.depth * np.arange(steps + 1) / steps  # from first contact, so that all frames have a way
     out = []
     for part in (aims[k:k + width] for k in range(0, len(aims), width)):
         poses = np.stack([[probe_pose(scene.probe, a.contact + d * a.axis, a.axis) for a in part] for d in depth])
@@ -210,9 +210,9 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
                         options=SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))).run(poses)
         for k, a in enumerate(part):
             found = frames.converged[:, k]
-            if not found.any():
+            if not found[1:].any():
                 raise SceneError(f"{scene.source} [touches]: the linear response to the touch at {a.target.round(3)} m "
-                                 f"was not found ({frames.reason[-1, k]}); use a smaller depth.")
+                                 f"was not found: {Reason(int(frames.reason[-1, k])).text}. Use a smaller depth.")
             curve = _over_depth(depth, np.linalg.norm(frames.force[:, k], axis=1), found)
             over = np.flatnonzero(curve > spec.force_limit)
             cut = spec.depth
@@ -227,12 +227,11 @@ def _limit(scene: Scene, spec: TouchSpec, model: Model, aims: list[Aim], device:
 
 
 def _over_depth(depth: np.ndarray, force: np.ndarray, found: np.ndarray) -> np.ndarray:
-    """Force [N] at depth 0 and at each ``depth`` (k,) [m] from those ``found`` (k,): straight between them, and on past
-    the last as just before it. A frame without an equilibrium tells no force."""
-    at, known = np.concatenate([[0.0], depth[found]]), np.concatenate([[0.0], force[found]])
+    """Force [N] at each ``depth`` (k,) [m], none at the first, from frames that were ``found`` (k,): straight between
+    them, and on past the last as just before it. A frame without an equilibrium tells no force."""
+    at, known = np.append(0.0, depth[1:][found[1:]]), np.append(0.0, force[1:][found[1:]])
     slope = (known[-1] - known[-2]) / (at[-1] - at[-2])
-    every = np.concatenate([[0.0], depth])
-    return np.where(every > at[-1], known[-1] + slope * (every - at[-1]), np.interp(every, at, known))
+    return np.where(depth > at[-1], known[-1] + slope * (depth - at[-1]), np.interp(depth, at, known))
 
 
 def give_way(a: Aim, spec: TouchSpec, stiffness: float, poses: np.ndarray) -> np.ndarray:

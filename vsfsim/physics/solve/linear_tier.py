@@ -23,6 +23,8 @@ _RENEWALS, RENEWED = 60, 5e-4
 # friction limits renewed from such forces jump about (130 renewals in 8 frames of a dragged plate, 30 with this)
 _CLOSER = 1e-2
 _GROWTHS = 12  # times that the patch may grow in a frame
+# times that a way without friction may be halved: of a thin wall the inner face lies in a body that has come a long way
+_HALVINGS = 4
 
 
 class LinearTier:
@@ -40,6 +42,7 @@ class LinearTier:
         model = balance.model
         sag = model.factor.solve((model.load * model.free)[:, None])
         self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
+        self._last = list(self._contact.patches), self._contact.no_force()  # of the last frame that arrived
 
     @property
     def accept(self) -> float:
@@ -63,18 +66,8 @@ class LinearTier:
         balance, contact = self._balance, self._contact
         every, contact.deadline = balance.every, deadline
         contact.begin_step(before, balance.u)
-        contact.move(pose, every)
-        for growths in range(_GROWTHS, -1, -1):
-            with clock.measure("contact"):
-                force, error = self._solve(start, deadline)
-            # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
-            # stiff contact reports forces with a far larger error than that of the displacements
-            on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
-            balance.u.copy_(self._sag + contact.response.patch(every, force))
-            self.checked, old = growths > 0 and time.perf_counter() <= deadline, list(contact.patches)
-            if not self.checked or not contact.extend_patch(every, pose, balance.u):
-                break
-            start = self._on_grown(old, force)
+        force, error, on_bodies = self._arrive(before, pose, start, deadline,
+                                               0 if contact.has_friction else _HALVINGS)
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)
@@ -93,6 +86,34 @@ class LinearTier:
             place[now.nodes] = np.arange(len(now.nodes))
             out[b].view(-1, 3)[place[before.nodes]] = force[b].view(-1, 3)[:len(before.nodes)]
         return out
+
+    def _arrive(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor, deadline: float,
+                halvings: int) -> tuple[torch.Tensor, torch.Tensor, State]:
+        """Contact forces (B, 3 s) [N] at ``pose`` (B, K, 4, 4), their relative errors (B,) and what acts on the bodies;
+        from the first guess ``start``, and by halves of the way from ``before`` where a touch finds none at once."""
+        balance, contact = self._balance, self._contact
+        every = balance.every
+        contact.move(pose, every)
+        for growths in range(_GROWTHS, -1, -1):
+            old = list(contact.patches)
+            with clock.measure("contact"):
+                force, error = self._solve(start, deadline)
+            arrived = bool((error <= self.accept).all())
+            if not arrived and halvings and time.perf_counter() <= deadline:
+                middle = path.between(before, pose, 0.5)
+                force, *_ = self._arrive(before, middle, self._on_grown(*self._last), deadline, halvings - 1)
+                return self._arrive(middle, pose, force, deadline, halvings - 1)
+            # forces on the bodies are read where the contact gave ``force``: at the displacements that it causes, the
+            # stiff contact reports forces with a far larger error than that of the displacements
+            on_bodies = {"body_force": contact.on_bodies(every), "body_moment": contact.moment_on_bodies(every)}
+            balance.u.copy_(self._sag + contact.response.patch(every, force))
+            self.checked = growths > 0 and time.perf_counter() <= deadline
+            if not self.checked or not contact.extend_patch(every, pose, balance.u):
+                break
+            start = self._on_grown(old, force)
+        if arrived:
+            self._last = list(contact.patches), force
+        return force, error, on_bodies
 
     def _solve(self, start: torch.Tensor, deadline: float) -> tuple[torch.Tensor, torch.Tensor]:
         """Contact forces (B, 3 s) [N] and their relative errors (B,); the friction limit is renewed until it no longer

@@ -95,6 +95,8 @@ def outside(bodies: RigidBodies, model: Model, pose: np.ndarray, gap: np.ndarray
     for k in range(len(bodies)):
         inner, centre = _inner_ball(bodies, k)
         deep = _DEEP * inner if np.isfinite(inner) else model.element_size
+        if solid:  # of a thin wall both faces may lie in a large body that is barely in it
+            deep = min(deep, mean_thickness(model))
         within = np.zeros(len(pose), bool)
         if solid and np.isfinite(inner):  # a body wholly inside has no surface in it
             middle = pose[:, k, :3, 3] + pose[:, k, :3, :3] @ centre
