@@ -102,6 +102,16 @@ def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch):
     assert sorted(read) == sorted(dataset.names())
 
 
+def test_trainings_side_by_side_end_where_the_last_method_fails(dataset, task, tmp_path):
+    """What was left of the queue was of an evaluation that had failed, and nothing was waited for, for ever."""
+    path = tmp_path / "crash.json"
+    job = Evaluation(path, "toy_methods:Crashes", task, dataset,
+                     partial(finish, "toy_methods:Crashes", task, dataset, path, check=False))
+    assert len(job.stage_names(seeded=False)) > 1
+    ((_, message),) = make([job], 1, check=False)
+    assert "toe" in message
+
+
 def test_a_broken_contract_is_found_before_trainings_side_by_side(dataset, task, tmp_path):
     choice = Choice("toy_methods:Mutates", "", {})
     (made,) = evaluate_all(task, [choice], tmp_path, dataset=dataset.path, processes=2)

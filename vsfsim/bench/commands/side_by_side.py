@@ -176,6 +176,8 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int,
                 child.start()
                 theirs.close()
                 running[mine] = job, child
+            if not running:  # what was left was of evaluations that have failed
+                break
             for ready in wait(list(running)):
                 assert isinstance(ready, Connection)
                 job, child = running.pop(ready)
