@@ -131,10 +131,11 @@ def test_frames_of_columns_arrive(key, count, tmp_path):
     assert frames.converged[:count].all() and (np.diff(frames.push[:count]) > 0.0).all()
 
 
-def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):
-    """After a step of six times its thickness both faces lie in the ball: frames were not found, or called converged
+@pytest.mark.parametrize("thickness", [0.0005, 0.001])
+def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line, thickness):
+    """After a step of several times its thickness both faces lie in the ball: frames were lost, or called converged
     with 4 to 25 times the force."""
-    model, probe = block((0.001, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
+    model, probe = block((thickness, 0.1, 0.1), 0.01, young_modulus=1e6), Sphere(0.02)
     options = SolverOptions(tolerance=1e-3, local_indentation=True, seconds=float("inf"))
 
     face, middle = model.mesh.points.max(axis=0)[0], model.mesh.points.mean(axis=0)[1]
@@ -147,7 +148,7 @@ def test_a_thin_wall_has_the_same_linear_force_after_long_steps(block, line):
 
     known = press(0.001)
     for step in (0.002, 0.003, 0.004, 0.006):
-        assert press(step) == pytest.approx(known, rel=0.01)
+        assert press(step) == pytest.approx(known, rel=0.02)
 
 
 def test_a_network_settles_under_its_weight(tmp_path, monkeypatch):

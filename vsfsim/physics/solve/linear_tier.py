@@ -50,13 +50,15 @@ class LinearTier:
         accept = self._balance.accept
         return max(accept, RENEWED) if self._contact.has_friction else accept
 
-    def frame(self, before: np.ndarray, pose: np.ndarray, start: torch.Tensor,
+    def frame(self, before: np.ndarray, way: Sequence[np.ndarray], start: torch.Tensor,
               deadline: float) -> tuple[torch.Tensor, State]:
         """Solve one frame.
 
         Args:
             before: poses of the frame before (B, K, 4, 4).
-            pose: poses of this frame (B, K, 4, 4).
+            way: poses on the way to those of this frame (B, K, 4, 4), which end it: of a thin wall both faces lie in a
+                body that has come further than the wall is thick, and forces are found that push them apart. With
+                friction, which would remember them, the last alone is taken.
             start: first guess of the contact forces (B, 3 s) [N].
             deadline: `time.perf_counter` after which no iteration begins [s].
 
@@ -66,8 +68,11 @@ class LinearTier:
         balance, contact = self._balance, self._contact
         every, contact.deadline = balance.every, deadline
         contact.begin_step(before, balance.u)
-        force, error, on_bodies = self._arrive(before, pose, start, deadline,
-                                               0 if contact.has_friction else _HALVINGS)
+        halvings = 0 if contact.has_friction else _HALVINGS
+        for pose in () if contact.has_friction else way[:-1]:
+            start, *_ = self._arrive(before, pose, start, deadline, halvings)
+            before = pose
+        force, error, on_bodies = self._arrive(before, way[-1], start, deadline, halvings)
         state = balance.evaluate(every)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)

@@ -379,17 +379,17 @@ class Solver:
 
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
         """One frame of the `linear` tier."""
-        balance = self._balance
-        force, state = self._linear_tier.frame(
-            before, pose, first_force(self._equilibria, self._contact_force, pose, self.contact.has_friction), deadline)
+        way = list(path.pieces(before, pose, self._stride, self.bodies))
+        start = first_force(self._equilibria, self._contact_force, way[0], self.contact.has_friction)
+        force, state = self._linear_tier.frame(before, way, start, deadline)
         self._remember(pose, force)
-        balance.reset_counts()
-        balance.newton += 1
+        self._balance.reset_counts()
+        self._balance.newton += 1
         late = time.perf_counter() > deadline
         lost = (state["measure"] > self._linear_tier.accept).cpu().numpy()
-        balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
+        self._balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
         if not self._linear_tier.checked:
-            balance.reason[:] = Reason.TIME if late else Reason.PATCH
+            self._balance.reason[:] = Reason.TIME if late else Reason.PATCH
         return self._report(state)
 
     # ------------------------------------------------------------------------------------------ audit
