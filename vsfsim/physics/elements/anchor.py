@@ -96,4 +96,4 @@ def kernels(real: type) -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         return [wp.array(block.parameters["stiffness"], dtype=real, device=device)]
 
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

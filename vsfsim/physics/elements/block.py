@@ -9,7 +9,8 @@ A file ``elements/NAME.py`` is found by its name. It provides
     state_size(block)            numbers that a tangent stores per element and touch, besides the displacements
 
 ``kernels(real)`` is an object with ``parameters(block, device)``, the element's own device arrays, each with a row for
-every element of the block, but for those whose numbers are in ``shared``. They follow the nodes in
+every element of the block. If elements share one, as a foam does its terms, its number is in ``shared``. They follow
+the nodes in
 
     forces   (nodes, *parameters, index, u_in, force_out, energy_out, det_out)
     tangent  (nodes, *parameters, index, projected, u_in, state_out)          or None if state_size is 0

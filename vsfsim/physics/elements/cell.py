@@ -174,4 +174,4 @@ def kernels(real: type) -> Any:
         return [wp.array(p["edges"], dtype=vec3, device=device),
                 *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "stiffness"))]
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

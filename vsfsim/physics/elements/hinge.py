@@ -189,4 +189,4 @@ def kernels(real: type) -> Any:
                 *(wp.array(p[name], dtype=real, device=device) for name in ("plane", "out")),
                 wp.array(p["normal"], dtype=vec3, device=device)]
 
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

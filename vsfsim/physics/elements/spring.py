@@ -158,4 +158,4 @@ def kernels(real: type) -> Any:
         return [wp.array(p["edge"], dtype=vec3, device=device),
                 *(wp.array(p[name], dtype=real, device=device) for name in ("length", "stiffness"))]
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

@@ -108,4 +108,4 @@ def kernels(real: type) -> Any:
     def parameters(block: Block, device: str) -> list[wp.array]:
         return [wp.array(block.parameters[name], dtype=real, device=device) for name in ("height", "stiffness")]
 
-    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=None, multiply=multiply, parameters=parameters)

@@ -306,4 +306,4 @@ def kernels(real: type) -> Any:
         return [wp.array(p["gradients"][:, 1:], dtype=mat33, device=device),
                 *(wp.array(p[name], dtype=real, device=device) for name in ("volume", "mu", "lam", "mean_lam"))]
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

@@ -347,4 +347,4 @@ def kernels(real: type) -> Any:
                 wp.array(p["poisson_ratio"], dtype=real, device=device),
                 wp.array(p["tension_field"], dtype=wp.int32, device=device)]
 
-    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters, shared=())
+    return SimpleNamespace(forces=forces, tangent=tangent, multiply=multiply, parameters=parameters)

@@ -332,7 +332,7 @@ class Elasticity:
         ``at_nodes`` (n,) bool only elements that have one of these nodes are added."""
         at = self._at.numpy()[:, touch]
         for block, own, model, state in zip(self.blocks, self._of, self._model, self._state, strict=True):
-            size = 3 * block.nodes.shape[1]
+            size, shared = 3 * block.nodes.shape[1], getattr(own, "shared", ())
             chosen = np.arange(len(block)) if at_nodes is None else np.flatnonzero(at_nodes[block.nodes].any(axis=1))
             for first in range(0, len(chosen), _TOGETHER):
                 rows = chosen[first:first + _TOGETHER]
@@ -342,7 +342,7 @@ class Elasticity:
                 own_at = at[(3 * nodes[:, :, None] + np.arange(3)).reshape(-1, 1)]
                 alone = wp.array(np.arange(nodes.size, dtype=np.int32).reshape(nodes.shape), device="cpu")
                 matrix = wp.empty((count, size, size), dtype=self.real, device="cpu")
-                given = [a if i in own.shared else wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu")
+                given = [a if i in shared else wp.array(a.numpy()[rows], dtype=a.dtype, device="cpu")
                          for i, a in enumerate(model[1:])]
                 wp.launch(own.multiply, dim=(count, size), device="cpu", inputs=[
                     alone, *given,

@@ -70,6 +70,8 @@ class LinearTier:
         contact.begin_step(before, balance.u)
         halvings = 0 if contact.has_friction else _HALVINGS
         for pose in () if contact.has_friction else way[:-1]:
+            if time.perf_counter() > deadline:
+                break
             start, *_ = self._arrive(before, pose, start, deadline, halvings)
             before = pose
         force, error, on_bodies = self._arrive(before, way[-1], start, deadline, halvings)
