@@ -20,7 +20,7 @@ TASKS = ("fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-m
          "fewshot-shoes-punyo-mini-v1",
          "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",
          "bag-punyo-mini-v2", "rope-punyo-mini-v2", "fewshot-shoes-v2-punyo-mini-v2")
-STANDARD = ("shoes-breadth", "shoes-composition")
+STANDARD = ("shoes-amount", "shoes-breadth", "shoes-composition", "shoes-features")
 """Studies with results on the task of the papers' size."""
 BOARDS: dict = {}
 """Leaderboards of the results that ship, by task, each read once."""
