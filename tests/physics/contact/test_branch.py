@@ -6,7 +6,8 @@ import itertools
 import numpy as np
 import pytest
 
-from vsfsim.core.shape import Sphere
+from vsfsim.core.shape import Box, Sphere
+from vsfsim.physics.solve.branch import Branch
 from vsfsim.physics.solve.frames import Reason
 from vsfsim.physics.solve.touches import Solver
 
@@ -118,3 +119,28 @@ def test_a_column_that_buckles_under_friction_is_not_called_converged(block, dev
     for before, now in itertools.pairwise(kept):
         work = min(push[before], push[now]) * (depths[now] - depths[before])
         assert energy[now] > energy[before] + 0.9 * work
+
+
+def test_half_a_step_begins_in_equilibrium_with_the_points_of_the_failed_one(block, device, monkeypatch):
+    """A step that failed has met points of the box's edges where the object was then. Where the step begins they lay
+    inside the object, so that the state there had four fifths of its force too much and barred the true equilibria."""
+    bar, mark, unbalanced, marked = Branch.bar, Branch.mark, [], []
+
+    def barred(self, columns, before, pose):
+        bar(self, columns, before, pose)
+        unbalanced.append(float(self._balance.evaluate(columns)["measure"].max()))
+
+    def fails_once(self, columns, *, last):
+        mark(self, columns, last=last)
+        marked.append(columns)
+        if len(marked) == 2:
+            self._balance.reason[:] = Reason.SNAPPED
+
+    monkeypatch.setattr(Branch, "bar", barred)
+    monkeypatch.setattr(Branch, "mark", fails_once)
+    poses = np.tile(np.eye(4), (2, 1, 1, 1))
+    poses[:, 0, 2, 3] = 0.046 - np.array([0.003, 0.006])
+    model = block((0.04, 0.04, 0.04), 0.015, poisson_ratio=0.499)
+    frames = Solver(model, Box((0.012,) * 3), device=device).run(poses)
+    assert frames.converged.all() and len(marked) > 3
+    assert max(unbalanced) < 1e-3

@@ -3,14 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from vsfsim.physics import clock
+from vsfsim.physics.contact.interface import Contact
+from vsfsim.physics.solve import path
 from vsfsim.physics.solve.newton import Equilibrium
 
 _RENEWALS = 2  # of the friction limits, after which their condensed problem is solved again
 _USEFUL = 0.1  # error of a condensed problem up to which its forces are better than none
+
+
+class Known(NamedTuple):
+    """An equilibrium that later frames may begin from."""
+
+    pose: np.ndarray
+    """Poses (B, K, 4, 4)."""
+    u: torch.Tensor
+    """Displacements (3 n, B) [m]."""
+    force: torch.Tensor
+    """Contact forces, see `Contact.remember` [N]."""
+
+
+def guesses(equilibria: Sequence[Known], present: tuple[torch.Tensor, torch.Tensor], pose: np.ndarray,
+            contact: Contact, shape: torch.Size) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """What a step to ``pose`` (B, K, 4, 4) may begin from: the present state, and the last two equilibria extrapolated.
+
+    Args:
+        equilibria: that are known, in order.
+        present: displacements (3 n, B) [m] and forces on the patches (B, 3 s) [N].
+        pose, contact: see above.
+        shape: of remembered contact forces; equilibria on other patches are not extrapolated.
+
+    Returns:
+        Displacements and forces as of ``present``.
+    """
+    out = [present]
+    if len(equilibria) > 1 and equilibria[-2].force.shape == shape:
+        (p0, u0, f0), (p1, u1, f1) = equilibria[-2:]
+        f0, f1 = contact.recall(f0), contact.recall(f1)
+        ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=u1.device)
+        out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
+    return out
 
 
 def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple[torch.Tensor, torch.Tensor]]) -> None:

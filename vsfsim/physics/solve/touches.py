@@ -13,7 +13,7 @@ import dataclasses
 import functools
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -33,7 +33,7 @@ from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.linear_tier import LinearTier, first_force
 from vsfsim.physics.solve.newton import Equilibrium, State
 from vsfsim.physics.solve.precision import is_single, limits, to_double
-from vsfsim.physics.solve.prediction import predict
+from vsfsim.physics.solve.prediction import Known, guesses, predict
 from vsfsim.physics.threads import torch_threads
 
 FAR = 100.0
@@ -44,17 +44,6 @@ _NEARLY = 0.03  # measure under which a state that is not finished is a better s
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
 _DOUBTS = 2  # times that a step is halved because its energy is doubtful, and no more
 _GROWTHS = 8  # times that the patch may grow in a step, cuts of its faces included
-
-
-class _Known(NamedTuple):
-    """An equilibrium that later frames may begin from."""
-
-    pose: np.ndarray
-    """Poses (B, K, 4, 4)."""
-    u: torch.Tensor
-    """Displacements (3 n, B) [m]."""
-    force: torch.Tensor
-    """Contact forces, see `Contact.remember` [N]."""
 
 
 class Solver:
@@ -129,7 +118,7 @@ class Solver:
         rows: list[Rows] = []
         self.history: list[np.ndarray] = []
         self.surface_force: list[np.ndarray] = []
-        self._equilibria: list[_Known] = []
+        self._equilibria: list[Known] = []
         for t in range(frames):
             began = time.perf_counter()
             deadline = began + self.options.seconds
@@ -208,7 +197,7 @@ class Solver:
     def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
         """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
         self._contact_force = force
-        self._equilibria.append(_Known(pose, self._balance.u.clone(), force))
+        self._equilibria.append(Known(pose, self._balance.u.clone(), force))
         most = _EQUILIBRIA_BYTES["cpu" if self.device == "cpu" else "cuda"]
         if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
             del self._equilibria[:-2]
@@ -255,6 +244,11 @@ class Solver:
                 if np.array_equal(known.pose, pose):
                     balance.u.copy_(known.u)
                     return
+        self._predict(columns, pose)
+
+    def _predict(self, columns: torch.Tensor, pose: np.ndarray) -> None:
+        """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4), from their present displacements."""
+        balance, contact = self._balance, self.contact
         balance.evaluate(columns)
         last = contact.recall(self._contact_force)
         meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
@@ -263,15 +257,8 @@ class Solver:
 
     def _guesses(self, now: torch.Tensor, last: torch.Tensor,
                  pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """What a step may begin from: the last equilibrium, and the last two extrapolated. Displacements (3 n, B) [m]
-        and forces on the patches (B, 3 s) [N]."""
-        out = [(now, last)]
-        if len(self._equilibria) > 1 and self._equilibria[-2].force.shape == self._contact_force.shape:
-            (p0, u0, f0), (p1, u1, f1) = self._equilibria[-2:]
-            f0, f1 = self.contact.recall(f0), self.contact.recall(f1)
-            ratio = torch.as_tensor(path.ratio(p0, p1, pose), device=self.device)
-            out.append((u1 + (ratio * (u1 - u0)).to(u1.dtype), f1 + ratio[:, None] * (f1 - f0)))
-        return out
+        """What a step may begin from, see `prediction.guesses`."""
+        return guesses(self._equilibria, (now, last), pose, self.contact, self._contact_force.shape)
 
     def _reach(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
                deadline: float, halvings: int, friction: Any) -> None:
@@ -282,6 +269,12 @@ class Solver:
         """
         balance, contact = self._balance, self.contact
         contact.begin_step(before, begin)
+        if halvings < self.options.halvings and self.model.keeps_volume and not contact.has_friction:
+            contact.move(before, columns)
+            balance.evaluate(columns)
+            self._contact_force = contact.remember(balance.every)
+            contact.move(pose, columns)
+            self._predict(columns, pose)
         contact.move(pose, columns)
         if halvings == 0:
             self._branch.lift(columns)  # a body may snap
@@ -296,6 +289,10 @@ class Solver:
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
+        if not contact.has_friction:  # the points that the failed step met have forces where it began, too
+            contact.begin_step(before, begin)
+            contact.move(before, failed)
+            contact.extend_patch(failed, before, balance.u)
         contact.restore_friction(failed, friction)
         self._branch.bar(failed, before, middle)
         self._reach(failed, before, middle, begin, deadline, halvings - 1, friction)
