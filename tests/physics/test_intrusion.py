@@ -194,12 +194,14 @@ def silent(frames, model):
 
 @pytest.mark.slow
 def test_a_box_pushed_deep_into_the_block_is_not_lost(device):
-    """13 mm box, 20 mm deep in four frames: it gave 6.3, 12.4, 0 and 0 N, all called converged."""
-    frames, model, _ = s1(Box((0.013,) * 3), 0.005 * np.arange(1, 5), seconds=1e9)
-    assert not silent(frames, model).any() and frames.converged[:2, 0].all()
-    # deeper frames may use up their conjugate gradients, and say so
-    assert (frames.reason[~frames.converged] == Reason.ITERATIONS).all()
-    assert (frames.penetration[frames.converged] < 0.05 * model.element_size).all()
+    """13 mm box, 20 mm deep: in four frames it gave 6.3, 12.4, 0 and 0 N, all called converged."""
+    for count in (4, 8):
+        frames, model, _ = s1(Box((0.013,) * 3), 0.02 / count * np.arange(1, count + 1), seconds=1e9)
+        assert not silent(frames, model).any()
+        # deeper frames may use up their conjugate gradients, and a long first step may miss energy; both say so
+        assert np.isin(frames.reason[~frames.converged], (Reason.ITERATIONS, Reason.SNAPPED)).all()
+        assert (frames.penetration[frames.converged] < 0.05 * model.element_size).all()
+    assert frames.converged[:6, 0].all()
 
 
 @pytest.mark.slow

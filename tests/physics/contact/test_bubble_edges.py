@@ -87,10 +87,9 @@ frames = {frames}
 
 
 @pytest.mark.slow
-def test_a_membrane_swallows_a_ball_without_a_stem():
-    """The tension around a tip of radius r carries 2 pi r T at most. Past that a ball with nothing behind it and no
-    friction goes on, and the membrane closes behind it, which has no equilibrium here. A rod with the same end has one
-    at 20 mm, too; and so has the ball with friction, which holds the membrane."""
+def test_a_ball_without_a_stem_is_carried_as_the_end_of_a_rod():
+    """20 mm deep the membrane hangs around either, and the stem is not felt; earlier solvers found no equilibrium of the
+    ball there. Friction holds the membrane, so that more force is needed."""
     force = {}
     for name, shape, up, friction in (("ball", "sphere = 0.003", 0.003, 0.0), ("held", "sphere = 0.003", 0.003, 0.5),
                                       ("tip", "capsule = [0.003, 0.06]", 0.033, 0.0)):
@@ -111,9 +110,9 @@ frames = 4
         frames = solve(scene, PressRequest(seconds=30.0)).frames
         print(name, frames.force[:, 0, 2], frames.reason.ravel(), frames.iterations.ravel(), frames.seconds)
         force[name] = frames.force[:, 0, 2]
-    # 4, 9 and 15 mm deep the stem is not felt
-    assert force["tip"][:3] == pytest.approx(force["ball"][:3], rel=2e-3)
-    assert (np.diff(force["tip"]) > 0.0).all() and (np.diff(force["held"]) > 0.0).all() and np.isnan(force["ball"][3])
+    assert force["tip"] == pytest.approx(force["ball"], rel=2e-3)
+    assert (np.diff(force["tip"]) > 0.0).all() and (np.diff(force["held"]) > 0.0).all()
+    assert (force["held"] > 1.005 * force["ball"]).all()
 
 
 def test_the_tangent_of_friction_that_follows_the_normal_force(bubble, device):
