@@ -88,8 +88,8 @@ frames = {frames}
 
 @pytest.mark.slow
 def test_a_ball_without_a_stem_is_carried_as_the_end_of_a_rod():
-    """20 mm deep the membrane hangs around either, and the stem is not felt; earlier solvers found no equilibrium of the
-    ball there. Friction holds the membrane, so that more force is needed."""
+    """20 mm deep the membrane hangs around either, and the stem is not felt; earlier solvers found no equilibrium of
+    the ball there. Friction holds the membrane, so that more force is needed."""
     force = {}
     for name, shape, up, friction in (("ball", "sphere = 0.003", 0.003, 0.0), ("held", "sphere = 0.003", 0.003, 0.5),
                                       ("tip", "capsule = [0.003, 0.06]", 0.033, 0.0)):
