@@ -106,7 +106,7 @@ def solid(rings: int, step: float, travel: np.ndarray):
     body = fork(rings, step)
     model = build_model(body, np.full((len(body.tets), 4), E), poisson_ratio=NU, fixed="bottom", bottom_tolerance=1e-6,
                         where="fork")
-    options = dataclasses.replace(tiers.options("fem"), newton=120, seconds=600.0)
+    options = dataclasses.replace(tiers.options("fem"), newton=120, cg_frame=20_000, seconds=600.0)
     solver = Solver(model, Capsule(0.02, 0.04), options=options)
     frames = solver.run(push(travel)[:, :, 0], keep=True)
     assert frames.converged.all(), frames.reason
