@@ -269,6 +269,7 @@ class Solver:
         """
         balance, contact = self._balance, self.contact
         contact.begin_step(before, begin)
+        # from where a half step begins Newton's method turns elements of a nearly incompressible body inside out
         if halvings < self.options.halvings and self.model.keeps_volume and not contact.has_friction:
             contact.move(before, columns)
             balance.evaluate(columns)
