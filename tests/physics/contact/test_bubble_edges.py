@@ -112,7 +112,7 @@ frames = 4
         force[name] = frames.force[:, 0, 2]
     assert force["tip"] == pytest.approx(force["ball"], rel=2e-3)
     assert (np.diff(force["tip"]) > 0.0).all() and (np.diff(force["held"]) > 0.0).all()
-    assert (force["held"] > 1.005 * force["ball"]).all()
+    assert (force["held"] > 1.005 * force["ball"]).all()  # by 1.3 % at 4 mm, where little slips, to 17 % at 20 mm
 
 
 def test_the_tangent_of_friction_that_follows_the_normal_force(bubble, device):

@@ -268,15 +268,15 @@ class Solver:
         The present displacements are the first guess. Touches that fail are approached again in half steps.
         """
         balance, contact = self._balance, self.contact
-        contact.begin_step(before, begin)
         # from where a half step begins Newton's method turns elements of a nearly incompressible body inside out
-        if halvings < self.options.halvings and self.model.keeps_volume and not contact.has_friction:
-            contact.move(before, columns)
-            balance.evaluate(columns)
-            self._contact_force = contact.remember(balance.every)
-            contact.move(pose, columns)
-            self._predict(columns, pose)
+        predicts = (halvings < self.options.halvings and self.model.keeps_volume and contact.shifts
+                    and not contact.has_friction)
+        if predicts:
+            self._contact_force = contact.remember(balance.every)  # at ``before``, where `Branch.bar` was last
+        contact.begin_step(before, begin)
         contact.move(pose, columns)
+        if predicts:
+            self._predict(columns, pose)
         if halvings == 0:
             self._branch.lift(columns)  # a body may snap
         self._equilibrium(columns, pose, begin, deadline)
@@ -290,7 +290,7 @@ class Solver:
         host, middle = failed.cpu().numpy(), pose.copy()
         middle[host] = path.between(before[host], pose[host], 0.5)
         balance.u[:, failed] = begin[:, failed]
-        if not contact.has_friction:  # the points that the failed step met have forces where it began, too
+        if contact.shifts and not contact.has_friction:  # points that the failed step met have forces where it began
             contact.begin_step(before, begin)
             contact.move(before, failed)
             contact.extend_patch(failed, before, balance.u)
@@ -379,15 +379,16 @@ class Solver:
         """One frame of the `linear` tier."""
         way = list(path.pieces(before, pose, self._stride, self.bodies))
         start = first_force(self._equilibria, self._contact_force, way[0], self.contact.has_friction)
+        balance = self._balance
         force, state = self._linear_tier.frame(before, way, start, deadline)
         self._remember(pose, force)
-        self._balance.reset_counts()
-        self._balance.newton += 1
+        balance.reset_counts()
+        balance.newton += 1
         late = time.perf_counter() > deadline
         lost = (state["measure"] > self._linear_tier.accept).cpu().numpy()
-        self._balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
+        balance.reason[lost] = Reason.TIME if late else Reason.ITERATIONS
         if not self._linear_tier.checked:
-            self._balance.reason[:] = Reason.TIME if late else Reason.PATCH
+            balance.reason[:] = Reason.TIME if late else Reason.PATCH
         return self._report(state)
 
     # ------------------------------------------------------------------------------------------ audit
