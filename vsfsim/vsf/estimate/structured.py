@@ -4,8 +4,8 @@
 
 With theta = phi + G g the prior's term is 1/2 |theta - mean - G g|^2 / var + 1/2 |g - group_mean|^2 / group_var,
 minimised over the few shared components g. For a fixed g this is the program of `map.map_estimate`. Its minimum is a
-convex, once differentiable function of g, minimised by Newton's method with a line search. The Hessian needs at most a
-matrix of readings x readings:
+convex, once differentiable function of g, minimised by Newton's method with a line search. The Hessian needs a matrix
+of the size of the smaller side, of readings x readings here:
 
     H = 1/group_var + (W_F G_F)^T (S + W_F diag(var_F) W_F^T)^-1 (W_F G_F) + G_A^T diag(1/var_A) G_A
 
@@ -94,8 +94,7 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
     """Standard deviation of each stiffness under the Gaussian posterior, without K >= 0 (n,) [N/m]. Where all variances
     of the heterogeneous components are 0, only the shared ones vary.
 
-    The diagonal of P - P W^T (W P W^T + S)^-1 W P with P = diag(var) + G diag(group_var) G^T, in blocks of particles.
-    With more readings than touched particles the rows are first reduced by an orthogonal factorisation.
+    Computed on the smaller side, of readings or of touched particles.
 
     Args, Raises: as `structured_map`.
     """
@@ -105,16 +104,7 @@ def structured_std(w: sparse.csr_matrix, *, noise_std: np.ndarray | float, prior
         return posterior_std(w, noise_std=noise_std, prior_var=prior.var)
     if not prior.var.any():
         return _shared_std(w, g, noise_std, prior)
-    out = prior.var + g.multiply(g) @ prior.group_var
-    white = _Whitener.of(w, noise_std, prior)
-    if white is None:
-        return np.sqrt(out)
-    identity = sparse.identity(len(out), format="csr")
-    for start in range(0, len(out), _BLOCK):
-        part = slice(start, start + _BLOCK)
-        out[part] -= np.einsum("ij,ij->j", *[white.of_rows(identity[part], prior)] * 2)
-    # A standard deviation below 1e-7 of its prior's is the rounding error of the difference.
-    return np.sqrt(np.maximum(out, 1e-14 * prior.total_std() ** 2))
+    return _spread(w, sparse.identity(w.shape[1], format="csr"), noise_std, prior)
 
 
 def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np.ndarray | float,
@@ -130,14 +120,24 @@ def reading_std(w: sparse.csr_matrix, query: sparse.csr_matrix, *, noise_std: np
     query = sparse.csr_matrix(query)
     if not prior.var.any():
         return _shared_std(sparse.csr_matrix(w), query @ prior.membership, noise_std, prior)
-    shared = (query @ sparse.csr_matrix(prior.membership)).toarray()
-    out = query.multiply(query) @ prior.var + shared**2 @ prior.group_var
+    return _spread(sparse.csr_matrix(w), query, noise_std, prior)
+
+
+def _spread(w: sparse.csr_matrix, query: sparse.csr_matrix, noise_std: np.ndarray | float,
+            prior: GaussianPrior) -> np.ndarray:
+    """Standard deviations of Q theta (q,), where the heterogeneous components vary."""
+    out = query.multiply(query) @ prior.var + (query @ prior.membership).toarray() ** 2 @ prior.group_var
     before = out.copy()
-    white = _Whitener.of(sparse.csr_matrix(w), noise_std, prior)
-    if white is not None:
+    read = np.flatnonzero(np.diff(w.indptr))
+    if len(read):
+        noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
+        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
+        touched = np.flatnonzero(np.diff(a.tocsc().indptr))
+        side = _Particles.of(a, touched, prior) if len(touched) < a.shape[0] else _Readings.of(a, prior)
         for start in range(0, len(out), _BLOCK):
             part = slice(start, start + _BLOCK)
-            out[part] -= np.einsum("ij,ij->j", *[white.of_rows(query[part], prior)] * 2)
+            out[part] = side.left(query[part], before[part], prior)
+    # A standard deviation below 1e-7 of its prior's is the rounding error of the difference.
     return np.sqrt(np.maximum(out, 1e-14 * before))
 
 
@@ -151,40 +151,79 @@ def _shared_std(w: sparse.csr_matrix, members: sparse.csr_matrix, noise_std: np.
 
 
 @dataclass(frozen=True)
-class _Whitener:
-    """The covariance of the readings under the prior's covariance P, factorised."""
+class _Readings:
+    """The posterior on the side of the readings: P - P A^T (A P A^T + 1)^-1 A P, with A = W / noise and
+    P = diag(var) + G diag(group_var) G^T."""
 
     a: sparse.csr_matrix
-    """A = W / noise (r, n)."""
+    """A (r, n)."""
     shared: np.ndarray
     """A G (r, s)."""
     factor: np.ndarray
-    """Lower Cholesky factor L of A P A^T + 1 (r, r)."""
+    """Lower Cholesky factor of A P A^T + 1 (r, r)."""
 
     @classmethod
-    def of(cls, w: sparse.csr_matrix, noise_std: np.ndarray | float, prior: GaussianPrior) -> _Whitener | None:
-        """None if no particle moves any reading."""
-        read = np.flatnonzero(np.diff(w.indptr))
-        if len(read) == 0:
-            return None
-        noise = np.broadcast_to(np.asarray(noise_std, np.float64), (w.shape[0],))
-        a = sparse.csr_matrix(sparse.diags_array(1.0 / noise[read]) @ w[read])
-        touched = np.flatnonzero(np.diff(a.tocsc().indptr))
-        if len(touched) < a.shape[0]:
-            r = linalg.qr(a[:, touched].toarray(), mode="r")[0][:len(touched)]
-            a = sparse.csr_matrix((r.ravel(), np.tile(touched, len(r)), np.arange(len(r) + 1) * len(touched)),
-                                  shape=(len(r), w.shape[1]))
-        shared = (a @ sparse.csr_matrix(prior.membership)).toarray()
+    def of(cls, a: sparse.csr_matrix, prior: GaussianPrior) -> _Readings:
+        shared = (a @ prior.membership).toarray()
         spread = (a @ sparse.diags_array(prior.var) @ a.T).toarray() + (shared * prior.group_var) @ shared.T
         spread[np.diag_indices_from(spread)] += 1.0
         return cls(a, shared, linalg.cholesky(spread, lower=True))
 
-    def of_rows(self, rows: sparse.csr_matrix, prior: GaussianPrior) -> np.ndarray:
-        """L^-1 A P Q^T for rows Q (q, n): (r, q). The readings reduce the variances by the squares of its columns."""
-        members = (rows @ sparse.csr_matrix(prior.membership)).toarray()
-        cross = (self.a @ sparse.diags_array(prior.var) @ rows.T).toarray()
-        cross = cross + (self.shared * prior.group_var) @ members.T
-        return linalg.solve_triangular(self.factor, cross, lower=True)
+    def left(self, query: sparse.csr_matrix, before: np.ndarray, prior: GaussianPrior) -> np.ndarray:
+        """Variances of Q theta (q,), which the prior gives as ``before``."""
+        cross = (self.a @ sparse.diags_array(prior.var) @ query.T).toarray()
+        cross += (self.shared * prior.group_var) @ (query @ prior.membership).toarray().T
+        white = linalg.solve_triangular(self.factor, cross, lower=True)
+        return before - np.einsum("ij,ij->j", white, white)
+
+
+@dataclass(frozen=True)
+class _Particles:
+    """The posterior on the side of the touched particles, as a sum of two variances.
+
+    With R = diag(sqrt(var)) and P = 1 + R A^T A R the heterogeneous components have the covariance R P^-1 R for known
+    shared ones. These have the precision 1 / group_var + G^T Z, with
+
+        Z = A^T (A R^2 A^T + 1)^-1 A G = R^-1 P^-1 R A^T A G
+
+    and Q theta moves with them by H = Q G - Q R^2 Z.
+    """
+
+    touched: np.ndarray
+    """Particles that some reading moves (k,) int."""
+    factor: np.ndarray
+    """Lower Cholesky factor of P (k, k)."""
+    pull: np.ndarray
+    """Z (k, s)."""
+    group: np.ndarray
+    """Lower Cholesky factor of 1 + diag(sqrt(group_var)) G^T Z diag(sqrt(group_var)) (s, s)."""
+
+    @classmethod
+    def of(cls, a: sparse.csr_matrix, touched: np.ndarray, prior: GaussianPrior) -> _Particles:
+        a, members = a[:, touched], sparse.csr_matrix(prior.membership)[touched]
+        root = np.maximum(np.sqrt(prior.var[touched]), 1e-100)  # R^-1 stays finite
+        gram = (a.T @ a).toarray()
+        precision = gram * root * root[:, None]
+        precision[np.diag_indices_from(precision)] += 1.0
+        factor = linalg.cholesky(precision, lower=True, overwrite_a=True)
+        pull = linalg.cho_solve((factor, True), root[:, None] * (gram @ members.toarray())) / root[:, None]
+        group_root = np.sqrt(prior.group_var)
+        inside = group_root[:, None] * (members.T @ pull) * group_root
+        return cls(touched, factor, pull, linalg.cholesky(np.eye(len(inside)) + 0.5 * (inside + inside.T), lower=True))
+
+    def left(self, query: sparse.csr_matrix, before: np.ndarray, prior: GaussianPrior) -> np.ndarray:
+        """Variances of Q theta (q,); ``before`` is not needed."""
+        var = prior.var.copy()
+        var[self.touched] = 0.0
+        out = query.multiply(query) @ var
+        mine = query[:, self.touched]
+        some = np.flatnonzero(np.diff(mine.indptr))  # the others meet no touched particle
+        scaled = mine[some].toarray().T * np.sqrt(prior.var[self.touched])[:, None]
+        white = linalg.solve_triangular(self.factor, scaled, lower=True)
+        out[some] += np.einsum("ij,ij->j", white, white)
+        moves = (query @ prior.membership).toarray() - mine @ (prior.var[self.touched][:, None] * self.pull)
+        shared = linalg.solve_triangular(self.group, (moves * np.sqrt(prior.group_var)).T, lower=True)
+        return out + np.einsum("ij,ij->j", shared, shared)
 
 
 def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior,
@@ -206,9 +245,18 @@ def _hessian(w: sparse.csr_matrix, noise: np.ndarray, prior: GaussianPrior, thet
     out += (held.T @ sparse.diags_array(1.0 / prior.var[~free]) @ held).toarray()
     a = sparse.csr_matrix(sparse.diags_array(1.0 / noise) @ w)[:, free]
     a = a[np.flatnonzero(np.diff(a.indptr))]
-    if a.shape[0]:
-        ag = (a @ g[free]).toarray()
-        spread = (a @ sparse.diags_array(prior.var[free]) @ a.T).toarray()
-        spread[np.diag_indices_from(spread)] += 1.0
-        out += ag.T @ linalg.cho_solve(linalg.cho_factor(spread), ag)
-    return out
+    if a.shape[0] == 0:
+        return out
+    moved = np.flatnonzero(np.diff(a.tocsc().indptr))
+    a, members, var = a[:, moved], g[free][moved], prior.var[free][moved]
+    ag = (a @ members).toarray()
+    if len(moved) < a.shape[0]:
+        # (1 + A V A^T)^-1 A = A (1 + V A^T A)^-1, here with the symmetric 1 + R A^T A R, R = V^(1/2)
+        root = np.sqrt(var)
+        precision = (a.T @ a).toarray() * root * root[:, None]
+        precision[np.diag_indices_from(precision)] += 1.0
+        inner = linalg.cho_solve(linalg.cho_factor(precision), root[:, None] * (a.T @ ag))
+        return out + (sparse.diags_array(1.0 / root) @ members).T @ inner
+    spread = (a @ sparse.diags_array(var) @ a.T).toarray()
+    spread[np.diag_indices_from(spread)] += 1.0
+    return out + ag.T @ linalg.cho_solve(linalg.cho_factor(spread), ag)
