@@ -9,6 +9,8 @@ velocity; a joint that stands still keeps its last sign, and that before a touch
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 
 from vsfsim.bench.noise import Noise, stream, tared
@@ -53,14 +55,20 @@ def noisy_torque(torque: np.ndarray, time: np.ndarray, force: np.ndarray, noise:
 def posture_error(q: np.ndarray, noise: Noise) -> np.ndarray:
     """Error of the gravity model [N m] at joint angles ``q`` (T, 7) [rad]: (T, 7), the same function of ``q`` in every
     touch."""
-    rng = np.random.default_rng(np.random.SeedSequence(noise.seed, spawn_key=(_ARM,)))
-    joints = q.shape[1]
-    share = np.resize(_POSE_SHARE, joints) * rng.uniform(1.0 - _ARM_SPREAD, 1.0 + _ARM_SPREAD, joints)
-    slope = rng.standard_normal((joints, _FEATURES, joints)) / noise.torque_pose_length
-    slope[:, :, 0] = 0.0
-    phase = rng.uniform(0.0, 2.0 * np.pi, (joints, _FEATURES))
+    share, slope, phase = _gravity_model(noise.seed, noise.torque_pose_length, q.shape[1])
     waves = np.cos(np.einsum("jfk,tk->tjf", slope, q) + phase)
     return noise.torque_pose_std * share * np.sqrt(2.0 / _FEATURES) * waves.sum(axis=2)
+
+
+@functools.lru_cache(maxsize=8)
+def _gravity_model(seed: int, length: float, joints: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of each joint (J,), and slopes (J, F, J) [1/rad] and phases (J, F) [rad] of the Fourier features; kept,
+    because a data set asks for those of one arm in each of its thousands of touches."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_ARM,)))
+    share = np.resize(_POSE_SHARE, joints) * rng.uniform(1.0 - _ARM_SPREAD, 1.0 + _ARM_SPREAD, joints)
+    slope = rng.standard_normal((joints, _FEATURES, joints)) / length
+    slope[:, :, 0] = 0.0
+    return share, slope, rng.uniform(0.0, 2.0 * np.pi, (joints, _FEATURES))
 
 
 def hysteresis(q: np.ndarray, start: np.ndarray, noise: Noise) -> np.ndarray:

@@ -36,17 +36,22 @@ def reached(points: np.ndarray, probe: ProbeShape, poses: np.ndarray, *, q: np.n
 
 def _mark(out: np.ndarray, points: np.ndarray, probe: ProbeShape, poses: np.ndarray, reach: float) -> None:
     """Set ``out`` where the probe comes near. Only points in a ball about the probe are measured: an arm has a dozen
-    capsules, most of them far from the object in every frame."""
+    capsules, most of them far from the object in every frame, and most points are far from any path."""
     assert not isinstance(probe, MeshFile | Chain), SIMPLE
     size = np.linalg.norm(probe.points, axis=1).max() if isinstance(probe, Dome) else signed_distance.reach(probe)
     ball = 1.001 * (size + 2.0 * reach)
-    if not len(points):
+    if not len(points) or not len(poses):
         return
-    middle = points.mean(axis=0)
-    own, at = points - middle, poses[:, :3, 3] - middle
+    at = poses[:, :3, 3]
+    inside = np.flatnonzero(~out & ((points >= at.min(axis=0) - ball) & (points <= at.max(axis=0) + ball)).all(axis=1))
+    if not len(inside):
+        return
+    middle = points[inside].mean(axis=0)
+    own, at = points[inside] - middle, at - middle
     away = (at**2).sum(axis=1)[:, None] + (own**2).sum(axis=1) - 2.0 * at @ own.T  # squared distances (T, k)
     for pose, near in zip(poses, away <= ball**2, strict=True):
-        left = np.flatnonzero(near & ~out) if near.any() else ()
+        left = inside[near]
+        left = left[~out[left]]
         if len(left):
             out[left] = distance((points[left] - pose[:3, 3]) @ pose[:3, :3], probe) <= reach
 

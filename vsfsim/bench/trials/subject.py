@@ -96,5 +96,6 @@ def touched(points: np.ndarray, view: ObjectView) -> np.ndarray:
     """Which of the probed points (P, 3) [m] some touch of ``view`` reached (P,) bool."""
     near = np.zeros(len(points), bool)
     for touch in view.touches:
-        near |= reached(points, view.probe, touch.mount_pose, q=touch.q)
+        left = np.flatnonzero(~near)
+        near[left] = reached(points[left], view.probe, touch.mount_pose, q=touch.q)
     return near
