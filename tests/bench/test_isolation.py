@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from vsfsim.bench.commands.evaluate import finish
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.isolation import child, limits
 from vsfsim.bench.isolation.limits import Isolation
@@ -109,6 +110,13 @@ def test_prints_go_to_the_log(task, toy_dataset, tmp_path, capfd):
     evaluate("hostile_methods:Prints", task, toy_dataset, seeds=1, check=False, log=tmp_path / "log")
     assert capfd.readouterr() == ("", "")
     assert (tmp_path / "log").read_text().count("I am rank 1\nfrom a shell\n") == 8
+
+
+def test_the_log_beside_a_result_is_no_file_of_the_users(task, toy_dataset, tmp_path):
+    (tmp_path / "mine.log").write_text("notes of an experiment\n")
+    finish("hostile_methods:Prints", task, toy_dataset, tmp_path / "mine.json", seeds=1, check=False)
+    assert (tmp_path / "mine.json.log").read_text().count("I am rank 1\nfrom a shell\n") == 8
+    assert (tmp_path / "mine.log").read_text() == "notes of an experiment\n"
 
 
 @pytest.mark.parametrize(("name", "parameters", "isolation", "message"), [

@@ -269,8 +269,8 @@ def test_a_sweep_through_the_whole_crown(step, device):
     if step < 0.001:  # all converge here; the margin is for a reading of 300 that rounds otherwise elsewhere
         assert converged.mean() > 0.97
         return
-    # On the last 0.3 m the links pull at the stem with 24 N and go through it at last: 26 of 45 readings converge, those
-    # of the first half and single ones after it. What went through stays marked, though the plant is at rest again.
+    # On the last 0.3 m the links pull at the stem with 24 N and go through it at last: 26 of 45 readings converge,
+    # those of the first half and single ones after it. What went through stays marked, though the plant is at rest.
     assert converged[:20].all() and frames.contacts[:20].max() >= 4
     lost = np.flatnonzero(frames.penetration[:, 0].reshape(len(travel), -1).max(axis=1) > 1e-3)
     assert len(lost) and not converged[lost[0]:].any()

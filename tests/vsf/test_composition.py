@@ -55,8 +55,8 @@ def test_std_where_only_shared_components_vary_is_the_limit_of_little_variance_o
         assert (std(prior(0.0)) > 0.0).all()
 
 
-@pytest.mark.parametrize("m, n, s", [(12, 20, 0), (12, 20, 1), (12, 20, 3), (30, 8, 0), (30, 8, 2), (60, 20, 4), (5, 30, 10),
-                                     (40, 200, 10)])
+@pytest.mark.parametrize("m, n, s", [(12, 20, 0), (12, 20, 1), (12, 20, 3), (30, 8, 0), (30, 8, 2), (60, 20, 4),
+                                     (5, 30, 10), (40, 200, 10)])
 def test_map_and_std_are_those_of_the_dense_program(m, n, s):
     rng = np.random.default_rng(m)
     w = rng.uniform(0, 0.02, (m, n)) * (rng.uniform(size=(m, n)) < 0.3)

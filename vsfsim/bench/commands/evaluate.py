@@ -39,7 +39,7 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
         memory: memory that a process of the method may allocate [GiB], None for no limit.
         sandbox: "process", or "bubblewrap", which hides files and network, too.
         out: result file to write, or None; `vsfsim leaderboard` reads it. Finished seeds are kept beside it until all
-            are done, and what the method prints becomes a .log beside it.
+            are done, and what the method prints goes to a file beside it, RESULT.json.log.
         preset: "paper" or "tuned", settings of a method that ships; ``parameters`` go over them. "" for none.
         processes: trainings that run at the same time, each in a process of its own.
         progress: called with (trials done, of how many, what is going on).
@@ -95,8 +95,8 @@ def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) 
 
 
 def log_of(result: Path) -> Path:
-    """The file beside a result that holds what the method printed."""
-    return result.with_suffix(".log")
+    """The file beside a result that holds what the method printed: RESULT.json.log, as RESULT.log may be the user's."""
+    return result.with_name(result.name + ".log")
 
 
 def name_of(method: type) -> str:
