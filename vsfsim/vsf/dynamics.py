@@ -14,7 +14,6 @@ substeps. In each of them a particle
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -36,6 +35,8 @@ PRECISIONS = ("float64", "float32")
 
 # Largest number of entries (frames x particles) of one launch: 3 numbers each, so at most 400 MB in float64.
 _CHUNK = 16_000_000
+# Largest number of entries (frames x particles) whose distances from a probe's path are measured at one time.
+_SWEPT = 200_000
 # Number of concurrent launches on a GPU, and of the streams that they are distributed over.
 _TOGETHER, _STREAMS = 64, 16
 # A friction coefficient this large is pure sticking in either precision, and mu * |u| stays finite.
@@ -187,10 +188,13 @@ def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.nd
     box = np.flatnonzero(np.all((particles >= low) & (particles <= high), axis=1))
     points = particles[box]
     hit = np.zeros(len(box), bool)
-    for start, stop in zip(centre, np.concatenate([centre[1:], centre[-1:]])):
-        along = stop - start
-        s = np.clip((points - start) @ along / max(float(along @ along), 1e-30), 0.0, 1.0)
-        hit |= np.einsum("ij,ij->i", d := points - start - s[:, None] * along, d) <= radius**2
+    along = np.diff(centre, axis=0, append=centre[-1:])
+    length = np.maximum((along**2).sum(axis=1), 1e-30)
+    for first in range(0, len(box), part := max(1, _SWEPT // len(centre))):
+        away = points[None, first:first + part] - centre[:, None]  # frames x particles
+        s = np.clip(np.einsum("tpi,ti->tp", away, along) / length[:, None], 0.0, 1.0)
+        away -= s[:, :, None] * along[:, None]
+        hit[first:first + part] = (np.einsum("tpi,tpi->tp", away, away) <= radius**2).any(axis=0)
     near[box] = hit
     return near
 
@@ -203,27 +207,22 @@ def _substeps(probe: ProbeShape, poses: np.ndarray, points: np.ndarray,
     if math.isinf(reach):
         # A plane has no size, so the lever arm is the largest distance of a particle from its origin.
         reach = max(float(np.linalg.norm(points - pose[:3, 3], axis=1).max()) for pose in poses)
-    rotations, origins, ends = [poses[:1, :3, :3]], [poses[:1, :3, 3]], [np.zeros(1, np.int32)]
     vectors = rotation_vector(poses[:-1, :3, :3].swapaxes(1, 2) @ poses[1:, :3, :3])
-    for t, (before, after) in enumerate(itertools.pairwise(poses)):
-        shift = after[:3, 3] - before[:3, 3]
-        angle = float(np.linalg.norm(vectors[t]))
-        if angle < 1e-12:  # rounding error of equal rotations
-            angle = 0.0
-        count = max(1, math.ceil((float(np.linalg.norm(shift)) + angle * reach) / step - 1e-9))
-        s = np.arange(1, count + 1) / count
-        turn = np.repeat(before[None, :3, :3], count, axis=0)
-        if angle > 0.0:
-            turn = turn @ rotation_matrix(s[:, None] * vectors[t])
-        turn[-1] = after[:3, :3]
-        rotations.append(turn)
-        way = before[:3, 3] + s[:, None] * shift
-        way[-1] = after[:3, 3]
-        origins.append(way)
-        end = np.full(count, -1, np.int32)
-        end[-1] = t + 1
-        ends.append(end)
-    return np.concatenate(rotations), np.concatenate(origins), np.concatenate(ends)
+    shift, angle = np.diff(poses[:, :3, 3], axis=0), np.linalg.norm(vectors, axis=1)
+    angle[angle < 1e-12] = 0.0  # rounding error of equal rotations
+    count = np.maximum(np.ceil((np.linalg.norm(shift, axis=1) + angle * reach) / step - 1e-9), 1.0).astype(np.int64)
+    last = np.cumsum(count) - 1
+    frame = np.repeat(np.arange(len(count)), count)
+    s = (np.arange(len(frame)) - (last - count)[frame]) / count[frame]
+    way = poses[frame, :3, 3] + s[:, None] * shift[frame]
+    turn, turning = poses[frame, :3, :3], np.flatnonzero(angle[frame] > 0.0)
+    if len(turning):
+        turn[turning] = turn[turning] @ rotation_matrix(s[turning, None] * vectors[frame[turning]])
+    way[last], turn[last] = poses[1:, :3, 3], poses[1:, :3, :3]
+    end = np.full(len(frame), -1, np.int32)
+    end[last] = np.arange(1, len(poses))
+    return (np.concatenate([poses[:1, :3, :3], turn]), np.concatenate([poses[:1, :3, 3], way]),
+            np.concatenate([np.zeros(1, np.int32), end]))
 
 
 def _checked(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray, friction: float, precision: str,
