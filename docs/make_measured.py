@@ -15,7 +15,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "measured"
-TASKS = ("fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-mini-v1", "fewshot-plants-v3-mini-v2",
+TASKS = ("fewshot-plants-v4-v1", "fewshot-shoes-v2-v3", "fewshot-shoes-v2-mini-v3", "fewshot-plants-v4-mini-v1",
+         "fewshot-plants-v3-mini-v2",
          "fewshot-shoes-mini-v1", "fewshot-shoes-graded-mini-v1", "fewshot-shoes-textured-mini-v1",
          "fewshot-shoes-punyo-mini-v1",
          "fewshot-plants-mini-v2", "inclusion-mini-v3", "localization-mini-v3",

@@ -93,9 +93,12 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
 
 
 def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
-    """`Result.maps` of a task with cross-validation: of the first run at the shot that ranks."""
+    """`Result.maps` of a task with cross-validation: of the first run at the shot that ranks, and of the first view of
+    each object, because a page shows one and they are most of a result file."""
     out: dict[str, list] = {}
-    first = [a for a in answers if (a.trial.shot, a.trial.seed) == (task.ranking_shot, 0) and a.mean is not None]
+    shown = {e.name for e in dataset.entries if e.view_index == 0}
+    first = [a for a in answers if (a.trial.shot, a.trial.seed) == (task.ranking_shot, 0) and a.mean is not None
+             and a.trial.subject in shown]
     for given in first if task.protocol.folds else ():
         for column, values in map_of(given, dataset).items():
             out.setdefault(column, []).extend(values)
