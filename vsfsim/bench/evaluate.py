@@ -94,7 +94,7 @@ def evaluate(name: str, task: Task, dataset: Dataset, *, parameters: Mapping[str
 
 def _maps(answers: list[Answers], task: Task, dataset: Dataset) -> dict[str, list]:
     """`Result.maps` of a task with cross-validation: of the first run at the shot that ranks, and of the first view of
-    each object, because a page shows one and they are most of a result file."""
+    each object, because all of them would be most of a result file."""
     out: dict[str, list] = {}
     shown = {e.name for e in dataset.entries if e.view_index == 0}
     first = [a for a in answers if (a.trial.shot, a.trial.seed) == (task.ranking_shot, 0) and a.mean is not None

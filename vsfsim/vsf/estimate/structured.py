@@ -200,13 +200,8 @@ class _Particles:
 
     @classmethod
     def of(cls, a: sparse.csr_matrix, touched: np.ndarray, prior: GaussianPrior) -> _Particles:
-        a, members = a[:, touched], sparse.csr_matrix(prior.membership)[touched]
-        root = np.maximum(np.sqrt(prior.var[touched]), 1e-100)  # R^-1 stays finite
-        gram = (a.T @ a).toarray()
-        precision = gram * root * root[:, None]
-        precision[np.diag_indices_from(precision)] += 1.0
-        factor = linalg.cholesky(precision, lower=True, overwrite_a=True)
-        pull = linalg.cho_solve((factor, True), root[:, None] * (gram @ members.toarray())) / root[:, None]
+        members = sparse.csr_matrix(prior.membership)[touched]
+        factor, pull = _pull(a[:, touched], members, prior.var[touched])
         group_root = np.sqrt(prior.group_var)
         inside = group_root[:, None] * (members.T @ pull) * group_root
         return cls(touched, factor, pull, linalg.cholesky(np.eye(len(inside)) + 0.5 * (inside + inside.T), lower=True))
@@ -224,6 +219,16 @@ class _Particles:
         moves = (query @ prior.membership).toarray() - mine @ (prior.var[self.touched][:, None] * self.pull)
         shared = linalg.solve_triangular(self.group, (moves * np.sqrt(prior.group_var)).T, lower=True)
         return out + np.einsum("ij,ij->j", shared, shared)
+
+
+def _pull(a: sparse.csr_matrix, members: sparse.csr_matrix, var: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """P's lower Cholesky factor and Z of `_Particles`, for A (r, k), G (k, s) and the variances (k,) of k particles."""
+    root = np.maximum(np.sqrt(var), 1e-100)  # R^-1 stays finite
+    gram = (a.T @ a).toarray()
+    precision = gram * root * root[:, None]
+    precision[np.diag_indices_from(precision)] += 1.0
+    factor = linalg.cholesky(precision, lower=True, overwrite_a=True)
+    return factor, linalg.cho_solve((factor, True), root[:, None] * (gram @ members.toarray())) / root[:, None]
 
 
 def _inner(w: sparse.csr_matrix, z: np.ndarray, noise: np.ndarray, prior: GaussianPrior,
@@ -249,14 +254,9 @@ def _hessian(w: sparse.csr_matrix, noise: np.ndarray, prior: GaussianPrior, thet
         return out
     moved = np.flatnonzero(np.diff(a.tocsc().indptr))
     a, members, var = a[:, moved], g[free][moved], prior.var[free][moved]
-    ag = (a @ members).toarray()
     if len(moved) < a.shape[0]:
-        # (1 + A V A^T)^-1 A = A (1 + V A^T A)^-1, here with the symmetric 1 + R A^T A R, R = V^(1/2)
-        root = np.sqrt(var)
-        precision = (a.T @ a).toarray() * root * root[:, None]
-        precision[np.diag_indices_from(precision)] += 1.0
-        inner = linalg.cho_solve(linalg.cho_factor(precision), root[:, None] * (a.T @ ag))
-        return out + (sparse.diags_array(1.0 / root) @ members).T @ inner
+        return out + members.T @ _pull(a, members, var)[1]
+    ag = (a @ members).toarray()
     spread = (a @ sparse.diags_array(var) @ a.T).toarray()
     spread[np.diag_indices_from(spread)] += 1.0
     return out + ag.T @ linalg.cho_solve(linalg.cho_factor(spread), ag)
