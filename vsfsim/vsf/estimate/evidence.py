@@ -13,7 +13,9 @@ formed once, and S = diag(sqrt(d)),
 
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
 
-which needs products of A with a few vectors only. The gradient has the closed form
+which needs products of A with a few vectors only. Where many touches each move few of a block's particles, P is sparse,
+and a factor by `fronts` takes a hundredth of the work; its readings are then not reduced. The gradient has the closed
+form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
@@ -26,89 +28,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse import csgraph
 
 from vsfsim.core.errors import VsfError
+from vsfsim.vsf.estimate.touch_blocks import Block, SparseBlock, particle_side
 
 _RANK = 1e-9
 """Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
 they add 1e-6 of the noise's variance."""
-_TINY = 1e-10
-"""Prior variances below this fraction of the largest, where (1 - P^-1_jj) / d_j is a quotient of rounding errors."""
-_CHUNK = 1024
-"""Particles whose columns are processed at one time: allocating a copy of all would cost more than the arithmetic."""
-
-
-@dataclass(frozen=True)
-class _Block:
-    """Touches that share particles, reduced by an orthogonal matrix."""
-
-    particle: torch.Tensor
-    """HE components that they move (k,)."""
-    rows: torch.Tensor
-    """Reduced rows of W (r, k)."""
-    value: torch.Tensor
-    """Reduced readings (r,)."""
-    shared: torch.Tensor
-    """Reduced rows of W G (r, s)."""
-    gram: torch.Tensor | None
-    """rows^T rows (k, k) where the particles' side costs less, else None."""
-
-    def solved(self, var: torch.Tensor, right: torch.Tensor) -> _Solved:
-        """C^-1 of this block on ``right`` (r, c), for the variances ``var`` (k,) of its particles."""
-        if self.gram is None:
-            spread = torch.eye(len(self.rows), dtype=var.dtype, device=var.device)
-            root, buffer = var.sqrt(), self.rows.new_empty((len(self.rows), min(_CHUNK, self.rows.shape[1])))
-            for start in range(0, self.rows.shape[1], _CHUNK):
-                part = slice(start, start + _CHUNK)
-                scaled = torch.mul(self.rows[:, part], root[part], out=buffer[:, :len(root[part])])
-                spread.addmm_(scaled, scaled.T)
-            factor = torch.linalg.cholesky(spread)
-            white = torch.linalg.solve_triangular(factor, right, upper=False)
-            return _Solved(2.0 * factor.diagonal().log().sum(),
-                           torch.linalg.solve_triangular(factor.T, white, upper=True), (white * white).sum(dim=0),
-                           factor)
-        s = var.sqrt()
-        precision = self.gram * s
-        precision *= s[:, None]
-        precision.diagonal().add_(1.0)
-        factor = torch.linalg.cholesky(precision)
-        y = torch.cholesky_solve(s[:, None] * (self.rows.T @ right), factor)
-        left = right - self.rows @ (s[:, None] * y)
-        # |e - A x|^2 + |x / sqrt(d)|^2 equals e^T C^-1 e and is not a difference of two large numbers.
-        return _Solved(2.0 * factor.diagonal().log().sum(), left, (left * left).sum(dim=0) + (y * y).sum(dim=0), factor)
-
-    def sizes(self, var: torch.Tensor, found: _Solved) -> torch.Tensor:
-        """a_j^T C^-1 a_j of every particle (k,)."""
-        if self.gram is None:
-            out = torch.empty_like(var)
-            for start in range(0, self.rows.shape[1], _CHUNK):
-                part = slice(start, start + _CHUNK)
-                white = torch.linalg.solve_triangular(found.factor, self.rows[:, part], upper=False)
-                out[part] = (white * white).sum(dim=0)
-            return out
-        out = (1.0 - _inverse_diagonal(found.factor)) / var.clamp_min(1e-300)
-        few = torch.nonzero(var <= _TINY * var.max())[:, 0]
-        if len(few):
-            cross = var.sqrt()[:, None] * self.gram[:, few]
-            white = torch.linalg.solve_triangular(found.factor, cross, upper=False)
-            out[few] = self.gram.diagonal()[few] - (white * white).sum(dim=0)
-        return out
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """Solutions with the covariance C of a block."""
-
-    log_det: torch.Tensor
-    """log det C."""
-    inverse: torch.Tensor
-    """C^-1 right (r, c)."""
-    quadratic: torch.Tensor
-    """right_j^T C^-1 right_j (c,)."""
-    factor: torch.Tensor
-    """Lower Cholesky factor of C, or of P where the block has a `gram`."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +45,7 @@ class Evidence:
 
     touched: np.ndarray
     """Particles that some reading moves (k,) int."""
-    blocks: tuple[_Block, ...]
+    blocks: tuple[Block | SparseBlock, ...]
     """Independent groups of touches."""
     constant: float
     """The part of the NLL that does not depend on the prior, in nats [-]."""
@@ -162,20 +90,28 @@ class Evidence:
         place[touched] = np.arange(len(touched))
         ag = (a @ g).toarray()
         constant = float(np.log(noise).sum()) + 0.5 * m * np.log(2.0 * np.pi)
-        blocks = []
+        blocks: list[Block | SparseBlock] = []
         scale = np.abs(a.data).max() if a.nnz else 0.0
         for rows in _groups(a, touch):
+            every = np.concatenate(rows)
+            mine = a[every]
+            moved = np.unique(mine.indices)
+            known = SparseBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every]) if (
+                device == "cpu" and dtype == torch.float64) else None
+            if known is not None:
+                blocks.append(known)
+                continue
             parts = [_reduced(a[part], ag[part], b[part], scale) for part in rows]
             constant += sum(part[-1] for part in parts)
             (columns, dense, shared, value), extra = _joined([part[:-1] for part in parts], scale)
             constant += extra
             if len(value):
-                by_particles = _particle_side(*dense.shape)
+                by_particles = particle_side(*dense.shape)
                 dense = torch.as_tensor(dense, dtype=dtype, device=device)
-                blocks.append(_Block(torch.as_tensor(place[columns], device=device), dense,
-                                     torch.as_tensor(value, dtype=dtype, device=device),
-                                     torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device),
-                                     dense.T @ dense if by_particles else None))
+                blocks.append(Block(torch.as_tensor(place[columns], device=device), dense,
+                                    torch.as_tensor(value, dtype=dtype, device=device),
+                                    torch.as_tensor(np.ascontiguousarray(shared), dtype=dtype, device=device),
+                                    dense.T @ dense if by_particles else None))
         return cls(touched, tuple(blocks), constant, m, g.shape[1])
 
     def nll(self, mean: torch.Tensor, var: torch.Tensor, group_mean: torch.Tensor | None = None,
@@ -186,20 +122,10 @@ class Evidence:
             mean, var: of the heterogeneous components of `touched` (k,), var >= 0.
             group_mean, group_var: of the shared components (s,), or None without any.
         """
-        like = self.blocks[0].rows if self.blocks else mean
+        like = self.blocks[0].value if self.blocks else mean
         none = torch.zeros(0, dtype=like.dtype, device=like.device)
         given = [mean, var, none if group_mean is None else group_mean, none if group_var is None else group_var]
         return _MarginalNll.apply(self, *(x.to(dtype=like.dtype, device=like.device) for x in given)) + self.constant
-
-
-def _inverse_diagonal(factor: torch.Tensor) -> torch.Tensor:
-    """Diagonal of (L L^T)^-1 (k,): on a CPU the squared norms of the columns of L^-1, half the work of the inverse."""
-    if factor.device.type != "cpu":
-        return torch.cholesky_inverse(factor).diagonal()
-    upper = factor.numpy().T  # in Fortran's order without a copy
-    (invert,) = linalg.get_lapack_funcs(("trtri",), (upper,))
-    inverse = invert(upper, lower=0)[0]
-    return torch.as_tensor(np.einsum("ij,ij->i", inverse, inverse))
 
 
 class _MarginalNll(torch.autograd.Function):
@@ -216,7 +142,7 @@ class _MarginalNll(torch.autograd.Function):
         across = torch.zeros(s, dtype=mean.dtype, device=mean.device)
         kept = []
         for block in evidence.blocks:
-            e = block.value - block.rows @ mean[block.particle] - block.shared @ group_mean
+            e = block.value - block.predicted(mean[block.particle]) - block.shared @ group_mean
             found = block.solved(var[block.particle], torch.cat([e[:, None], block.shared], dim=1))
             value = value + 0.5 * (found.quadratic[0] + found.log_det)
             inside = inside + block.shared.T @ found.inverse[:, 1:]
@@ -237,11 +163,11 @@ class _MarginalNll(torch.autograd.Function):
                 size = block.sizes(var[block.particle], found)
                 if s:
                     cross = torch.linalg.solve_triangular(small_factor,
-                                                          root[:, None] * (found.inverse[:, 1:].T @ block.rows),
+                                                          root[:, None] * block.gathered(found.inverse[:, 1:]).T,
                                                           upper=False)
                     size = size - (cross * cross).sum(dim=0)
                     pull = pull + block.shared.T @ alpha
-                along = block.rows.T @ alpha
+                along = block.gathered(alpha)
                 grad_mean.index_add_(0, block.particle, -along)
                 grad_var.index_add_(0, block.particle, 0.5 * (size - along * along))
             if s:
@@ -296,9 +222,3 @@ def _joined(parts: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
         return (columns, dense, shared, value), 0.0
     reduced = _reduced(sparse.csr_matrix(dense), shared, value, scale)
     return (columns[reduced[0]], *reduced[1:4]), reduced[4]
-
-
-def _particle_side(rows: int, particles: int) -> bool:
-    """Whether a k x k factor and its inverse (k^3 operations) cost less than an r x r one and its product with the rows
-    (3 r^2 k and r^3 / 3)."""
-    return particles**3 < 3 * rows**2 * particles + rows**3 // 3

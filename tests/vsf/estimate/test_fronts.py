@@ -1,0 +1,81 @@
+"""Factors by fronts: against dense matrices, and as part of eq. 15 of SBML."""
+
+import numpy as np
+import pytest
+import torch
+from scipy import sparse
+
+from vsfsim.vsf.estimate import touch_blocks
+from vsfsim.vsf.estimate.evidence import Evidence
+from vsfsim.vsf.estimate.fronts import Fronts
+
+torch.set_num_threads(1)
+
+
+def touches(particles=300, count=60, frames=12, wide=25, seed=0):
+    """Rows (m, n) of touches that each move some particles near each other, and the touch of each row."""
+    rng = np.random.default_rng(seed)
+    w = np.zeros((count * frames, particles))
+    for touch in range(count):
+        first = int(rng.integers(0, particles - wide))
+        w[touch * frames:(touch + 1) * frames, first:first + wide] = rng.uniform(0, 0.02, (frames, wide))
+    return sparse.csr_matrix(w), np.arange(count * frames) // frames
+
+
+def matrices():
+    rng = np.random.default_rng(3)
+    few = sparse.random(80, 80, density=0.02, random_state=4, format="csr")
+    chain = sparse.diags_array([np.full(49, 0.3), np.full(50, 1.0), np.full(49, 0.3)], offsets=(-1, 0, 1))
+    dense = rng.normal(size=(30, 30))
+    return {"touches": touches()[0].T @ touches()[0], "several pieces": few @ few.T, "a chain": chain,
+            "full": sparse.csr_matrix(dense @ dense.T), "nothing": sparse.csr_matrix((5, 5)),
+            "one": sparse.csr_matrix([[2.0]])}
+
+
+@pytest.mark.parametrize("name", matrices())
+def test_fronts_are_the_dense_factor(name):
+    matrix = sparse.csr_matrix(matrices()[name])
+    rng = np.random.default_rng(5)
+    scale = rng.uniform(0.0, 30.0, matrix.shape[0])
+    dense = np.eye(len(scale)) + scale[:, None] * matrix.toarray() * scale
+    order = Fronts.of(matrix)
+    values = np.asarray(matrix[order.row, order.column]).ravel() * scale[order.row] * scale[order.column]
+    found, right = order.factor(values), rng.normal(size=(len(scale), 2))
+    assert sorted(np.concatenate([front.own for front in order.fronts])) == list(range(len(scale)))
+    assert found.log_det == pytest.approx(np.linalg.slogdet(dense)[1], rel=1e-12, abs=1e-12)
+    np.testing.assert_allclose(found.solve(right), np.linalg.solve(dense, right), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(found.inverse_diagonal(), np.diag(np.linalg.inv(dense)), rtol=1e-9, atol=1e-14)
+
+
+def test_touches_in_a_row_take_little_of_the_work_of_a_dense_factor():
+    rows = touches()[0]
+    order = Fronts.of(sparse.csr_matrix(rows.T @ rows))
+    assert order.work < 0.15 * 300**3 / 6
+    assert max(len(front.own) + len(front.border) for front in order.fronts) < 150
+
+
+@pytest.mark.parametrize("shared", [0, 2])
+def test_sparse_blocks_give_the_likelihood_and_gradient_of_dense_ones(monkeypatch, shared):
+    w, touch = touches()
+    rng = np.random.default_rng(6)
+    n = w.shape[1]
+    group = sparse.csr_matrix((np.ones(n), (np.arange(n), np.arange(n) % max(shared, 1))), shape=(n, max(shared, 1)))
+    z = w @ rng.uniform(0, 100, n) + 0.1 * rng.normal(size=w.shape[0])
+    var = rng.uniform(1, 1e4, n)
+    var[::40] = 0.0  # where the quotient (1 - P^-1_jj) / d_j says nothing
+    given = [rng.uniform(0, 100, n), var, rng.uniform(0, 50, shared), rng.uniform(1, 1e3, shared)]
+
+    def made(few):
+        monkeypatch.setattr(touch_blocks, "_FEW", few)
+        one = Evidence.of(w, z, noise_std=0.1, membership=group if shared else None, touch=touch)
+        prior = [torch.tensor(x, requires_grad=True) for x in given]
+        value = one.nll(prior[0][one.touched], prior[1][one.touched], *(prior[2:] if shared else ()))
+        value.backward()
+        return {type(b).__name__ for b in one.blocks}, value.item(), [p.grad for p in prior[:4 if shared else 2]]
+
+    kinds, value, gradient = made(128)
+    dense_kinds, dense_value, dense_gradient = made(10**6)
+    assert kinds == {"SparseBlock"} and dense_kinds == {"Block"}
+    assert value == pytest.approx(dense_value, rel=1e-10)
+    for ours, theirs in zip(gradient, dense_gradient):
+        torch.testing.assert_close(ours, theirs, rtol=1e-7, atol=1e-9 * float(theirs.abs().max()))
