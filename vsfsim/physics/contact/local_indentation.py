@@ -42,7 +42,7 @@ MOST = 0.12
 SATURATED = 0.022
 """Local indentation, over the element size, that is not exceeded [-]."""
 RESOLVED_BY_PLACE, SATURATED_BY_PLACE = 0.7, 0.06
-"""The same where the compliance is taken from the place of the touch."""
+"""The same where the compliance is that of the place of the touch."""
 OWN = 0.5
 """a / h up to which the place decides, and its own compliance counts more than the mean of places [-]."""
 
@@ -96,11 +96,10 @@ class LocalIndentation:
         self._cover = torch.as_tensor(cover, device=points.device).flatten(1)  # area of each point
         self._edge = torch.as_tensor(edge, device=points.device)
         self._share = torch.ones(cover.shape, dtype=torch.float64, device=points.device)
-        most = SATURATED if missing is None else SATURATED_BY_PLACE
-        soft = np.minimum(most * edge, _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0))
-        self._soft = torch.as_tensor(soft, device=points.device)
+        self._deepest = _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0)
+        self._soft = (SATURATED * self._edge).clamp(max=self._deepest)
         self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
-        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor] | None = None
+        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor] | None = None
         self.arrays = (wp.from_torch(self._share), wp.from_torch(self._soft))
         if missing is not None:
             missing.see(patches, self._cover, self._edge, points)
@@ -109,41 +108,41 @@ class LocalIndentation:
         """Give some parts, ``at`` (touches, parts), a law of their own: the ``share`` of their stiffness (n,) [-] that
         acts down to the depth ``soft`` (n,) [m], see `body_points`."""
         where = tuple(torch.as_tensor(a, device=self._share.device) for a in at)
-        self._own = where, torch.as_tensor(share, device=self._share.device)[:, None]
-        self._share[where] = self._own[1]
-        self._soft[where] = torch.as_tensor(soft, device=self._share.device)
+        share_of, soft_of = (torch.as_tensor(a, device=self._share.device) for a in (share, soft))
+        self._own = where, share_of[:, None], soft_of
+        self._share[where], self._soft[where] = self._own[1:]
 
     def move(self, pose: np.ndarray) -> None:
         """Set the compliance for the bodies at poses (B, K, 4, 4)."""
         if not self._on:
             return
         least, radius = torch.full_like(self._cover.T, torch.inf), torch.full_like(self._cover.T, torch.inf)
-        found, counts = (torch.zeros((2, *self._cover.shape), dtype=torch.float64, device=least.device) for _ in "ab")
+        own_place = self._cover.new_zeros((2, 2, *self._cover.shape))  # compliance and weight, at two radii
         for k, is_round in enumerate(self._round):
             gap = self._reach.nearest(pose[None], self._points, body=k)
+            nearer = gap < least
             inside = (self._cover.T * (gap < 0.0)).sum(dim=0)
             own = (inside / (2.0 * np.pi)).sqrt() if is_round else torch.full_like(inside, torch.inf)
-            radius = torch.where(gap < least, own, radius)
-            if self._missing is not None and is_round:
-                nearer = (gap < least).T
-                value, count = self._missing.under(gap.T)
-                found, counts = (torch.where(nearer, new[:, :, None], old)
-                                 for new, old in ((value, found), (count, counts)))
+            radius = torch.where(nearer, own, radius)
+            if self._missing is not None:
+                of_body = self._missing.under(gap.T) if is_round else own_place.new_zeros((2, 2, len(self._cover)))
+                own_place = torch.where(nearer.T, of_body[..., None], own_place)
             least = torch.minimum(gap, least)
         # c E / h; a padded face has no edge and no stiffness
         radius, edge = radius.T.reshape(self._share.shape).clamp(min=1e-12), self._edge[:, :, None].clamp(min=1e-12)
         compliance = self._mean(radius / edge)
         if self._missing is not None:
-            found, counts = found.view(2, *edge.shape[:2], 6) * self._missing.modulus[:, :, None] / edge, counts.view(
-                2, *edge.shape[:2], 6)
-            larger = self._mean(GROWN * radius / edge)
-            compliance, larger = ((1.0 - n) * mean + n * c for mean, n, c in zip((compliance, larger), counts, found))
+            found, weight = own_place.view(2, 2, *self._share.shape)
+            mean = torch.stack([compliance, self._mean(GROWN * radius / edge)])
+            compliance, larger = mean + weight * (found / edge - mean)
             power = ((larger / compliance.clamp(min=1e-9)).clamp(min=1e-9).log() / np.log(GROWN)).clamp(-1.0, 2.0)
+            deep = SATURATED + (SATURATED_BY_PLACE - SATURATED) * weight[0].amax(dim=2)
+            self._soft.copy_((deep * self._edge).clamp(max=self._deepest))
             self._work = torch.where(compliance > 1e-9, (4.0 + 2.0 * power) / (4.0 + power), 1.0)
         # w_q = PENALTY E area / (h / sqrt(2)), in series with area / c
         self._share.copy_(1.0 / (1.0 + np.sqrt(2.0) * PENALTY * compliance))
         if self._own is not None:
-            self._share[self._own[0]] = self._own[1]
+            self._share[self._own[0]], self._soft[self._own[0]] = self._own[1:]
 
     def _mean(self, wide: torch.Tensor) -> torch.Tensor:
         """The compliance times E / h, the mean of places, where the contact radius over h is ``wide``."""
@@ -155,8 +154,9 @@ class LocalIndentation:
         the stiffness without it (k, f, 6) [N/m] of their points.
 
         In a press the compliance falls as d^(-1/2) while the energy at fixed compliance rises as d^(3/2), so that 2/3
-        of the latter is the work that was done on it. Where the compliance is that of the place and goes as a^n, it is
-        (4 + 2 n) / (4 + n) of it. Parts with a law of their own are not counted.
+        of the latter is the work that was done on it. Where the compliance is that of the place and goes as a^n, that
+        is (4 + 2 n) / (4 + n); where it falls faster than as 1 / a the mesh takes over, and 2/3 stay. Parts with a law
+        of their own are not counted.
         """
         share, soft = self._share[columns], self._soft[columns][:, :, None]
         depth = torch.minimum((-gap).clamp(min=0.0).view_as(share), soft)
@@ -202,9 +202,6 @@ class MissingCompliance:
         """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
         return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
 
-    modulus: torch.Tensor
-    """Young's modulus under the parts of the patches (B, f) [Pa]; 1 at padding."""
-
     def __init__(self, model: Model, response: Response, compliance: torch.Tensor, values: torch.Tensor):
         self._response, self._compliance, self._values = response, compliance, values
         self._nu, mesh, tensor = poisson_ratio(model) or 0.0, model.mesh, functools.partial(
@@ -224,15 +221,15 @@ class MissingCompliance:
         for b, p in enumerate(patches):
             normal[b, :len(p.part)] = np.repeat(self._normals[p.faces], p.cuts**2, axis=0)
             modulus[b, :len(p.part)] = np.repeat(self._of_face[p.faces], p.cuts**2)
-        self._cover, self._places, self.modulus = cover, points, torch.as_tensor(modulus, device=edge.device)
+        self._cover, self._places = cover, points
         self._edge, self._normal, self._modulus = (
-            t.repeat_interleave(6, dim=1) for t in (edge, torch.as_tensor(normal, device=edge.device), self.modulus))
+            torch.as_tensor(t, device=edge.device).repeat_interleave(6, dim=1) for t in (edge, normal, modulus))
 
-    def under(self, gap: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The compliance c of each touch under a round body whose distances from the contact points at rest are ``gap``
-        (B, 6 f) [m], and that under a contact whose radius is larger by `GROWN` (2, B) [m/Pa]; and how much they count
-        against the mean of places (2, B) [-]."""
-        value, count = (torch.zeros((2, len(gap)), dtype=gap.dtype, device=gap.device) for _ in range(2))
+    def under(self, gap: torch.Tensor) -> torch.Tensor:
+        """The compliance c E [m] of each touch under a round body whose distances from the contact points at rest are
+        ``gap`` (B, 6 f) [m], and how much it counts against the mean of places [-], both at the radius of the contact
+        and at one that is larger by `GROWN` (2, 2, B)."""
+        out = gap.new_zeros((2, 2, len(gap)))
         gap = torch.where(self._cover > 0.0, gap, torch.inf)
         depth = -gap.amin(dim=1)
         # the mean of the depth over the area inside, whose radius is 2^(1/2) a, is half the largest
@@ -240,20 +237,20 @@ class MissingCompliance:
         size = self._edge.gather(1, gap.argmin(dim=1, keepdim=True))[:, 0]
         at = ((depth > 0.0) & (radius > 0.0) & (radius < size)).nonzero()[:, 0]
         if len(at):
-            value[:, at], count[:, at] = self._of(at, gap[at], depth[at], radius[at], size[at])
-        return value, count
+            out[:, :, at] = self._of(at, gap[at], depth[at], radius[at], size[at])
+        return out
 
     def _of(self, at: torch.Tensor, gap: torch.Tensor, depth: torch.Tensor, radius: torch.Tensor,
-            size: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            size: torch.Tensor) -> torch.Tensor:
         weight, *more = (self._pressure(at, gap, depth, radius, torch.maximum(larger * radius, _FOOT * size))
                          for larger in (1.0, GROWN))
-        modulus, size = ((weight * t[at]).sum(dim=1) for t in (self._modulus, self._edge))
+        softness, size = ((weight * t[at]).sum(dim=1) for t in (1.0 / self._modulus, self._edge))
         place = (weight[:, :, None] * self._places[at]).sum(dim=1)
         normal = torch.nn.functional.normalize((weight[:, :, None] * self._normal[at]).sum(dim=1), dim=1)
         sharp = torch.stack([self._sharp(at, w, normal) for w in (weight, *more)])
         wide = torch.cat([self._wide(*some) for some in zip(place.split(_CHUNK), normal.split(_CHUNK),
                                                             (_WIDE * size).split(_CHUNK), strict=True)])
-        unit = 0.6 * (1.0 - self._nu**2) / modulus
+        unit = 0.6 * (1.0 - self._nu**2) * softness
         radius = torch.stack([radius, GROWN * radius])
         ratio = radius / size
         lack = unit * (1.0 / radius - 1.0 / (_WIDE * size)) - (sharp - wide)
@@ -263,7 +260,7 @@ class MissingCompliance:
         trusted = ((like - a) / (b - a)).clamp(0.0, 1.0) * ((d - like) / (d - c)).clamp(0.0, 1.0)
         last = 1.0 / (1.0 + OWN**-6)  # of the weight, at a = h: there it ends
         count = ((1.0 / (1.0 + (ratio / OWN) ** 6) - last) / (1.0 - last)).clamp(min=0.0)
-        return 8.0 / 9.0 * np.pi * radius**2 * lack, trusted * count
+        return torch.stack([8.0 / 9.0 * np.pi * radius**2 * lack / softness, trusted * count])
 
     def _pressure(self, at: torch.Tensor, gap: torch.Tensor, depth: torch.Tensor, radius: torch.Tensor,
                   foot: torch.Tensor) -> torch.Tensor:
