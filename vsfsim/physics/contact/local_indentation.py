@@ -53,7 +53,9 @@ _SMALL = 0.1  # the same over the radius of the smallest round body
 _FOOT = 0.2  # least radius of a footprint over the element size: a mesh feels no difference to a smaller one
 _WIDE = 2.0  # radius, over the element size, of a footprint under which a mesh lacks nothing
 _SOFTER = 0.8  # how much less than under the pressure of Hertz a mesh lacks, over (a / h)^2
-_LIKE_HALF_SPACE = (0.25, 0.4, 1.6, 2.5)  # wide compliance over that of the half-space, see `MissingCompliance`
+# wide compliance over that of the half-space, and the part of the wide footprint that lies on the object, from and to
+# which the place counts: ramps between the first two and the last two
+_LIKE_HALF_SPACE, _COVERED = (0.25, 0.4, 1.6, 2.5), (0.6, 0.75, 1.2, 1.4)
 _ACROSS = 0.5  # least cosine between a face's normal and that of the contact
 _CHUNK = 16  # touches whose wide footprints are made at once
 
@@ -187,8 +189,8 @@ class MissingCompliance:
 
     is missing, and a compliance c = (8 pi / 9) a^2 lack of the contact points has the energy of it. From a = h / 2 on
     the pressure on a mesh is no longer that of Hertz and the place matters less than it says; there the mean of places
-    takes over. It does, too, where k(R0) is not about that of a half-space: where a wall bends, or is as thin as an
-    element.
+    takes over. It does, too, where the object is no half-space there: where k(R0) is far from its value, as in a wall
+    that bends or is as thin as an element, or where a rim cuts the wide footprint.
 
     Args:
         model: the object, of quadratic tetrahedra.
@@ -204,8 +206,8 @@ class MissingCompliance:
 
     def __init__(self, model: Model, response: Response, compliance: torch.Tensor, values: torch.Tensor):
         self._response, self._compliance, self._values = response, compliance, values
-        self._nu, mesh, tensor = poisson_ratio(model) or 0.0, model.mesh, functools.partial(
-            torch.as_tensor, device=values.device)
+        tensor = functools.partial(torch.as_tensor, device=values.device)
+        self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
         self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
         self._normals = across / np.linalg.norm(across, axis=1)[:, None]
@@ -248,16 +250,14 @@ class MissingCompliance:
         place = (weight[:, :, None] * self._places[at]).sum(dim=1)
         normal = torch.nn.functional.normalize((weight[:, :, None] * self._normal[at]).sum(dim=1), dim=1)
         sharp = torch.stack([self._sharp(at, w, normal) for w in (weight, *more)])
-        wide = torch.cat([self._wide(*some) for some in zip(place.split(_CHUNK), normal.split(_CHUNK),
-                                                            (_WIDE * size).split(_CHUNK), strict=True)])
+        wide, covered = torch.cat([self._wide(*some) for some in zip(
+            place.split(_CHUNK), normal.split(_CHUNK), (_WIDE * size).split(_CHUNK), strict=True)], dim=1)
         unit = 0.6 * (1.0 - self._nu**2) * softness
         radius = torch.stack([radius, GROWN * radius])
         ratio = radius / size
         lack = unit * (1.0 / radius - 1.0 / (_WIDE * size)) - (sharp - wide)
         lack = torch.minimum(lack.clamp(min=0.0) / (1.0 + _SOFTER * ratio**2), unit / radius)
-        a, b, c, d = _LIKE_HALF_SPACE
-        like = wide / (unit / (_WIDE * size))
-        trusted = ((like - a) / (b - a)).clamp(0.0, 1.0) * ((d - like) / (d - c)).clamp(0.0, 1.0)
+        trusted = _within(wide / (unit / (_WIDE * size)), _LIKE_HALF_SPACE) * _within(covered, _COVERED)
         last = 1.0 / (1.0 + OWN**-6)  # of the weight, at a = h: there it ends
         count = ((1.0 / (1.0 + (ratio / OWN) ** 6) - last) / (1.0 - last)).clamp(min=0.0)
         return torch.stack([8.0 / 9.0 * np.pi * radius**2 * lack / softness, trusted * count])
@@ -282,13 +282,21 @@ class MissingCompliance:
         return torch.stack(out)
 
     def _wide(self, place: torch.Tensor, normal: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
-        """The same under the pressure of Hertz about a ``place`` (k, 3) [m] of the boundary, of a ``radius`` (k,)
-        [m]."""
+        """The same under the pressure of Hertz about a ``place`` (k, 3) [m] of the boundary, of a ``radius`` (k,) [m],
+        and the part of its footprint that lies on the boundary (2, k)."""
         far = ((self._boundary - place[:, None, None]) ** 2).sum(dim=3) / radius[:, None, None] ** 2
         across = torch.as_tensor(self._normals, device=place.device) @ normal.T > _ACROSS  # (F, k)
         weight = self._area * (1.0 - far).clamp(min=0.0).sqrt() * across.T[:, :, None]
-        nodal = ((weight / weight.sum(dim=(1, 2), keepdim=True).clamp(min=1e-300)) @ self._table).flatten(1)
+        whole = weight.sum(dim=(1, 2))
+        nodal = ((weight / whole[:, None, None].clamp(min=1e-300)) @ self._table).flatten(1)
         share = torch.zeros((len(place), len(self._free) // 3), dtype=place.dtype, device=place.device)
         share.scatter_add_(1, self._faces.expand(len(place), -1), nodal)
         force = (share[:, :, None] * normal[:, None]).flatten(1).T * self._free
-        return (force * self._response.solve(force.contiguous())).sum(dim=0)
+        work = (force * self._response.solve(force.contiguous())).sum(dim=0)
+        return torch.stack([work, whole / (2.0 / 3.0 * np.pi * radius**2)])
+
+
+def _within(value: torch.Tensor, limits: tuple[float, float, float, float]) -> torch.Tensor:
+    """1 between the inner two ``limits``, 0 beyond the outer ones, linear between."""
+    a, b, c, d = limits
+    return ((value - a) / (b - a)).clamp(0.0, 1.0) * ((d - value) / (d - c)).clamp(0.0, 1.0)
