@@ -1,11 +1,18 @@
 """Shallow contact: the force of S1's ball at six places within an element, on meshes that do not know where."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+import references
 from benchmarks import shallow
+from vsfsim.core.scene import load_scene
 from vsfsim.core.shape import Box, Plane, Sphere
+from vsfsim.core.shelf import find_scene
+from vsfsim.physics import tiers
 from vsfsim.physics.contact.local_indentation import poisson_ratio
+from vsfsim.physics.model import build_model
 from vsfsim.physics.solve.frames import SolverOptions
 from vsfsim.physics.solve.touches import Solver
 
@@ -19,16 +26,137 @@ def worst(tier, resolution):
 
 
 def test_elements_of_ten_millimetres(monkeypatch):
-    """Observed 5.1, 5.9, 1.1 and 1.3 %; 37 to 70 % at 0.5 mm and 37 % at 1 mm without the local indentation. At
-    three of the six places, among which are the worst of each depth."""
+    """Observed 4.0, 3.4, 0.9 and 1.0 %; 5.1, 5.9, 1.1 and 1.3 % by the mean of places, 37 to 70 % at 0.5 mm and 37 % at
+    1 mm without any local indentation. At three of the six places, among which are the worst of each depth."""
     monkeypatch.setattr(shallow, "PLACES", shallow.PLACES[[0, 2, 3]])
-    assert (worst("fem", 0.010) < [0.10, 0.08, 0.025, 0.025]).all()
+    assert (worst("fem", 0.010) < [0.10, 0.05, 0.02, 0.02]).all()
+
+
+def test_elements_of_more_than_half_the_balls_radius():
+    """Observed 1.9, 0.8, 1.9 and 1.6 % on elements of 12.5 mm, where the contact radius is a quarter to four fifths of
+    an element; 17, 15, 3.3 and 2.1 % by the mean of places."""
+    assert (worst("fem", 0.0145) < [0.10, 0.05, 0.02, 0.02]).all()
 
 
 @pytest.mark.slow
 def test_the_mesh_of_a_press():
-    """Observed 3, 1.5, 1.3 and 1 %; 10, 4 and 1 % at the first three without the local indentation."""
+    """Observed 3.3, 1.5, 0.9 and 0.4 %; 10, 4 and 1 % at the first three without the local indentation."""
     assert (worst("fem", None) < [0.10, 0.05, 0.02, 0.02]).all()
+
+
+def pressed(model, probe, at, depths, device, *, by_place):
+    """The frames of a ball pressed into the top of a block at places ``at`` (k, 2) [m], to ``depths`` (t,) [m]."""
+    poses = np.tile(np.eye(4), (len(depths), len(at), 1, 1))
+    poses[:, :, :2, 3] = at
+    poses[:, :, 2, 3] = (model.mesh.points[:, 2].max() + probe.radius - np.asarray(depths))[:, None]
+    options = dataclasses.replace(tiers.options("fem"), indentation_by_place=by_place)
+    frames = Solver(model, probe, device=device, options=options).run(poses)
+    assert frames.converged.all()
+    return frames
+
+
+def test_an_irregular_mesh_at_random_places(device):
+    """S1 on a mesh of 12.5 mm whose vertices lie up to a fifth of a cell from a grid, at twelve places.
+
+    Observed 2.6 % at 0.5 mm and 1.7 % at 1 mm; 18 and 21 % by the mean of places.
+    """
+    scene = load_scene(find_scene("indent-homogeneous")).sample(0)
+    scene = dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=0.0145))
+    solid, modulus = tiers.body(scene, "fem")
+    rng, low, high = np.random.default_rng(1), solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+    free = (solid.vertices > low + 1e-9) & (solid.vertices < high - 1e-9)
+    moved = solid.vertices + free * rng.uniform(-0.0025, 0.0025, solid.vertices.shape)
+    model = build_model(dataclasses.replace(solid, vertices=moved), modulus, poisson_ratio=0.45, fixed="bottom",
+                        bottom_tolerance=1e-6, where="test")
+    depths, curve = np.array([0.0005, 0.001]), references.load("s1")
+    exact = np.interp(depths, curve["depth_m"], curve["force_N"])[:, None]
+    at, found = rng.uniform(-0.015, 0.015, (12, 2)), {}
+    for by_place in (True, False):
+        frames = pressed(model, scene.probe, at, depths, device, by_place=by_place)
+        found[by_place] = np.abs(frames.force[:, :, 2] / exact - 1.0).max(axis=1)
+    print("errors at 0.5 and 1 mm", found)
+    assert (found[True] < [0.05, 0.05]).all()
+    assert (found[False] > 0.1).all()
+
+
+@pytest.mark.slow
+def test_a_smaller_ball_and_other_poisson_ratios(device):
+    """A ball of 10 mm at nu = 0 and 0.3, against a mesh of 2.5 mm under the ball without a correction. The constants
+    are those of S1, which has a ball of 20 mm and nu = 0.45.
+
+    Observed, where the contact radius is 0.18 to 0.5 of an element: up to 7.3 % by the place, 39 to 50 % by the mean.
+    """
+    ball, depths = Sphere(0.010), np.array([0.0005, 0.00125, 0.0025])
+    for nu in (0.0, 0.3):
+        scene = load_scene(find_scene("indent-homogeneous")).sample(0)
+
+        def made(resolution, scene=scene, nu=nu, **more):
+            spec = dataclasses.replace(scene.object, resolution=resolution, poisson_ratio=nu)
+            return tiers.build(dataclasses.replace(scene, object=spec, probe=ball), "fem", **more)
+
+        fine = made(0.0025, focus=np.array([[0.0, 0.0, 0.045]]))
+        exact = pressed(fine, ball, [(0.0, 0.0)], depths, device, by_place=False).force[:, :, 2]
+        for resolution, edge in ((0.010, 0.010), (0.0145, 0.0125)):
+            coarse, errors = made(resolution), {}
+            for by_place in (True, False):
+                found = pressed(coarse, ball, edge * shallow.PLACES, depths, device, by_place=by_place).force[:, :, 2]
+                errors[by_place] = np.abs(found / exact - 1.0).max()
+            print(f"nu {nu}, elements of {1e3 * edge} mm: {errors}")
+            assert errors[True] < 0.1
+            assert errors[False] > 0.2
+
+
+def test_the_energy_of_a_shallow_press_is_its_work(device):
+    """Observed on elements of 12.5 mm: within 10 % from 0.5 mm on, where half of the energy is that of the local
+    indentation, 4.3 % from 1.5 mm on and 2 % from 2.5 mm on."""
+    scene = load_scene(find_scene("indent-homogeneous")).sample(0)
+    model = tiers.build(dataclasses.replace(scene, object=dataclasses.replace(scene.object, resolution=0.0145)), "fem")
+    depths = np.geomspace(1e-4, 5e-3, 28)
+    frames = pressed(model, scene.probe, 0.0125 * shallow.PLACES[:4], depths, device, by_place=True)
+    force = frames.force[:, :, 2]
+    # a power law between two depths; that of Hertz before the first
+    power = np.log(force[1:] / force[:-1]) / np.log(depths[1:] / depths[:-1])[:, None]
+    parts = np.diff(force * depths[:, None], axis=0) / (power + 1.0)
+    work = np.concatenate([0.4 * force[:1] * depths[0], 0.4 * force[:1] * depths[0] + np.cumsum(parts, axis=0)])
+    error = np.abs(frames.energy / work - 1.0).max(axis=1)
+    print("energy over work", dict(zip(np.round(1e3 * depths, 2), np.round(error, 3), strict=True)))
+    assert (error[depths > 0.0004] < 0.14).all()
+    assert (error[depths > 0.0014] < 0.08).all()
+    assert (error[depths > 0.0024] < 0.03).all()
+
+
+def test_a_plate_and_a_rim_are_no_half_space(block, device):
+    """Where a wall bends or a rim is near, the object's compliance does not say what the mesh lacks: the mean of places
+    is taken. Three millimetres from a rim the place alone would give 40 to 54 % too much force at 0.5 mm."""
+    probe = Sphere(0.02)
+    for height, x, trusted in ((0.05, 0.05, True), (0.005, 0.05, False), (0.05, 0.097, False)):
+        thin = height < 0.01
+        model = block((0.1, 0.1, height), 0.0125, poisson_ratio=0.3, fixed=[-0.001, -0.001, -0.001, 0.013, 0.101, 0.051]
+                      if thin else "bottom",
+                      ticks=[np.linspace(0.0, s, n) for s, n in ((0.1, 9), (0.1, 9), (height, 2 if thin else 5))])
+        poses = np.eye(4)[None, None, None].copy()
+        poses[0, 0, 0, :3, 3] = x, 0.05, height + 0.02 - 0.0005
+        contact, _ = Solver(model, probe, device=device, options=tiers.options("fem"))._make_contact(poses)
+        contact.move(poses[0])
+        local = contact._local_indentation
+        _, weight = local._missing.under(local._reach.nearest(poses[:1], local._points, body=0).T)
+        assert (float(weight[0, 0]) > 0.5) == trusted
+
+
+@pytest.mark.slow
+def test_near_a_rim(device):
+    """A ball 3, 8 and 15 mm from a rim on elements of 12.5 mm, against a mesh of 2.5 mm there: within 8.3 % at 0.5 mm
+    and 9.4 % at 1 mm; by the mean of places 10 and 13 %."""
+    scene, depths = load_scene(find_scene("indent-homogeneous")).sample(0), np.array([0.0005, 0.001])
+
+    def force(resolution, x, *, by_place=True, **more):
+        spec = dataclasses.replace(scene.object, resolution=resolution)
+        model = tiers.build(dataclasses.replace(scene, object=spec), "fem", **more)
+        return pressed(model, scene.probe, [(x, 0.003)], depths, device, by_place=by_place).force[:, 0, 2]
+
+    for x in (0.047, 0.042, 0.035):
+        exact = force(0.0025, x, by_place=False, focus=np.array([[x, 0.003, 0.05]]))
+        assert force(0.0145, x) == pytest.approx(exact, rel=0.12)
 
 
 @pytest.mark.parametrize("nu", [0.0, 0.3, 0.49])

@@ -45,6 +45,8 @@ class Tier:
     third fewer back-solves for the same force. Off where datasets have been released: their bits would change."""
     local_indentation: bool = False
     """See `SolverOptions`."""
+    indentation_by_place: bool = False
+    """See `SolverOptions`. Off where datasets have been released: their bits would change."""
 
 
 TIERS: dict[str, Tier] = {
@@ -52,9 +54,10 @@ TIERS: dict[str, Tier] = {
     "spring": Tier(spring_network, True, 1 / 8, 1 / 2, 0.017, 1e-3),
     "linear": Tier(tetrahedra, False, 1 / 8, 1 / 2, 0.017, 1e-4, local_indentation=True),
     "fem-coarse": Tier(tetrahedra, True, 1 / 8, 1 / 2, 0.017, 1e-3, local_indentation=True),
-    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True),
-    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True,
-                     local_indentation=True),
+    "fem": Tier(tetrahedra, True, 1 / 13, 1 / 3, 0.014, 5e-4, plain=True, local_indentation=True,
+                indentation_by_place=True),
+    "fem-fine": Tier(tetrahedra, True, 1 / 16, 1 / 4.5, 0.011, 1e-4, plain=True, local_indentation=True,
+                     indentation_by_place=True),
 }
 FOOT = 0.05
 """Part of a scan's height that is held in place of a flat base, which it has none of [-]. A ball of 80 mm then stands
@@ -149,6 +152,7 @@ def options(tier: str) -> SolverOptions:
     """Solver limits of a tier."""
     own = TIERS[tier]
     return SolverOptions(tolerance=own.tolerance, cg_plain=own.plain, local_indentation=own.local_indentation,
+                         indentation_by_place=own.indentation_by_place,
                          cg_tolerance=0.03 if own.plain else SolverOptions.cg_tolerance)
 
 

@@ -60,6 +60,8 @@ class Intrusion:
         device: Warp device.
         coupled: whether the object's inner points go with its boundary. The tier `vsf` has columns under its boundary
             and no state of what lies inside them: there only the boundary and points of the bodies are looked at.
+        sinks: how deep bodies sink in locally by `local_indentation`, over the element size [-]. The elements do not
+            show it, so that bodies may lie so much deeper inside.
     """
 
     tolerance: float
@@ -70,11 +72,11 @@ class Intrusion:
     """Penetration of a face above which it gets more contact points [m]."""
 
     def __init__(self, mesh: QuadraticMesh, bodies: RigidBodies, size: float, *, device: str,
-                 coupled: bool = True):
+                 coupled: bool = True, sinks: float = 0.0):
         self.device, self.kernels, self._coupled = device, kernels(), coupled
         k = self.kernels
         small = min(inner_radius(s) for s in bodies.shapes)
-        self.tolerance = min(DEEP * size, _SMALL * small)
+        self.tolerance = min((DEEP + sinks) * size, _SMALL * small)
         self.lost = LOST * self.tolerance
         sharp = any(has_edges(s) for s in bodies.shapes)
         self.fine = (_FINE_SHARP if sharp else FINE) / DEEP * self.tolerance

@@ -12,18 +12,24 @@ C is fitted once, to the compliance that a mesh of S1's block lacks against a fi
 radius of the rigid geometry, (area of the rest surface inside the body / 2 pi)^(1/2), which is (R d)^(1/2) for a ball
 of radius R at a depth d (Hertz). It depends on the pose alone, so that a frame has a potential and unloading retraces
 loading. Past `SATURATED` of an element the contact is as stiff as elsewhere: there the mesh resolves it.
+
+This is the mean of places in an element. Where the contact is much smaller than the element its place decides, and
+what is missing is taken from the object itself (``by_place``), see `MissingCompliance`.
 """
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 import warp as wp
 
-from vsfsim.physics.contact.patch import PENALTY, WEIGHTS, Patch, smooth_radius
+from vsfsim.core.shape import ProbeShape
+from vsfsim.physics.contact.patch import PENALTY, POINTS, WEIGHTS, Patch, shape_values, smooth_radius
 from vsfsim.physics.contact.reach import Reach
+from vsfsim.physics.linear.rest_factor import Response
 from vsfsim.physics.model import Model
 
 FITTED = 0.044
@@ -35,8 +41,23 @@ MOST = 0.12
 """Largest compliance times E / h [-]: a load on a spot much smaller than an element sinks in by p a / E* alone."""
 SATURATED = 0.022
 """Local indentation, over the element size, that is not exceeded [-]."""
+RESOLVED_BY_PLACE, SATURATED_BY_PLACE = 0.7, 0.06
+"""The same where the compliance is that of the place of the touch."""
+OWN = 0.5
+"""a / h up to which the place decides, and its own compliance counts more than the mean of places [-]."""
+
+GROWN = 1.1
+"""Factor on the contact radius by which the compliance is differentiated for its energy [-]."""
 
 _SMALL = 0.1  # the same over the radius of the smallest round body
+_FOOT = 0.2  # least radius of a footprint over the element size: a mesh feels no difference to a smaller one
+_WIDE = 2.0  # radius, over the element size, of a footprint under which a mesh lacks nothing
+_SOFTER = 0.8  # how much less than under the pressure of Hertz a mesh lacks, over (a / h)^2
+# wide compliance over that of the half-space, and the part of the wide footprint that lies on the object, from and to
+# which the place counts: ramps between the first two and the last two
+_LIKE_HALF_SPACE, _COVERED = (0.25, 0.4, 1.6, 2.5), (0.6, 0.75, 1.2, 1.4)
+_ACROSS = 0.5  # least cosine between a face's normal and that of the contact
+_CHUNK = 16  # touches whose wide footprints are made at once
 
 
 def poisson_ratio(model: Model) -> float | None:
@@ -59,14 +80,15 @@ class LocalIndentation:
         reach: distances to the rigid bodies (K).
         points: contact points at rest (B, 6 f, 3) [m].
         on: whether there is any such compliance.
+        missing: what the object lacks where it is touched; None for the mean of places.
     """
 
     def __init__(self, model: Model, patches: Sequence[Patch], area: np.ndarray, reach: Reach, points: torch.Tensor,
-                 *, on: bool):
+                 *, on: bool, missing: MissingCompliance | None = None):
         nu, radii = poisson_ratio(model), [smooth_radius(s) for s in reach.bodies.shapes]
         self._round = [0.0 < r < np.inf for r in radii]
         self._on = on and nu is not None and any(self._round)
-        self._reach, self._factor = reach, FITTED * (1.0 - (nu or 0.0) ** 2)
+        self._reach, self._factor, self._missing = reach, FITTED * (1.0 - (nu or 0.0) ** 2), missing
         self._points = points.transpose(0, 1).contiguous()
         cover, edge = np.zeros((len(patches), points.shape[1] // 6, 6)), np.zeros((len(patches), points.shape[1] // 6))
         for b, p in enumerate(patches):
@@ -76,51 +98,74 @@ class LocalIndentation:
         self._cover = torch.as_tensor(cover, device=points.device).flatten(1)  # area of each point
         self._edge = torch.as_tensor(edge, device=points.device)
         self._share = torch.ones(cover.shape, dtype=torch.float64, device=points.device)
-        soft = np.minimum(SATURATED * edge, _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0))
-        self._soft = torch.as_tensor(soft, device=points.device)
-        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor] | None = None
+        self._deepest = _SMALL * min((r for r in radii if 0.0 < r < np.inf), default=0.0)
+        self._soft = (SATURATED * self._edge).clamp(max=self._deepest)
+        self._work: torch.Tensor | None = None  # done on it over its energy, of each point; None for 2/3
+        self._own: tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor] | None = None
         self.arrays = (wp.from_torch(self._share), wp.from_torch(self._soft))
+        if missing is not None:
+            missing.see(patches, self._cover, self._edge, points)
 
     def set_parts(self, at: tuple[np.ndarray, np.ndarray], share: np.ndarray, soft: np.ndarray) -> None:
         """Give some parts, ``at`` (touches, parts), a law of their own: the ``share`` of their stiffness (n,) [-] that
         acts down to the depth ``soft`` (n,) [m], see `body_points`."""
         where = tuple(torch.as_tensor(a, device=self._share.device) for a in at)
-        self._own = where, torch.as_tensor(share, device=self._share.device)[:, None]
-        self._share[where] = self._own[1]
-        self._soft[where] = torch.as_tensor(soft, device=self._share.device)
+        share_of, soft_of = (torch.as_tensor(a, device=self._share.device) for a in (share, soft))
+        self._own = where, share_of[:, None], soft_of
+        self._share[where], self._soft[where] = self._own[1:]
 
     def move(self, pose: np.ndarray) -> None:
         """Set the compliance for the bodies at poses (B, K, 4, 4)."""
         if not self._on:
             return
         least, radius = torch.full_like(self._cover.T, torch.inf), torch.full_like(self._cover.T, torch.inf)
+        own_place = self._cover.new_zeros((2, 2, *self._cover.shape))  # compliance and weight, at two radii
         for k, is_round in enumerate(self._round):
             gap = self._reach.nearest(pose[None], self._points, body=k)
+            nearer = gap < least
             inside = (self._cover.T * (gap < 0.0)).sum(dim=0)
             own = (inside / (2.0 * np.pi)).sqrt() if is_round else torch.full_like(inside, torch.inf)
-            radius = torch.where(gap < least, own, radius)
+            radius = torch.where(nearer, own, radius)
+            if self._missing is not None:
+                of_body = self._missing.under(gap.T) if is_round else own_place.new_zeros((2, 2, len(self._cover)))
+                own_place = torch.where(nearer.T, of_body[..., None], own_place)
             least = torch.minimum(gap, least)
         # c E / h; a padded face has no edge and no stiffness
-        radius = radius.T.reshape(self._share.shape).clamp(min=1e-12)
-        wide = radius / self._edge[:, :, None].clamp(min=1e-12)
-        compliance = (self._factor / wide / (1.0 + RESOLVED * wide**3)).clamp(max=MOST)
+        radius, edge = radius.T.reshape(self._share.shape).clamp(min=1e-12), self._edge[:, :, None].clamp(min=1e-12)
+        compliance = self._mean(radius / edge)
+        if self._missing is not None:
+            found, weight = own_place.view(2, 2, *self._share.shape)
+            mean = torch.stack([compliance, self._mean(GROWN * radius / edge)])
+            compliance, larger = mean + weight * (found / edge - mean)
+            power = ((larger / compliance.clamp(min=1e-9)).clamp(min=1e-9).log() / np.log(GROWN)).clamp(-1.0, 2.0)
+            deep = SATURATED + (SATURATED_BY_PLACE - SATURATED) * weight[0].amax(dim=2)
+            self._soft.copy_((deep * self._edge).clamp(max=self._deepest))
+            self._work = torch.where(compliance > 1e-9, (4.0 + 2.0 * power) / (4.0 + power), 1.0)
         # w_q = PENALTY E area / (h / sqrt(2)), in series with area / c
         self._share.copy_(1.0 / (1.0 + np.sqrt(2.0) * PENALTY * compliance))
         if self._own is not None:
-            self._share[self._own[0]] = self._own[1]
+            self._share[self._own[0]], self._soft[self._own[0]] = self._own[1:]
+
+    def _mean(self, wide: torch.Tensor) -> torch.Tensor:
+        """The compliance times E / h, the mean of places, where the contact radius over h is ``wide``."""
+        resolved = RESOLVED if self._missing is None else RESOLVED_BY_PLACE
+        return (self._factor / wide / (1.0 + resolved * wide**3)).clamp(max=MOST)
 
     def energy(self, gap: torch.Tensor, stiffness: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """Elastic energy of the local indentation of the touches ``columns`` (k,) [J], from the gaps (k, 6 f) [m] and
         the stiffness without it (k, f, 6) [N/m] of their points.
 
         In a press the compliance falls as d^(-1/2) while the energy at fixed compliance rises as d^(3/2), so that 2/3
-        of the latter is the work that was done on it. Parts with a law of their own are not counted.
+        of the latter is the work that was done on it. Where the compliance is that of the place and goes as a^n, that
+        is (4 + 2 n) / (4 + n); where it falls faster than as 1 / a the mesh takes over, and 2/3 stay. Parts with a law
+        of their own are not counted.
         """
         share, soft = self._share[columns], self._soft[columns][:, :, None]
         depth = torch.minimum((-gap).clamp(min=0.0).view_as(share), soft)
         force = share * stiffness * depth
         round_ = (self._edge[columns] > 0.0)[:, :, None]
-        return 2.0 / 3.0 * (0.5 * force * depth * (1.0 - share) * round_).flatten(1).sum(dim=1)
+        work = 2.0 / 3.0 if self._work is None else self._work[columns]
+        return (work * (0.5 * force * depth * (1.0 - share) * round_)).flatten(1).sum(dim=1)
 
     def resolution(self, touching: torch.Tensor, columns: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """How well the contact of the touches ``columns`` (k,) is resolved, from the points that touch (k, 6 f) bool:
@@ -130,3 +175,128 @@ class LocalIndentation:
         edge = (area.view(*area.shape[:1], -1, 6).sum(dim=2) * self._edge[columns]).sum(dim=1)
         # edge is the sum of area x edge: sqrt(A / pi) / (edge / A)
         return touching.sum(dim=1), whole.sqrt() * whole / (np.sqrt(np.pi) * edge.clamp(min=1e-300))
+
+
+class MissingCompliance:
+    """What the mesh of an object lacks under a small contact, by its own compliance at rest.
+
+    Under the pressure of Hertz with unit resultant and radius a, the mean indentation of a half-space, weighted by the
+    pressure, is 0.6 / (E* a), see Johnson, Contact Mechanics (1985), section 4.2: 2/5 F d is the work of a press to
+    the force F. The displacements of the elements give k(a) = n . K^-1 n instead, n being the nodal forces of that
+    pressure. Both lack or have the same of the rest of the body, which a wide footprint of radius R0 = 2 h shows, so
+
+        lack = (0.6 / E*) (1 / a - 1 / R0) - (k(a) - k(R0))
+
+    is missing, and a compliance c = (8 pi / 9) a^2 lack of the contact points has the energy of it. From a = h / 2 on
+    the pressure on a mesh is no longer that of Hertz and the place matters less than it says; there the mean of places
+    takes over. It does, too, where the object is no half-space there: where k(R0) is far from its value, as in a wall
+    that bends or is as thin as an element, or where a rim cuts the wide footprint.
+
+    Args:
+        model: the object, of quadratic tetrahedra.
+        response: of the body at rest to forces.
+        compliance: of the patches of the touches (B, 3 s, 3 s) [m/N].
+        values: shape values of the contact points at the nodes of the patches (B, 6 f, s).
+    """
+
+    @staticmethod
+    def serves(model: Model, shapes: Sequence[ProbeShape]) -> bool:
+        """Whether an object of these elements lacks anything under bodies of these ``shapes``."""
+        return poisson_ratio(model) is not None and any(0.0 < smooth_radius(s) < np.inf for s in shapes)
+
+    def __init__(self, model: Model, response: Response, compliance: torch.Tensor, values: torch.Tensor):
+        self._response, self._compliance, self._values = response, compliance, values
+        tensor = functools.partial(torch.as_tensor, device=values.device)
+        self._nu, mesh = poisson_ratio(model) or 0.0, model.mesh
+        a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
+        self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
+        self._normals = across / np.linalg.norm(across, axis=1)[:, None]
+        table = shape_values(POINTS)
+        self._boundary = tensor(np.einsum("qa,fac->fqc", table, mesh.points[mesh.faces]))  # (F, 6, 3)
+        self._area, self._table = tensor(mesh.face_area()[:, None] * WEIGHTS), tensor(table)
+        self._faces, self._free = tensor(mesh.faces.astype(np.int64)).flatten(), tensor(model.free)[:, None]
+
+    def see(self, patches: Sequence[Patch], cover: torch.Tensor, edge: torch.Tensor, points: torch.Tensor) -> None:
+        """Take the ``patches`` of the touches (B): area (B, 6 f) [m^2] and rest places (B, 6 f, 3) [m] of their points,
+        and the edge (B, f) [m] of the elements of their parts, 0 at padding."""
+        normal, modulus = np.zeros((*edge.shape, 3)), np.ones(edge.shape)
+        for b, p in enumerate(patches):
+            normal[b, :len(p.part)] = np.repeat(self._normals[p.faces], p.cuts**2, axis=0)
+            modulus[b, :len(p.part)] = np.repeat(self._of_face[p.faces], p.cuts**2)
+        self._cover, self._places = cover, points
+        self._edge, self._normal, self._modulus = (
+            torch.as_tensor(t, device=edge.device).repeat_interleave(6, dim=1) for t in (edge, normal, modulus))
+
+    def under(self, gap: torch.Tensor) -> torch.Tensor:
+        """The compliance c E [m] of each touch under a round body whose distances from the contact points at rest are
+        ``gap`` (B, 6 f) [m], and how much it counts against the mean of places [-], both at the radius of the contact
+        and at one that is larger by `GROWN` (2, 2, B)."""
+        out = gap.new_zeros((2, 2, len(gap)))
+        gap = torch.where(self._cover > 0.0, gap, torch.inf)
+        depth = -gap.amin(dim=1)
+        # the mean of the depth over the area inside, whose radius is 2^(1/2) a, is half the largest
+        radius = ((self._cover * (-gap).clamp(min=0.0)).sum(dim=1) / (np.pi * depth.clamp(min=1e-300))).sqrt()
+        size = self._edge.gather(1, gap.argmin(dim=1, keepdim=True))[:, 0]
+        at = ((depth > 0.0) & (radius > 0.0) & (radius < size)).nonzero()[:, 0]
+        if len(at):
+            out[:, :, at] = self._of(at, gap[at], depth[at], radius[at], size[at])
+        return out
+
+    def _of(self, at: torch.Tensor, gap: torch.Tensor, depth: torch.Tensor, radius: torch.Tensor,
+            size: torch.Tensor) -> torch.Tensor:
+        weight, *more = (self._pressure(at, gap, depth, radius, torch.maximum(larger * radius, _FOOT * size))
+                         for larger in (1.0, GROWN))
+        softness, size = ((weight * t[at]).sum(dim=1) for t in (1.0 / self._modulus, self._edge))
+        place = (weight[:, :, None] * self._places[at]).sum(dim=1)
+        normal = torch.nn.functional.normalize((weight[:, :, None] * self._normal[at]).sum(dim=1), dim=1)
+        sharp = torch.stack([self._sharp(at, w, normal) for w in (weight, *more)])
+        wide, covered = torch.cat([self._wide(*some) for some in zip(
+            place.split(_CHUNK), normal.split(_CHUNK), (_WIDE * size).split(_CHUNK), strict=True)], dim=1)
+        unit = 0.6 * (1.0 - self._nu**2) * softness
+        radius = torch.stack([radius, GROWN * radius])
+        ratio = radius / size
+        lack = unit * (1.0 / radius - 1.0 / (_WIDE * size)) - (sharp - wide)
+        lack = torch.minimum(lack.clamp(min=0.0) / (1.0 + _SOFTER * ratio**2), unit / radius)
+        trusted = _within(wide / (unit / (_WIDE * size)), _LIKE_HALF_SPACE) * _within(covered, _COVERED)
+        last = 1.0 / (1.0 + OWN**-6)  # of the weight, at a = h: there it ends
+        count = ((1.0 / (1.0 + (ratio / OWN) ** 6) - last) / (1.0 - last)).clamp(min=0.0)
+        return torch.stack([8.0 / 9.0 * np.pi * radius**2 * lack / softness, trusted * count])
+
+    def _pressure(self, at: torch.Tensor, gap: torch.Tensor, depth: torch.Tensor, radius: torch.Tensor,
+                  foot: torch.Tensor) -> torch.Tensor:
+        """Share of each contact point (k, 6 f) in the force of the pressure of Hertz over a radius ``foot`` (k,)."""
+        inside = 1.0 - 2.0 * (gap + depth[:, None]) / (depth * (foot / radius) ** 2)[:, None]  # 1 - (r / foot)^2
+        weight = self._cover[at] * inside.clamp(min=0.0).sqrt()
+        return weight / weight.sum(dim=1, keepdim=True)
+
+    def _sharp(self, at: torch.Tensor, weight: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        """Work [m/N] of the touches ``at`` (k,) under forces along ``normal`` (k, 3), which its contact points share by
+        their ``weight`` (k, 6 f), twice it."""
+        out = []
+        for b, share, n in zip(at.tolist(), weight, normal, strict=True):
+            nodes = share @ self._values[b]
+            some = nodes.nonzero()[:, 0]
+            force = (nodes[some, None] * n).flatten()
+            dof = (3 * some[:, None] + torch.arange(3, device=some.device)).flatten()
+            out.append(force @ self._compliance[b][dof[:, None], dof] @ force)
+        return torch.stack(out)
+
+    def _wide(self, place: torch.Tensor, normal: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
+        """The same under the pressure of Hertz about a ``place`` (k, 3) [m] of the boundary, of a ``radius`` (k,) [m],
+        and the part of its footprint that lies on the boundary (2, k)."""
+        far = ((self._boundary - place[:, None, None]) ** 2).sum(dim=3) / radius[:, None, None] ** 2
+        across = torch.as_tensor(self._normals, device=place.device) @ normal.T > _ACROSS  # (F, k)
+        weight = self._area * (1.0 - far).clamp(min=0.0).sqrt() * across.T[:, :, None]
+        whole = weight.sum(dim=(1, 2))
+        nodal = ((weight / whole[:, None, None].clamp(min=1e-300)) @ self._table).flatten(1)
+        share = torch.zeros((len(place), len(self._free) // 3), dtype=place.dtype, device=place.device)
+        share.scatter_add_(1, self._faces.expand(len(place), -1), nodal)
+        force = (share[:, :, None] * normal[:, None]).flatten(1).T * self._free
+        work = (force * self._response.solve(force.contiguous())).sum(dim=0)
+        return torch.stack([work, whole / (2.0 / 3.0 * np.pi * radius**2)])
+
+
+def _within(value: torch.Tensor, limits: tuple[float, float, float, float]) -> torch.Tensor:
+    """1 between the inner two ``limits``, 0 beyond the outer ones, linear between."""
+    a, b, c, d = limits
+    return ((value - a) / (b - a)).clamp(0.0, 1.0) * ((d - value) / (d - c)).clamp(0.0, 1.0)

@@ -78,7 +78,7 @@ def shape_tables(corners: int, cuts: Sequence[int]) -> tuple[np.ndarray, dict[in
     return np.concatenate(tables), {c: int(s) for c, s in zip(cuts, starts, strict=False)}
 
 
-def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False) -> np.ndarray:
+def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False, by_place: bool = False) -> np.ndarray:
     """Parts along the edge of quadratic faces (f,) that a body of this ``radius`` [m] needs.
 
     The six points of a part leave holes of radius 0.25 edge / cuts. Over such a hole a ball of radius R is (0.25 edge /
@@ -90,12 +90,14 @@ def solid_cuts(radius: float, edge: np.ndarray, *, local: bool = False) -> np.nd
         radius: of the body; 0 where it has edges, infinite for a plane.
         edge: of the faces (f,) [m].
         local: whether the contact is to be right where it is small against the faces, too.
+        by_place: whether its footprint is looked at there, which takes about ten points, see `MissingCompliance`.
     """
     if not np.isfinite(radius):
         return np.ones(len(edge), int)
     if radius <= 0.0:
         return np.full(len(edge), _SHARP)
-    wanted = np.minimum(np.sqrt((2.2 if local else 1.6) * edge / radius), _A_PRIORI)
+    wanted = 4.0 * edge / radius if by_place else np.sqrt((2.2 if local else 1.6) * edge / radius)
+    wanted = np.minimum(wanted, _A_PRIORI)
     return np.array(CUTS)[np.searchsorted(CUTS, wanted - 1e-9)]
 
 

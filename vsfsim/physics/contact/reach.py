@@ -24,11 +24,13 @@ class Reach:
         kernels: of `rigid_kernels`.
         device: Warp device.
         local: whether round bodies sink in locally, see `local_indentation`: their contact is small.
+        by_place: whether by what the object lacks where it is touched.
     """
 
     def __init__(self, model: Model, bodies: RigidBodies, uploaded: Any, kernels: Any, device: str, *,
-                 local: bool = False):
-        self.model, self.bodies, self.device, self._local = model, bodies, device, local
+                 local: bool = False, by_place: bool = False):
+        self.model, self.bodies, self.device = model, bodies, device
+        self._local = {"local": local, "by_place": by_place}
         self._set, self._kernels = uploaded, kernels
         self._surface = torch.as_tensor(model.mesh.surface_nodes(), device=device)
         self._faces = torch.as_tensor(model.mesh.faces.astype(np.int64), device=device)
@@ -71,7 +73,7 @@ class Reach:
                 radius = smooth_radius(shape)
                 if radius == 0.0 and not has_edges(shape):
                     radius = np.inf  # the mesh of a smooth body: faces are cut where it is found between the points
-                wanted = solid_cuts(radius, edge, local=self._local)
+                wanted = solid_cuts(radius, edge, **self._local)
                 out = np.maximum(out, np.where(self._reachable(gap).cpu().numpy(), wanted, 1))
         return first, reachable, out
 

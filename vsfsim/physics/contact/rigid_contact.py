@@ -19,7 +19,7 @@ from vsfsim.physics.contact.face_sums import FaceSums, at_points, nodal_sums
 from vsfsim.physics.contact.friction import Relaxation
 from vsfsim.physics.contact.growth import grow, restore
 from vsfsim.physics.contact.intrusion import Intrusion
-from vsfsim.physics.contact.local_indentation import LocalIndentation
+from vsfsim.physics.contact.local_indentation import SATURATED_BY_PLACE, LocalIndentation, MissingCompliance
 from vsfsim.physics.contact.patch import CUTS, Patch, make_patch, shape_grid, shape_tables, sheet_contact
 from vsfsim.physics.contact.reach import Reach
 from vsfsim.physics.contact.sheet_intrusion import SheetIntrusion
@@ -37,7 +37,7 @@ class RigidContact:
         friction: Coulomb's coefficient of each body with the object (K,) [-].
         poses: all poses to come, bodies to world (T, B, K, 4, 4): they tell what is in reach.
         device: Warp device.
-        local: whether round bodies sink in locally, see `local_indentation`.
+        local: whether round bodies sink in locally, see `local_indentation`; ``by_place``: where they touch.
         exact: whether the object's response to contact forces is float64, see `rest_factor.response`.
     """
 
@@ -67,24 +67,25 @@ class RigidContact:
     """Share of the stick stiffness at which friction is linearised at the force `held` (B,) [-]; 1: at its own."""
 
     def __init__(self, model: Model, bodies: RigidBodies, friction: np.ndarray, poses: np.ndarray, *, device: str,
-                 exact: bool = True, local: bool = False):
+                 exact: bool = True, local: bool = False, by_place: bool = False):
         self.model, self.bodies, self.device, self._exact, self._sinks = model, bodies, device, exact, local
-        self.kernels = rigid_kernels.kernels()
-        self.has_friction, self.batch = bool((friction > 0.0).any()), poses.shape[1]
+        self._by_place = local and by_place and MissingCompliance.serves(model, bodies.shapes)
+        self.kernels, self.batch = rigid_kernels.kernels(), poses.shape[1]
+        self.has_friction = bool((friction > 0.0).any())
         self._coefficient = wp.array(friction, dtype=wp.float64, device=device)
         self._set = bodies.upload(self.kernels.sdf, device)
-        corners = model.mesh.faces.shape[1]
-        self._solid = corners == 6
+        self._solid = (corners := model.mesh.faces.shape[1]) == 6
         cuts, self._factor, self._onset = (1, 1.0, 0.0) if self._solid else sheet_contact(bodies, model.element_size)
         self._parts = cuts**2  # of a linear face; those of a quadratic one differ
         self._table, self._rows_of = shape_tables(corners, CUTS if self._solid else (cuts,))
         # penetration is measured on a grid over every linear face; on a quadratic one, `intrusion` measures it
         self._fine = torch.as_tensor(np.zeros((0, 6)) if self._solid else shape_grid(3 * cuts), device=device)
-        check = functools.partial(Intrusion, coupled=model.coupled) if self._solid else SheetIntrusion
+        sinks = SATURATED_BY_PLACE * self._by_place
+        check = functools.partial(Intrusion, coupled=model.coupled, sinks=sinks) if self._solid else SheetIntrusion
         self._passage = check(model.mesh, bodies, model.element_size, device=device)
         self._body_points = BodyPoints(model, bodies, poses.shape[1], device=device)
         self._overlap = torch.zeros((2, poses.shape[1]), dtype=torch.float64, device=device)
-        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local)
+        self._reach = Reach(model, bodies, self._set, self.kernels, device, local=local, by_place=self._by_place)
         self.first_gap, reachable, self._cuts = self._reach.plan(poses, cuts)
         self._area = model.mesh.face_area()
         self.patches = [self._patch(b, np.flatnonzero(within)) for b, within in enumerate(reachable)]
@@ -125,10 +126,9 @@ class RigidContact:
         else:
             self._sums = FaceSums(self._table, self.patches, faces // self._parts, nodes, device=self.device)
         self._shape = wp.array(padded.table, dtype=wp.float64, device=self.device)
-        self._of_body = tensor(padded.host >= 0)
         self._hosts = [wp.array(a, dtype=d, device=self.device) for a, d in padded.hosts(k.vec3)]
-        self._member, self._part = tensor(padded.member), wp.array(part, dtype=wp.int32, device=self.device)
-        self._local = wp.array(local, dtype=wp.int32, device=self.device)
+        self._part, self._local = (wp.array(a, dtype=wp.int32, device=self.device) for a in (part, local))
+        self._member, self._of_body = tensor(padded.member), tensor(padded.host >= 0)
         self._stiffness = wp.array(padded.stiffness, dtype=wp.float64, device=self.device)
         size = (batch, 6 * faces)
         self.gap, self._energy = zeros(size) + 1e30, zeros(batch, faces)
@@ -141,11 +141,7 @@ class RigidContact:
         self._anchor, self._across, self.limit = zeros(*size, 3), zeros(*size, 3), zeros(size)
         self._owner = torch.full(size, -1, dtype=torch.int32, device=self.device)
         self._friction = self._anchor, self._owner, self.limit, self._across
-        cut = (batch, faces, 6)
-        self._relaxation = Relaxation(cut, self.device)
-        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach,
-                                                   self._places(self.rest.view(batch, nodes, 3)), on=self._sinks)
-        self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
+        self._relaxation = Relaxation(cut := (batch, faces, 6), self.device)
         self._arrays = rigid_kernels.views(
             cut, {"gap": self.gap, "body": self.body, "slips": self.slips, "limit": self.limit, "owner": self._owner},
             {"normal": self.normal, "force": self.force, "anchor": self._anchor, "across": self._across, "held":
@@ -158,6 +154,10 @@ class RigidContact:
             self.response: Response = response(self.model.factor if self._exact else self.model.predictor(self.device),
                                                self.dof, device=self.device, exact=self._exact)
             self.compliance = self.response.compliance()
+        missing = self._by_place and MissingCompliance(self.model, self.response, self.compliance, self._points)
+        self._local_indentation = LocalIndentation(self.model, self.patches, self._area, self._reach, self._places(
+            self.rest.view(batch, nodes, 3)), on=self._sinks, missing=missing or None)
+        self._local_indentation.set_parts(np.nonzero(padded.host >= 0), padded.share, padded.soft)
 
     def _places(self, x: torch.Tensor) -> torch.Tensor:
         """Vectors at the nodes of the patches (B, s, 3) interpolated to the Gauss points (B, 6 f, 3)."""

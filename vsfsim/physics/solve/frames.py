@@ -58,6 +58,8 @@ class SolverOptions:
     local_indentation: bool = False
     """Whether the indentation under balls and capsules that the mesh is too coarse for is a compliance of the contact
     points, see `contact.local_indentation`."""
+    indentation_by_place: bool = False
+    """Whether that is what the object's mesh lacks at the place of the touch, not the mean of places in an element."""
     cg_frame: int = 1500
     """Conjugate-gradient iterations of one touch in one frame, halved steps included; a touch that needs more is
     marked."""
@@ -67,6 +69,11 @@ class SolverOptions:
     """How often a failed step is halved."""
     seconds: float = 120.0
     """Wall-clock limit of one frame of the batch [s]."""
+
+    @property
+    def indentation(self) -> dict[str, bool]:
+        """What contact with rigid bodies takes of these."""
+        return {"local": self.local_indentation, "by_place": self.indentation_by_place}
 
 
 OF_AN_EQUILIBRIUM = ("force", "body_force", "body_moment", "reaction", "energy")

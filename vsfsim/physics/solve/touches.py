@@ -164,7 +164,7 @@ class Solver:
     def _make_contact(self, poses: np.ndarray) -> tuple[Contact, np.ndarray]:
         """The contact of this run and the poses (B, K, 4, 4) that it comes in from."""
         make = functools.partial(RigidContact, self.model, self.bodies, self.friction, device=self.device,
-                                 exact=self.linear, local=self.options.local_indentation)
+                                 exact=self.linear, **self.options.indentation)
         contact, self._stride = make(poses=poses), path.stride(self.bodies, path.mean_thickness(self.model))
         first = path.outside(self.bodies, self.model, poses[0], contact.first_gap)
         if not np.array_equal(first, poses[0]):  # what they reach on their way in
