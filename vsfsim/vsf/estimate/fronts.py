@@ -123,7 +123,7 @@ class Factor:
     parts: tuple[tuple[np.ndarray, np.ndarray], ...]
     """Of each front the factor of its own unknowns (e, e) and the rows below it (u, e)."""
     log_det: float
-    """Logarithm of the matrix's determinant."""
+    """Logarithm of the matrix's determinant [-]."""
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The solutions (k, c) for ``right`` (k, c)."""
