@@ -211,6 +211,7 @@ class MissingCompliance:
         a, b, c = (mesh.points[mesh.faces[:, k]] for k in range(3))
         self._of_face, across = model.surface_modulus, np.cross(b - a, c - a)
         self._normals = across / np.linalg.norm(across, axis=1)[:, None]
+        self._outward = tensor(self._normals)
         table = shape_values(POINTS)
         self._boundary = tensor(np.einsum("qa,fac->fqc", table, mesh.points[mesh.faces]))  # (F, 6, 3)
         self._area, self._table = tensor(mesh.face_area()[:, None] * WEIGHTS), tensor(table)
@@ -285,7 +286,7 @@ class MissingCompliance:
         """The same under the pressure of Hertz about a ``place`` (k, 3) [m] of the boundary, of a ``radius`` (k,) [m],
         and the part of its footprint that lies on the boundary (2, k)."""
         far = ((self._boundary - place[:, None, None]) ** 2).sum(dim=3) / radius[:, None, None] ** 2
-        across = torch.as_tensor(self._normals, device=place.device) @ normal.T > _ACROSS  # (F, k)
+        across = self._outward @ normal.T > _ACROSS  # (F, k)
         weight = self._area * (1.0 - far).clamp(min=0.0).sqrt() * across.T[:, :, None]
         whole = weight.sum(dim=(1, 2))
         nodal = ((weight / whole[:, None, None].clamp(min=1e-300)) @ self._table).flatten(1)

@@ -141,7 +141,7 @@ class Factor:
     def inverse_diagonal(self) -> np.ndarray:
         """Diagonal of the inverse (k,)."""
         out = np.empty(self.order.size)
-        known: dict[int, np.ndarray] = {}  # the inverse among the unknowns of a front, while others need it
+        known: dict[int, np.ndarray] = {}  # the inverse among the unknowns of each front that others need
         needed = {front.above for front in self.order.fronts}
         for number in range(len(self.parts) - 1, -1, -1):
             front, (lower, below) = self.order.fronts[number], self.parts[number]
@@ -170,9 +170,7 @@ class Factor:
 
 def _minimum_degree(pattern: sparse.csc_matrix) -> np.ndarray:
     """Unknowns in an order of little fill (k,)."""
-    dominant = pattern.copy()
-    dominant.data[:] = 1.0
-    dominant = sparse.csc_matrix(dominant + (pattern.shape[0] + 1.0) * sparse.identity(pattern.shape[0], format="csc"))
+    dominant = sparse.csc_matrix(pattern + (pattern.shape[0] + 1.0) * sparse.identity(pattern.shape[0], format="csc"))
     return np.argsort(splu(dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0,
                            options={"SymmetricMode": True}).perm_c)
 
