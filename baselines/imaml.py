@@ -97,20 +97,23 @@ class Imaml:
         self._scale = {"x_mean": x.mean(axis=0), "x_std": np.maximum(x.std(axis=0), 1e-6), "y_std": y.std(axis=0),
                        "token_mean": token.mean(axis=0), "token_std": np.maximum(token.std(axis=0), 1e-3)}
         self._network = self._build(x.shape[1], y.shape[1])
-        start = self._network.start(torch.Generator().manual_seed(self.seed), dtype=getattr(torch, self.precision))
+        start = self._network.start(torch.Generator().manual_seed(self.seed), dtype=self._real())
         self._at = self.device
         theta = [p.to(self.device) for p in start]
         for p in theta:
             p.requires_grad_(True)
         optimiser = Adam(theta, self.outer_rate)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed))
+        table = self._table([samples for touches in rows for samples in touches])
+        first = np.cumsum([0, *(len(touches) for touches in rows)])
         before = torch.get_num_threads()
         torch.set_num_threads(1)  # matrices of a hundred rows: more threads only wait for each other
         try:
             for _ in range(self.epochs):
                 for step in self._steps(len(rows), rng):
-                    halves = [self._halves(rows[i], rng) for i in step]
-                    support, query = (self._batch([h[k] for h in halves], [tokens[i] for i in step]) for k in (0, 1))
+                    halves = [self._halves(first[i], first[i + 1], rng) for i in step]
+                    own = self._view_rows([tokens[i] for i in step])
+                    support, query = (table.batch([h[k] for h in halves], own) for k in (0, 1))
                     phi = im.adapt(self._network, theta, support, rate=self.inner_rate, steps=self.inner_steps,
                                    regularisation=self.regularisation)
                     gradient, _ = im.implicit_gradient(self._network, phi, support, query,
@@ -135,11 +138,9 @@ class Imaml:
         from vsfsim.baselines import implicit_maml as im
 
         check_support(support)
-        samples = [_samples(reading) for reading in support]
         self._view_token = self._token(view)
-        size = (len(self._scale["x_mean"]), len(self._scale["y_std"]))
-        joined = tuple(np.concatenate([np.zeros((0, n)), *(s[k] for s in samples)]) for k, n in enumerate(size))
-        batch = self._batch([joined], [self._view_token])
+        table = self._table([self._no_samples(), *(_samples(reading) for reading in support)])
+        batch = table.batch([np.arange(len(support) + 1)], self._view_rows([self._view_token]))
         self._phi = im.adapt(self._network, self._theta, batch, rate=self.inner_rate, steps=self.inner_steps,
                              regularisation=self.regularisation)
 
@@ -147,13 +148,12 @@ class Imaml:
         """Readings (T, d) of touches not made yet."""
         import torch
 
-        out = []
+        out, token = [], self._view_rows([self._view_token])
         for action in touches:
-            batch = self._batch([(_inputs(action), np.zeros((len(action.time), len(self._scale["y_std"]))))],
-                                [self._view_token])
+            x = (_inputs(action) - self._scale["x_mean"]) / self._scale["x_std"]
             with torch.no_grad():
-                out.append(self._network(self._phi, batch.x, batch.token)[0].double().cpu().numpy()
-                           * self._scale["y_std"])
+                answer = self._network(self._phi, torch.as_tensor(x, dtype=self._real())[None], token)[0]
+            out.append(answer.double().cpu().numpy() * self._scale["y_std"])
         return out
 
     def save(self, folder: Path) -> None:
@@ -182,11 +182,13 @@ class Imaml:
         mine = {"vision": self._vision, "features": self.features}
         if table["vision"] != self._vision or (self._vision and table["features"] != self.features):
             raise MethodError(f"imaml: what lies in '{folder}' was learned with {table}, not {mine}.")
-        real = getattr(torch, self.precision)
-        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), dtype=real)
+        self._theta = [torch.as_tensor(arrays.pop(f"theta{i}"), dtype=self._real())
                        for i in range(sum(name.startswith("theta") for name in list(arrays)))]
         self._scale = arrays
         self._network = self._build(len(arrays["x_mean"]), len(arrays["y_std"]))
+
+    def _no_samples(self) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros((0, len(self._scale["x_mean"]))), np.zeros((0, len(self._scale["y_std"])))
 
     def _build(self, inputs: int, outputs: int):
         from vsfsim.baselines.implicit_maml import Network
@@ -209,28 +211,31 @@ class Imaml:
         order = rng.permutation(count)
         return [order[start:start + self.tasks_per_step] for start in range(0, count, self.tasks_per_step)]
 
-    def _halves(self, touches: Sequence[tuple[np.ndarray, np.ndarray]],
-                rng: np.random.Generator) -> list[tuple[np.ndarray, np.ndarray]]:
-        """A training object's touches, divided at random into support (at least one touch) and query (at least one)."""
-        order = rng.permutation(len(touches))
-        cut = int(rng.integers(1, len(touches)))
-        return [tuple(np.concatenate([touches[i][k] for i in part]) for k in (0, 1))
-                for part in (order[:cut], order[cut:])]
+    def _halves(self, first: int, end: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of a training object's touches (``first`` to ``end``), divided at random into support (at least one
+        touch) and query (at least one)."""
+        order = first + rng.permutation(end - first)
+        cut = int(rng.integers(1, end - first))
+        return order[:cut], order[cut:]
 
-    def _batch(self, parts: Sequence[tuple[np.ndarray, np.ndarray]], tokens: Sequence[np.ndarray]):
+    def _table(self, touches: Sequence[tuple[np.ndarray, np.ndarray]]):
+        """The samples of touches, standardised, where the network is."""
+        from vsfsim.baselines.implicit_maml import Table
+
+        s = self._scale
+        return Table([((x - s["x_mean"]) / s["x_std"], y / s["y_std"]) for x, y in touches], self._real(), self._at)
+
+    def _view_rows(self, tokens: Sequence[np.ndarray]):
+        """Standardised vectors of views (B, c), as a tensor where the network is."""
         import torch
 
-        from vsfsim.baselines.implicit_maml import Batch
+        token = np.clip((np.stack(tokens) - self._scale["token_mean"]) / self._scale["token_std"], -6.0, 6.0)
+        return torch.as_tensor(token, dtype=self._real(), device=self._at)
 
-        count, s = max(1, max(len(x) for x, _ in parts)), self._scale
-        x, y = np.zeros((len(parts), count, len(s["x_mean"]))), np.zeros((len(parts), count, len(s["y_std"])))
-        weight = np.zeros((len(parts), count))
-        for i, (own_x, own_y) in enumerate(parts):
-            x[i, :len(own_x)] = (own_x - s["x_mean"]) / s["x_std"]
-            y[i, :len(own_y)], weight[i, :len(own_x)] = own_y / s["y_std"], 1.0
-        token = np.clip((np.stack(tokens) - s["token_mean"]) / s["token_std"], -6.0, 6.0)
-        return Batch(*(torch.as_tensor(a, dtype=getattr(torch, self.precision), device=self._at)
-                       for a in (x, token, y, weight)))
+    def _real(self):
+        import torch
+
+        return getattr(torch, self.precision)
 
 
 class ImamlVision(Imaml):
