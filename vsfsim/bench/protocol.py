@@ -122,7 +122,11 @@ def _surface(touch: Touch, noise: Noise, which: Mapping[str, int]) -> Surface | 
 
 def specimen(view: ObjectView, task: Task) -> Specimen:
     """A training object as methods receive it: all touches that have a reading."""
-    recording = record(view, task)
+    return specimen_of(view, record(view, task))
+
+
+def specimen_of(view: ObjectView, recording: Recording) -> Specimen:
+    """As `specimen`, of a view whose recording is known."""
     return Specimen(view.name, frozen_view(view.view), tuple(r for r in recording.readings if r.valid.any()))
 
 

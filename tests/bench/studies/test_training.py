@@ -13,10 +13,10 @@ from vsfsim.bench.commands.presets import Choice
 from vsfsim.bench.commands.side_by_side import Evaluation, make
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
-from vsfsim.bench.protocol import specimen
+from vsfsim.bench.protocol import record
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import parse_task
-from vsfsim.bench.trials import training
+from vsfsim.bench.trials import reader
 from vsfsim.bench.trials.training import Extra, Training
 from vsfsim.core.errors import TaskError
 from vsfsim.data.recipe import Recipe
@@ -94,12 +94,25 @@ def test_a_share_is_a_part_of_a_larger_one(dataset, task):
             for k in (0, 2, 3)} != {tuple(s.name for s in of(objects=0.5))}, "another training draws others"
 
 
-def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch):
-    read = []
-    monkeypatch.setattr(training, "specimen", lambda view, task: read.append(view.name) or specimen(view, task))
-    result = evaluate("toy_methods:Seeded", task, dataset, check=False)
-    assert result.timing["fits"] == 4, "two folds, two trainings"
-    assert sorted(read) == sorted(dataset.names())
+@pytest.mark.parametrize("processes", [1, 2])
+def test_an_object_is_read_once_for_all_trainings(dataset, task, monkeypatch, tmp_path, processes):
+    read = tmp_path / "read.txt"
+
+    def noted(view, task):
+        with read.open("a") as file:  # a process cannot tell its parent by a list
+            file.write(view.name + "\n")
+        return record(view, task)
+
+    monkeypatch.setattr(reader, "record", noted)
+    if processes == 1:
+        result = evaluate("toy_methods:Seeded", task, dataset, check=False)
+        assert result.timing["fits"] == 4, "two folds, two trainings"
+    else:
+        path = tmp_path / "seeded.json"
+        job = Evaluation(path, "toy_methods:Seeded", task, dataset,
+                         partial(finish, "toy_methods:Seeded", task, dataset, path, check=False))
+        assert [message for _, message in make([job], processes, check=False)] == [""] and path.is_file()
+    assert sorted(read.read_text().split()) == sorted(dataset.names())
 
 
 def test_trainings_side_by_side_end_where_the_last_method_fails(dataset, task, tmp_path):

@@ -21,7 +21,8 @@ from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import MethodProcess
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.collect import NOTE, Collector
-from vsfsim.bench.trials.stages import stages
+from vsfsim.bench.trials.reader import Reader
+from vsfsim.bench.trials.stages import Stage, stages
 from vsfsim.bench.trials.training import Training
 from vsfsim.core.errors import Interrupted, VsfsimError
 from vsfsim.data.dataset import Dataset
@@ -66,15 +67,36 @@ class Evaluation:
         Raises:
             TaskError: the dataset does not fit the task or the training.
         """
+        return list(dict.fromkeys(s.name for s in self._stages(seeded=seeded)))
+
+    def _stages(self, *, seeded: bool) -> tuple[Stage, ...]:
         protocol = self.task.protocol
         runs = protocol.runs(seeded=seeded) if self.seeds is None else tuple(range(self.seeds))
-        folds = self.training.folds(self.dataset, protocol)
-        return list(dict.fromkeys(s.name for s in stages(protocol, folds, runs, seeded=seeded)))
+        return tuple(stages(protocol, self.training.folds(self.dataset, protocol), runs, seeded=seeded))
 
-    def make_stage(self, name: str) -> None:
-        """One training and its trials; the answers go into `parts`."""
+    def read_stages(self, names: Sequence[str], read: Reader, *, seeded: bool) -> None:
+        """Read in advance what some trainings and their trials need.
+
+        Args:
+            names: of the trainings. read: what reads. seeded: the method takes a ``seed``.
+
+        Raises:
+            TaskError: the dataset does not hold what the task reads.
+        """
+        found = [stage for stage in self._stages(seeded=seeded) if stage.name in names]
+        # a smaller share of the training objects is drawn for each training by itself
+        train = [name for stage in found for name in stage.train] if self.training.objects == 1.0 else []
+        read.read(self.task, self.dataset, test=[name for stage in found for name in stage.test], train=train)
+
+    def make_stage(self, name: str, read: Reader) -> None:
+        """One training and its trials; the answers go into `parts`.
+
+        Args:
+            name: of the training. read: what reads the object views, or has read them.
+        """
         Collector(self.method, dict(self.parameters), self.task, self.dataset, self.seeds, self.isolation,
-                  self.parts / f"{name}.log", self.parts / name, lambda *_: None, False, self.training, name).run()
+                  self.parts / f"{name}.log", self.parts / name, lambda *_: None, False, self.training, name,
+                  read).run()
 
 
 def gather(path: Path) -> str:
@@ -129,6 +151,7 @@ def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = Tru
         Interrupted: the user has stopped it; finished trainings are kept.
     """
     queue: list[_Job] = []
+    read = Reader()  # before the jobs are forked, so that they share what it has read
     left: dict[Path, int] = {}
     seeded: dict[str, bool] = {}
     for one in evaluations:
@@ -137,12 +160,15 @@ def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = Tru
                 seeded[one.method] = _looked_at(one, check)
             names = [n for n in one.stage_names(seeded=seeded[one.method]) if not (one.parts / n / f"{n}.npz").is_file()
                      and not (one.path.with_suffix(".part") / f"{n}.npz").is_file()]
+            if len(names) > 1:
+                progress(0, len(names), f"{one.path.stem}: reading its dataset")
+                one.read_stages(names, read, seeded=seeded[one.method])
         except VsfsimError as error:
             yield one, str(error)
             continue
         left[one.path] = len(names)
         queue += [_Job(one, name) for name in names] or [_Job(one, None)]
-    yield from _run(queue, left, processes, progress)
+    yield from _run(queue, left, processes, progress, read)
 
 
 def _looked_at(one: Evaluation, check: bool) -> bool:
@@ -158,8 +184,8 @@ def _looked_at(one: Evaluation, check: bool) -> bool:
         return process.description.seeded
 
 
-def _run(queue: list[_Job], left: dict[Path, int], processes: int,
-         progress: Callable[[int, int, str], None]) -> Iterator[tuple[Evaluation, str]]:
+def _run(queue: list[_Job], left: dict[Path, int], processes: int, progress: Callable[[int, int, str], None],
+         read: Reader) -> Iterator[tuple[Evaluation, str]]:
     context = multiprocessing.get_context("fork")
     running: dict[Connection, tuple[_Job, BaseProcess]] = {}
     failed: set[Path] = set()
@@ -172,7 +198,7 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int,
                     done += 1
                     continue
                 mine, theirs = context.Pipe(duplex=False)
-                child: BaseProcess = context.Process(target=_work, args=(job, theirs))
+                child: BaseProcess = context.Process(target=_work, args=(job, theirs, read))
                 child.start()
                 theirs.close()
                 running[mine] = job, child
@@ -206,8 +232,8 @@ def _run(queue: list[_Job], left: dict[Path, int], processes: int,
             child.join()
 
 
-def _work(job: _Job, answer: Connection) -> None:
-    """In the child: do the job and send "" or what went wrong."""
+def _work(job: _Job, answer: Connection, read: Reader) -> None:
+    """In the child: do the job and send "" or what went wrong. ``read`` is the parent's, with what it has read."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")  # of the method's process, which begins after this
     with contextlib.suppress(KeyboardInterrupt, BrokenPipeError):
@@ -216,7 +242,7 @@ def _work(job: _Job, answer: Connection) -> None:
                 job.of.finish()
             else:
                 job.of.parts.mkdir(parents=True, exist_ok=True)
-                job.of.make_stage(job.stage)
+                job.of.make_stage(job.stage, read)
             answer.send("")
         except VsfsimError as error:
             answer.send(str(error))

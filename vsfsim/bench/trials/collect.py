@@ -16,9 +16,10 @@ from vsfsim.bench.protocol import support
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials import answers as kept
 from vsfsim.bench.trials.answers import Answers, run_trial
+from vsfsim.bench.trials.reader import Reader
 from vsfsim.bench.trials.stages import Stage, first_run, stages
 from vsfsim.bench.trials.subject import Subject, Trial
-from vsfsim.bench.trials.training import PLAIN, Reader, Training
+from vsfsim.bench.trials.training import PLAIN, Training
 from vsfsim.core.errors import Interrupted, MethodError, TaskError
 from vsfsim.data.dataset import Dataset
 from vsfsim.data.disk import write_atomic
@@ -60,6 +61,8 @@ class Collector:
     """What the method learns from, and which objects are scored."""
     only: str | None = None
     """Name of the one stage that is made and kept in `part`, or None for all of them."""
+    read: Reader = field(default_factory=Reader)
+    """Where object views come from; give one that has read them already."""
     meta_fit_s: float = 0.0
     """Seconds of all calls of `meta_fit`."""
     fits: int = 0
@@ -72,7 +75,6 @@ class Collector:
     """Numbers of the runs (`vsfsim.bench.task.Protocol`), once the method is known."""
     done: dict[str, list[Answers]] = field(default_factory=dict)
     """By stage."""
-    _read: Reader = field(default_factory=Reader)
     _key: bytes = b""  # what the kept stages are of
     _stages: tuple[Stage, ...] = ()
     _told: tuple[float, int] = (0.0, 0)  # seconds and number of trainings that kept stages hold
@@ -99,16 +101,15 @@ class Collector:
             self.seeds = self._runs()
             self._stages = tuple(s for s in stages(self.task.protocol, folds, self.seeds,
                                                    seeded=self.description.seeded) if self.only in (None, s.name))
-            subjects = {name: Subject.of(name, self.task, self.dataset)
-                        for name in dict.fromkeys(n for stage in self._stages for n in stage.test)}
             self._take_up(process.description)
+            left = [stage for stage in self._stages if stage.name not in self.done]
+            subjects = {name: self.read.subject(self.task, self.dataset, name)
+                        for name in dict.fromkeys(n for stage in left for n in stage.test)}
             if self.conforms and not self.done:
                 self.progress(0, 1, "contract")
                 process.require()
             fitted: tuple[int, int | None] | None = None
-            for stage in self._stages:
-                if stage.name in self.done:
-                    continue
+            for stage in left:
                 if fitted is not None and fitted != (stage.fold, stage.seed):
                     self._end(process)
                     process, fitted = self._process(hidden), None
@@ -121,7 +122,8 @@ class Collector:
         finally:
             if process is not None:
                 self._end(process)
-        return self._in_order(list(subjects.values())) if self.only is None else []
+        return [] if self.only is not None else self._in_order(
+            list(dict.fromkeys(n for stage in self._stages for n in stage.test)))
 
     # ------------------------------------------------------------------ one stage
 
@@ -145,7 +147,7 @@ class Collector:
     def _learn(self, process: MethodProcess, stage: Stage) -> None:
         self.progress(self._finished(), self._total(), "meta-fit")
         specimens = self.training.specimens(self.task, self.dataset, stage.fold, stage.train, stage.seed or 0,
-                                            self._read)
+                                            self.read)
         self.meta_fit_s += process.meta_fit(specimens, seed=stage.seed)
         self.fits += 1
 
@@ -185,7 +187,7 @@ class Collector:
         self.peak_memory_mib = max(self.peak_memory_mib, process.peak_memory_mib)
         self._keep(stage.name)
 
-    def _in_order(self, subjects: Sequence[Subject]) -> list[Answers]:
+    def _in_order(self, subjects: Sequence[str]) -> list[Answers]:
         assert self.description is not None
         out = []
         known = {(one.trial.subject, one.trial.shot, one.trial.seed): one for some in self.done.values()
@@ -194,10 +196,10 @@ class Collector:
             same_as = first_run(self.task.protocol, run, self.seeds, seeded=self.description.seeded)
             for subject in subjects:
                 for label in self.task.protocol.labels:
-                    one = known.get((subject.name, label, run))
+                    one = known.get((subject, label, run))
                     if one is None:  # the same support set, after the same training, as at the first of its runs
-                        same = known[subject.name, label, same_as]
-                        trial = Trial(subject.name, label, run, same.trial.support)
+                        same = known[subject, label, same_as]
+                        trial = Trial(subject, label, run, same.trial.support)
                         one = Answers(trial, same.readings, same.readings_std, same.mean, same.std, same.column_mean,
                                       same.pose, 0.0, 0.0)
                     out.append(one)

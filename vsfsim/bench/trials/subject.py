@@ -9,7 +9,7 @@ import numpy as np
 from vsfsim.bench.inclusions import Columns, Inclusions
 from vsfsim.bench.method import Action, Reading, frozen_view
 from vsfsim.bench.metrics import Answer
-from vsfsim.bench.protocol import Draw, divide, record
+from vsfsim.bench.protocol import Draw, Recording, divide
 from vsfsim.bench.reached_points import reached
 from vsfsim.bench.stiffness_metrics import FEWEST_POINTS
 from vsfsim.bench.task import Task
@@ -63,20 +63,23 @@ class Subject:
     by its pose."""
 
     @classmethod
-    def of(cls, name: str, task: Task, dataset: Dataset) -> Subject:
-        """Read a test object of ``dataset``, of its truth only the places of the probed points.
+    def of(cls, view: ObjectView, places: np.ndarray, recording: Recording, task: Task, dataset: Dataset) -> Subject:
+        """A test object.
+
+        Args:
+            view: without its truth. places: of its probed points, world (P, 3) [m]. recording: of its touches. task:
+            whose protocol it is asked by. dataset: where it is.
 
         Raises:
-            TaskError: it has too few touches, or not what the task reads.
+            TaskError: it has too few touches.
         """
-        view, places = dataset.shown(name)
-        draw, recording = divide(view, task.protocol), record(view, task)
+        draw = divide(view, task.protocol)
         inclusions, ranked = None, task.metric.answer
         if ranked in (Answer.MASK, Answer.POSE):
             inclusions = Inclusions.of(dataset.recipe, view)
         columns = Columns.of(places, view).points if ranked is Answer.MASK else None
         hidden = inclusions.known_object()[:2] if inclusions is not None and ranked is Answer.POSE else None
-        return cls(name, view.object_index, view.view_index, frozen_view(view.view), draw,
+        return cls(view.name, view.object_index, view.view_index, frozen_view(view.view), draw,
                    {i: recording.readings[i] for i in draw.pool},
                    tuple(recording.queries[i].action for i in draw.query),
                    places[touched(places, view)], columns, hidden)

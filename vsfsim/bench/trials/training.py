@@ -10,15 +10,14 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from vsfsim.bench.method import Specimen
-from vsfsim.bench.protocol import specimen
 from vsfsim.bench.task import Protocol, Task
 from vsfsim.bench.trials.folds import Fold, folds_of
+from vsfsim.bench.trials.reader import Reader
 from vsfsim.core.errors import TaskError, did_you_mean
 from vsfsim.data.dataset import Dataset, Entry
 
@@ -155,35 +154,17 @@ class Training:
         if self.objects < 1.0:
             order = _order(len(objects), task.protocol.seed, (3, fold, training))
             objects = [objects[k] for k in order[:max(1, round(self.objects * len(objects)))]]
-        out = [read(task, dataset, name) for name in train if number[name] in objects]
+        out = [read.specimen(task, dataset, name) for name in train if number[name] in objects]
         views = {e.name: e.view_index for e in dataset.entries}
         if self.touches < 1.0:
             out = [self._some(s, task.protocol.seed, (4, number[s.name], views[s.name], training)) for s in out]
         for extra in self.extra:
-            out += [read(extra.task, extra.dataset, name) for name in extra.names()]
+            out += [read.specimen(extra.task, extra.dataset, name) for name in extra.names()]
         return out
 
     def _some(self, given: Specimen, seed: int, key: tuple[int, ...]) -> Specimen:
         order = sorted(_order(len(given.touches), seed, key)[:max(1, round(self.touches * len(given.touches)))])
         return replace(given, touches=tuple(given.touches[k] for k in order))
-
-
-class Reader:
-    """Reads the object views that methods learn from, each once, without their truth."""
-
-    def __init__(self) -> None:
-        self._known: dict[tuple[Path, str, str], Specimen] = {}
-
-    def __call__(self, task: Task, dataset: Dataset, name: str) -> Specimen:
-        """An object view as a method receives it.
-
-        Args:
-            task: whose noise and observation its readings have. dataset: where it is. name: of the object view.
-        """
-        key = (dataset.path, task.name, name)
-        if key not in self._known:
-            self._known[key] = specimen(dataset.blind().load(name), task)
-        return self._known[key]
 
 
 PLAIN = Training()
