@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from vsfsim.bench import fingerprint, leaderboard
+from vsfsim.bench import leaderboard
+from vsfsim.bench.admission import fingerprint, same_data
 from vsfsim.bench.evaluate import evaluate
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.result import Result
@@ -54,14 +55,14 @@ def views(rounding=0.0, train=0):
 def test_a_record_is_short_and_knows_its_dataset(task, toy_dataset, record):
     assert fingerprint.record_path(task).stat().st_size < 4096 * len(record.entries)
     again = fingerprint.Record.read(json.loads(json.dumps(record.table())), "x")
-    assert fingerprint.differences(again, record) == []
+    assert same_data.differences(again, record) == []
     assert fingerprint.beside_record(task, toy_dataset) == {}
     assert [len(e.query) for e in record.entries] == [0, 4, 4]
 
 
 def test_rounding_is_the_same_dataset_and_anything_else_is_not(task, record, write_dataset):
     def found(views):
-        return fingerprint.differences(fingerprint.make_record(task, write_dataset(views)), record)
+        return same_data.differences(fingerprint.make_record(task, write_dataset(views)), record)
 
     assert found(views(1e-7)) == []
     assert found(views(1e-2)) != []
@@ -90,7 +91,7 @@ def test_a_pixel_may_move_the_probed_points(task, record, write_dataset, lost, f
         moved = {name: getattr(view.truth, name)[kept] for name in ("probe_points", "probe_normals", "probe_stiffness")}
         moved["probe_stiffness"] = factor * moved["probe_stiffness"]
         out.append(dataclasses.replace(view, truth=dataclasses.replace(view.truth, **moved)))
-    said = fingerprint.differences(fingerprint.make_record(task, write_dataset(out)), record)
+    said = same_data.differences(fingerprint.make_record(task, write_dataset(out)), record)
     assert (said == []) is same and (same or "probed" in said[0])
 
 
@@ -100,12 +101,69 @@ def test_few_touches_may_have_other_frames_that_did_not_converge(task, record, w
         other[1] = dataclasses.replace(other[1], touches=tuple(dataclasses.replace(
             touch, converged=touch.converged & ((np.arange(len(touch.time)) != 6) | (k >= count)), **changes)
             for k, touch in enumerate(other[1].touches)))
-        return fingerprint.differences(fingerprint.make_record(task, write_dataset(other)), record)
+        return same_data.differences(fingerprint.make_record(task, write_dataset(other)), record)
 
     assert found(1) == ["1 of 36 touches have other frames that did not converge"]
-    monkeypatch.setattr(fingerprint, "OTHER_MARKS", 0.03)
+    monkeypatch.setattr(same_data, "OTHER_MARKS", 0.03)
     assert found(1) == [] and len(found(2)) == 1
     assert "touches differ" in found(1, axis=np.array([0.0, 0.6, -0.8]))[0], "another path is another touch"
+
+
+def _snapped(count, force=1.3, **changes):
+    """The toy dataset's views; some touches of the second one came to another end."""
+    other = views()
+    other[1] = dataclasses.replace(other[1], touches=tuple(dataclasses.replace(
+        touch, force=force * touch.force, mount_pose=touch.mount_pose + 1e-2 * (np.arange(len(touch.time)) > 4)[
+            :, None, None], **changes) if k < count else touch for k, touch in enumerate(other[1].touches)))
+    return other
+
+
+def test_where_rounding_decides_as_much_may_differ_as_on_another_machine(task, record, write_dataset, written, result,
+                                                                         tmp_path, capsys):
+    def made(views):
+        return fingerprint.make_record(task, write_dataset(views))
+
+    assert "4 of 36 touches differ" in same_data.differences(made(_snapped(4)), record)[0], "nothing was measured yet"
+    measured = same_data.again(made(_snapped(4)), record)
+    assert measured.touches == pytest.approx(4 / 36) and 0.05 < measured.size < 0.3
+    path = fingerprint.record_path(task)
+    fingerprint.save_record(dataclasses.replace(record, again=measured), path)
+    known = fingerprint.shipped_record(task)
+    assert known.again == measured
+    for same in (_snapped(4, 0.8), _snapped(5, 1.2), views()):
+        assert same_data.differences(made(same), known) == []
+    # more touches, a view whose readings are much larger, another plan or another view are other data
+    more = same_data.differences(made(_snapped(6, 1.01)), known)
+    assert "16.7 % of its touches come to another end, where 11.1 %" in more[0]
+    assert "of a view are" in same_data.differences(made(_snapped(4, 3.0)), known)[0]
+    turned = np.array([0.0, 0.6, -0.8])
+    assert "4 of 36 touches differ" in same_data.differences(made(_snapped(4, axis=turned)), known)[0]
+    seen = _snapped(4)
+    seen[2] = dataclasses.replace(seen[2], view=dataclasses.replace(seen[2].view, rgb=255 - seen[2].view.rgb))
+    assert same_data.differences(made(seen), known) == ["1 of 3 views differ (mock-0002-v0: colour)"]
+    for other in (_snapped(4, axis=turned), seen, views()[:2]):
+        with pytest.raises(TaskError, match="not of the same planned touches"):
+            same_data.again(made(other), record)
+
+
+def test_a_row_on_touches_that_rounding_decided_is_ranked_and_marked(task, record, result, write_dataset, tmp_path):
+    measured = same_data.again(fingerprint.make_record(task, write_dataset(_snapped(4))), record)
+    fingerprint.save_record(dataclasses.replace(record, again=measured), fingerprint.record_path(task))
+    elsewhere = evaluate("toy_methods:Constant", task, write_dataset(_snapped(4, 0.9)), parameters={"value": 3.0},
+                         check=False)
+    elsewhere.save(tmp_path / "e.json")
+    board = leaderboard.collect(task, [tmp_path / "e.json"])
+    assert [(row.rank, row.other_bits) for row in board.rows] == [(1, True)]
+    assert "rounding decides where 11 % of its touches end" in leaderboard.text(board)
+
+
+@pytest.mark.parametrize("again", [3, {}, {"touches": 2.0, "size": 0.1, "made_by": {}},
+                                   {"touches": float("nan"), "size": 0.1, "made_by": {}}])
+def test_a_damaged_repetition_is_refused(task, record, again):
+    path = fingerprint.record_path(task)
+    path.write_text(json.dumps({**record.table(), "again": again}))
+    with pytest.raises(TaskError, match="is no record"):
+        fingerprint.shipped_record(task)
 
 
 def test_training_on_the_test_objects_is_not_ranked(task, record, result, write_dataset, tmp_path):

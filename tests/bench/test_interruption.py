@@ -140,7 +140,7 @@ def test_an_out_that_cannot_be_written_is_found_first(vsfsim, folder, monkeypatc
 
 
 def test_the_record_command_writes_what_the_board_reads(vsfsim, folder, monkeypatch, task):
-    from vsfsim.bench import fingerprint
+    from vsfsim.bench.admission import fingerprint
 
     monkeypatch.setattr(fingerprint, "record_path", lambda one: folder / "records" / f"{one.name}.json")
     out = vsfsim("tasks", "--record", "toy", "--task", "toy-v1.toml", cwd=folder)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench import fingerprint
+from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.method import check_name
 from vsfsim.bench.metrics import Answer

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from vsfsim.bench.admission import admit
+from vsfsim.bench.admission.admit import admit
+from vsfsim.bench.admission.fingerprint import shipped_record
 from vsfsim.bench.board.compare import TOLD_APART, ByObject, by_object, interval, joined_ranks
-from vsfsim.bench.fingerprint import shipped_record
 from vsfsim.bench.metrics import METRICS, Answer, metrics_of
 from vsfsim.bench.result import Result, readings_apart
 from vsfsim.bench.task import Task
@@ -63,6 +63,9 @@ class Board:
     """Of the dataset that the ranked results were scored on."""
     has_record: bool
     """The task ships a record of its dataset, with which the results are compared; else with one another."""
+    again: float
+    """Share of the dataset's touches that came to another end on another machine [-]
+    (`vsfsim.bench.admission.same_data`)."""
     rows: tuple[Row, ...]
     """One row a result."""
 
@@ -71,7 +74,7 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     """Rank the results of ``task``: those shipped in leaderboard/<task>/ and those in ``paths`` (files, or folders of
     them).
 
-    Scores are computed again from the rows of a result (`vsfsim.bench.admission`). A result that may not be ranked is
+    Scores are computed again from the rows of a result (`vsfsim.bench.admission.admit`). One that may not be ranked is
     shown with the reason. The board's dataset is that of the task's record; without one, it is the one that the task
     names, else that of most shipped results (of most results, if none ships), and one with other bits is the same if
     its readings are (`SAME_READINGS`). Equal results are one row.
@@ -114,7 +117,8 @@ def collect(task: Task, paths: Iterable[Path] = ()) -> Board:
     ranks = joined_ranks([row.objects[task.ranking_shot] for row in good]) if over_objects(task) else range(
         1, len(good) + 1)
     ranked = [dataclasses.replace(row, rank=rank) for rank, row in zip(ranks, good, strict=True)]
-    return Board(task, reference, record is not None, (*ranked, *odd))
+    again = record.again.touches if record is not None and record.again is not None else 0.0
+    return Board(task, reference, record is not None, again, (*ranked, *odd))
 
 
 def over_objects(task: Task) -> bool:
@@ -269,7 +273,8 @@ def _footnotes(board: Board, shown: Callable[[str], str] = plain) -> list[str]:
         lines.append(f"methods share a rank if their paired difference over objects is below {TOLD_APART:g} standard "
                      f"errors")
     if any(row.other_bits for row in board.rows):
-        lines.append("~ on the same dataset, made on a machine that rounds otherwise")
+        lines.append("~ on the same dataset, made on a machine that rounds otherwise" + (
+            f"; rounding decides where {100.0 * board.again:.0f} % of its touches end" if board.again else ""))
     if board.rows and not board.has_record:
         lines.append("this task ships no record of its dataset; only query readings were compared, with one another")
     if not board.rows:

@@ -17,7 +17,7 @@ from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
-from vsfsim.bench import fingerprint
+from vsfsim.bench.admission import fingerprint
 from vsfsim.bench.isolation.limits import peak_memory_mib
 from vsfsim.bench.method import Action, Reading, checked_prediction, frozen_view
 from vsfsim.bench.metrics import Answer

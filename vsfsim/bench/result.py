@@ -83,8 +83,8 @@ class Result:
     """The sandbox in which the method ran, a name of `vsfsim.bench.isolation.limits.SANDBOXES`; "" where the scorer
     did not run it."""
     data: Mapping[str, Any] = dataclasses.field(default_factory=dict)
-    """Fingerprints of the dataset (`vsfsim.bench.fingerprint.Record.table`) where its bits are not those of the task's
-    record; {} where they are, or the task has no record."""
+    """Fingerprints of the dataset (`vsfsim.bench.admission.fingerprint.Record.table`) where its bits are not those of
+    the task's record; {} where they are, or the task has no record."""
     answers: Mapping[str, Mapping[str, list]] = dataclasses.field(default_factory=dict)
     """As `queries`, by the name of what else was answered (`vsfsim.bench.metrics.Answer`): columns with one row a
     query touch, or one an object with its metrics."""

@@ -27,7 +27,7 @@ def row(method, values, preset="tuned"):
 def verdict(better, worse, figures="1 and 2", **given):
     claim = Claim("a claim", "a paper", figures, TASK, Side("a", "0"), Side("b", "0"), **given)
     rows = [r for r in (better, worse) if r is not None]
-    board = Board(load_task(TASK), "", False, tuple(rows))
+    board = Board(load_task(TASK), "", False, 0.0, tuple(rows))
     return judge([claim], {TASK: board})[0]
 
 

@@ -1,9 +1,10 @@
-"""Whether a dataset is the one of a task: short fingerprints of everything that a method may see or is scored on.
+"""The record of a task's dataset: short fingerprints of everything that a method may see or is scored on.
 
 A fingerprint of a vector v (n,) is its norm and three projections r_k . v on fixed vectors of signs. If two vectors
 differ by d, each number differs by about |d|, so rounding changes them as little as it changes the data, and another
 touch changes them as much as the touches differ (Johnson and Lindenstrauss 1984). Images are averaged in blocks first,
-because rounding can move a pixel at an outline from the object to the background.
+because rounding can move a pixel at an outline from the object to the background. Two records are compared by
+`vsfsim.bench.admission.same_data`.
 
 Fingerprints tell mistakes and lazy replacements from the task's data. They are no proof against somebody who computes
 other data with the same fingerprints, nor against somebody who writes a result file by hand.
@@ -16,7 +17,7 @@ import binascii
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,27 +39,14 @@ VERSION = 1
 LARGEST_FILE = 16 << 20
 """A record with more bytes is not read."""
 
-TOLERANCE = 1e-3
-"""Largest relative difference of a fingerprint: rounding alone gives 1e-8 in a touch with a unique equilibrium, and
-quantisation 1.2e-4; other seeds, scenes or physics differ by tens of per cent."""
-IMAGE_TOLERANCE = 2e-2
-"""The same for an image averaged in blocks: five flipped pixels on an outline give 0.4 %, another shoe 10 %."""
-OTHER_MARKS = 0.02
-"""Largest share of the touches of which a frame converged in one dataset and not in the other, with what it read: where
-a frame ends at a limit of the solver, rounding decides (13 of the 1,440 frames of the bubble shoes do)."""
-SMALLEST = 1e-2
-"""A vector smaller than this fraction of the root mean square of its kind counts as that large: the readings of a touch
-that met nothing are rounding error."""
-
-_MARK = "converged frames"
-_OF_MARKED = frozenset((_MARK, "reading", "skin", "skin's force"))
-# points are a sample of the visible cloud: a pixel that rounding moves into another cell of the sample's grid moves a
-# point or adds one, and all that follow have other places in the vector, so that only its norm can be compared
-_SAMPLED = frozenset(("probed points", "probed stiffness"))
-_OF_PIXELS = frozenset(("colour", "depth", "mask")) | _SAMPLED
 _PROJECTIONS = 3
 _BLOCK = 8  # pixels
-_SCALE = 4096.0  # projections are stored as multiples of norm / _SCALE, within 8 norms
+SCALE = 4096.0
+"""Projections are stored as multiples of norm / SCALE, within 8 norms."""
+MARK = "converged frames"
+"""Kind of the vector that says which frames converged."""
+READING = "reading"
+"""Kind of the vector that a task reads."""
 _ITEM = np.dtype([("norm", "<f4"), ("along", "<i2", (_PROJECTIONS,))])
 
 
@@ -85,6 +73,31 @@ class Entry:
 
 
 @dataclass(frozen=True)
+class Again:
+    """How far the same planned touches, made again on another machine, come to another end, where it is the rounding
+    that decides which of several equilibria an object reaches: a branch that snaps off a link of the arm, or slips."""
+
+    touches: float
+    """Share of the touches in which anything differs that the physics decides [-]."""
+    size: float
+    """Largest relative difference, over object views, of the root mean square of the readings [-]."""
+    made_by: Mapping[str, Any]
+    """Version and commit that made the other dataset."""
+
+    @classmethod
+    def read(cls, table: Any) -> Again:
+        """From JSON values.
+
+        Raises:
+            KeyError, TypeError, ValueError: they are not what `vsfsim tasks --again` writes.
+        """
+        touches, size = float(table["touches"]), float(table["size"])
+        if not (0.0 <= touches <= 1.0 and 0.0 <= size < 1.0) or not isinstance(table["made_by"], dict):
+            raise ValueError("the repetition on another machine")
+        return cls(touches, size, table["made_by"])
+
+
+@dataclass(frozen=True)
 class Record:
     """The fingerprints of a dataset as one task reads it."""
 
@@ -98,6 +111,8 @@ class Record:
     """Version and commit that made the dataset."""
     entries: tuple[Entry, ...]
     """In the dataset's order, of the splits that the task uses."""
+    again: Again | None = None
+    """What another machine makes of the same touches, where that was measured and is more than rounding."""
 
     def table(self) -> dict[str, Any]:
         """As JSON values; `read` takes them back."""
@@ -105,7 +120,8 @@ class Record:
                  "query": list(e.query), "kinds": list(e.kinds), "touches": len(e.of_touches),
                  "view": _text(e.of_view), "fingerprints": _text(e.of_touches)} for e in self.entries]
         return {"format": FORMAT, "version": VERSION, "task": self.task, "task_sha256": self.task_sha256,
-                "dataset_sha256": self.dataset_sha256, "made_by": dict(self.made_by), "entries": rows}
+                "dataset_sha256": self.dataset_sha256, "made_by": dict(self.made_by),
+                **({"again": asdict(self.again)} if self.again else {}), "entries": rows}
 
     @classmethod
     def read(cls, table: Any, where: str) -> Record:
@@ -121,7 +137,8 @@ class Record:
             texts = [table[key] for key in ("task", "task_sha256", "dataset_sha256")]
             if not all(isinstance(text, str) for text in texts) or not isinstance(table["made_by"], dict):
                 raise ValueError("a text is missing")
-            return cls(table["task"], table["task_sha256"], table["dataset_sha256"], table["made_by"], entries)
+            again = Again.read(table["again"]) if "again" in table else None
+            return cls(table["task"], table["task_sha256"], table["dataset_sha256"], table["made_by"], entries, again)
         except (KeyError, TypeError, ValueError, IndexError, binascii.Error, OverflowError) as error:
             raise TaskError(f"{where} is no record of a task's dataset: {plain(error)}. Make it again with `vsfsim "
                             f"tasks --record FOLDER`.") from error
@@ -153,13 +170,7 @@ def shipped_record(task: Task) -> Record | None:
     path = record_path(task)
     if not path.is_file():
         return None
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise ValueError(f"it has more than {LARGEST_FILE} bytes")
-        table = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file.") from error
-    found = Record.read(table, str(path))
+    found = load_record(path)
     return found if (found.task, found.task_sha256) == (task.name, task.sha256) else None
 
 
@@ -170,9 +181,33 @@ def write_record(task: Task, dataset: Dataset, path: Path) -> Record:
         TaskError: the dataset does not fit, or the file cannot be written.
     """
     made = make_record(task, dataset)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_atomic(path, (json.dumps(made.table()) + "\n").encode(), error=TaskError)
+    save_record(made, path)
     return made
+
+
+def save_record(record: Record, path: Path) -> None:
+    """Write a record.
+
+    Raises:
+        TaskError: the file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, (json.dumps(record.table()) + "\n").encode(), error=TaskError)
+
+
+def load_record(path: Path) -> Record:
+    """Read a record.
+
+    Raises:
+        TaskError: the file cannot be read, or is no record.
+    """
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise ValueError(f"it has more than {LARGEST_FILE} bytes")
+        table = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise TaskError(f"{path} cannot be read: {plain(error)}. Restore the file.") from error
+    return Record.read(table, str(path))
 
 
 def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:
@@ -181,44 +216,6 @@ def beside_record(task: Task, dataset: Dataset) -> dict[str, Any]:
     if known is None or known.dataset_sha256 == dataset.sha256:
         return {}
     return make_record(task, dataset).table()
-
-
-def differences(found: Record, known: Record) -> list[str]:
-    """What is different in ``found`` from the record ``known``: a phrase a difference, [] if it is the same data."""
-    out = []
-    mine, theirs = ([(e.name, e.split, e.object_index, e.view_index) for e in r.entries] for r in (found, known))
-    if mine != theirs:
-        odd = [entry[0] for entry in mine if entry not in theirs] or [entry[0] for entry in theirs if entry not in mine]
-        which = f", e.g. {plain(odd[0])}" if odd else ""
-        return [f"its object views or their splits are others{which}"]
-    floors = _floors(known)
-    touches = views = marks = 0
-    first_view = first_touch = ""
-    for one, other in zip(found.entries, known.entries, strict=True):
-        if one.kinds != other.kinds or one.of_touches.shape != other.of_touches.shape or (
-                one.of_view.shape != other.of_view.shape) or one.query != other.query:
-            return [f"{plain(one.name)} has other touches or other readings"]
-        count = len(one.of_view)
-        wrong = [kind for kind, a, b in zip(one.kinds[:count], one.of_view, other.of_view, strict=True)
-                 if not _same(a, b, kind, floors)]
-        views += bool(wrong)
-        first_view = first_view or (f"{one.name}: {wrong[0]}" if wrong else "")
-        for index, (a_row, b_row) in enumerate(zip(one.of_touches, other.of_touches, strict=True)):
-            odd = [kind for kind, a, b in zip(one.kinds[count:], a_row, b_row, strict=True)
-                   if not _same(a, b, kind, floors)]
-            if _MARK in odd and _OF_MARKED.issuperset(odd):
-                marks += 1
-                continue
-            touches += bool(odd)
-            first_touch = first_touch or (f"{one.name} touch {index}: {odd[0]}" if odd else "")
-    if views:
-        out.append(f"{views} of {len(known.entries)} views differ ({plain(first_view)})")
-    total = sum(len(e.of_touches) for e in known.entries)
-    if touches:
-        out.append(f"{touches} of {total} touches differ ({plain(first_touch)})")
-    if marks > OTHER_MARKS * total:
-        out.append(f"{marks} of {total} touches have other frames that did not converge")
-    return out
 
 
 # ---------------------------------------------------------------------- vectors
@@ -254,8 +251,8 @@ def _vectors_of_touch(touch: Touch, clean: np.ndarray) -> Iterator[tuple[str, np
     yield "rotation", touch.mount_pose[:, :3, :3]
     yield "position", touch.mount_pose[:, :3, 3]
     yield "direction", touch.axis
-    yield _MARK, touch.converged
-    yield "reading", np.nan_to_num(clean)
+    yield MARK, touch.converged
+    yield READING, np.nan_to_num(clean)
     yield "joint angles", np.zeros(0) if touch.q is None else touch.q
     if touch.planned_pose is not None and touch.planned_frame is not None:
         yield "plan", touch.planned_pose
@@ -288,7 +285,7 @@ def _print(vector: np.ndarray) -> np.ndarray:
     along = [float(_signs(len(v), k) @ v) for k in range(_PROJECTIONS)] if norm > 0.0 else [0.0] * _PROJECTIONS
     out = np.zeros((), _ITEM)
     out["norm"] = norm
-    out["along"] = np.clip(np.rint(_SCALE * np.array(along) / norm), -32767, 32767) if norm > 0.0 else 0
+    out["along"] = np.clip(np.rint(SCALE * np.array(along) / norm), -32767, 32767) if norm > 0.0 else 0
     return out
 
 
@@ -296,27 +293,6 @@ def _signs(size: int, number: int) -> np.ndarray:
     """The fixed vector of signs (size,); of a hash, because NumPy's generators may change."""
     bits = np.frombuffer(hashlib.shake_256(f"{number}:{size}".encode()).digest(-(-size // 8) or 1), np.uint8)
     return 2.0 * np.unpackbits(bits)[:size] - 1.0
-
-
-def _floors(known: Record) -> dict[str, float]:
-    sizes: dict[str, list[float]] = {}
-    for entry in known.entries:
-        count = len(entry.of_view)
-        for kind, item in zip(entry.kinds[:count], entry.of_view, strict=True):
-            sizes.setdefault(kind, []).append(float(item["norm"]))
-        for column, kind in enumerate(entry.kinds[count:]):
-            sizes.setdefault(kind, []).extend(float(n) for n in entry.of_touches[:, column]["norm"])
-    return {kind: SMALLEST * float(np.sqrt(np.mean(np.square(norms)))) for kind, norms in sizes.items()}
-
-
-def _same(a: np.void, b: np.void, kind: str, floors: Mapping[str, float]) -> bool:
-    size = max(float(b["norm"]), floors[kind])
-    apart = np.abs(np.concatenate([[float(a["norm"]) - float(b["norm"])], (
-        float(a["norm"]) * a["along"].astype(float) - float(b["norm"]) * b["along"].astype(float)) / _SCALE]))
-    tolerance = IMAGE_TOLERANCE if kind in _OF_PIXELS else TOLERANCE
-    if kind in _SAMPLED:
-        apart = apart[:1]
-    return bool((apart <= tolerance * size).all())
 
 
 def _text(items: np.ndarray) -> str:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from vsfsim.bench import fingerprint
+from vsfsim.bench.admission import fingerprint, same_data
 from vsfsim.bench.metrics import METRICS, PER_OBJECT, Answer
 from vsfsim.bench.result import Result
 from vsfsim.bench.task import Task
@@ -129,5 +129,5 @@ def _other_data(result: Result, record: fingerprint.Record | None) -> str:
         found = fingerprint.Record.read(result.data, "data")
     except TaskError:
         return "its fingerprints of the dataset cannot be read"
-    odd = fingerprint.differences(found, record)
+    odd = same_data.differences(found, record)
     return f"other dataset ({result.dataset_sha256[:12]}): {'; '.join(odd)}" if odd else ""

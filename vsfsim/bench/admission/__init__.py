@@ -1,0 +1,1 @@
+"""Which results may be ranked: scores are computed again, and data are compared with the task's record."""
