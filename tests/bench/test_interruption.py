@@ -1,5 +1,6 @@
 """An evaluation that is stopped keeps its finished seeds and goes on; files are written whole or not at all."""
 
+import errno
 import json
 import os
 import signal
@@ -12,6 +13,9 @@ import numpy as np
 import pytest
 from conftest import TASK
 
+from vsfsim.bench.commands import own_result
+from vsfsim.bench.commands.evaluate import evaluate
+from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
@@ -146,3 +150,34 @@ def test_the_record_command_writes_what_the_board_reads(vsfsim, folder, monkeypa
     out = vsfsim("tasks", "--record", "toy", "--task", "toy-v1.toml", cwd=folder)
     assert out.returncode == 0 and "3 views, 36 touches" in out.stdout, out.stderr
     assert fingerprint.shipped_record(task).task == "toy-v1"
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_two_evaluations_do_not_write_one_result(task, toy_dataset, tmp_path, processes):
+    """Two that were started by mistake took each other's kept answers, and one removed what the other needed."""
+    out = tmp_path / "results" / "mine.json"
+    options = {"out": out, "processes": processes, "parameters": {"value": 2.0}}
+    with own(out):
+        with pytest.raises(MethodError, match=rf"mine\.json is being written by process {os.getpid()}\. Wait for it"):
+            evaluate("toy_methods:Constant", task, toy_dataset, **options)
+        assert evaluate("toy_methods:Constant", task, toy_dataset, **{**options, "out": out.with_name("other.json")})
+        assert not out.exists()
+    evaluate("toy_methods:Constant", task, toy_dataset, **options)
+    assert sorted(p.name for p in out.parent.iterdir()) == ["mine.json", "other.json"], "no lock is left behind"
+
+
+def test_a_lock_of_a_killed_evaluation_holds_nobody_up(tmp_path):
+    out = tmp_path / "mine.json"
+    (tmp_path / ".mine.json.lock").write_text("4194304\n")
+    with own(out):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_system_without_locks(tmp_path, monkeypatch):
+    def refuse(handle, *, wait):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(own_result, "lock", refuse)
+    with own(tmp_path / "mine.json"):
+        pass

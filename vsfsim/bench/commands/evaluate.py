@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.commands.presets import preset as chosen
 from vsfsim.bench.commands.side_by_side import Evaluation, gather, make
 from vsfsim.bench.evaluate import evaluate as run
@@ -71,7 +72,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
             if message:
                 raise MethodError(message)
         return Result.load(path)
-    return finish(name, wanted, data, path, **options)
+    with own(path):
+        return finish(name, wanted, data, path, **options)
 
 
 def finish(name: str, task: Task, dataset: Dataset, path: Path, **options: Any) -> Result:

@@ -17,6 +17,7 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.isolation.limits import Isolation
 from vsfsim.bench.isolation.process import MethodProcess
 from vsfsim.bench.task import Task
@@ -150,12 +151,19 @@ def make(evaluations: Sequence[Evaluation], processes: int, *, check: bool = Tru
     Raises:
         Interrupted: the user has stopped it; finished trainings are kept.
     """
+    with contextlib.ExitStack() as held:
+        yield from _make(evaluations, processes, check, progress, held)
+
+
+def _make(evaluations: Sequence[Evaluation], processes: int, check: bool, progress: Callable[[int, int, str], None],
+          held: contextlib.ExitStack) -> Iterator[tuple[Evaluation, str]]:
     queue: list[_Job] = []
     read = Reader()  # before the jobs are forked, so that they share what it has read
     left: dict[Path, int] = {}
     seeded: dict[str, bool] = {}
     for one in evaluations:
         try:
+            held.enter_context(own(one.path))
             if one.method not in seeded or check:
                 seeded[one.method] = _looked_at(one, check)
             names = [n for n in one.stage_names(seeded=seeded[one.method]) if not (one.parts / n / f"{n}.npz").is_file()
