@@ -44,9 +44,8 @@ class Batch:
 
 
 class Table:
-    """Samples of touches, kept on a device, from which the batches of many steps are gathered there.
-
-    Assembling the batches of 80 objects on the host and copying them takes longer than a GPU's step with them.
+    """Samples of touches, kept on a device, from which the batches of many steps are gathered there: a step copies row
+    numbers and no samples.
 
     Args:
         touches: of each touch the network's inputs (R_k, inputs) and outputs (R_k, outputs).
