@@ -183,3 +183,15 @@ def test_processes_change_nothing_and_a_failure_does_not_end_the_rest(dataset, t
     assert several.queries == plain.queries and several.scores == plain.scores
     assert several.timing["fits"] == plain.timing["fits"] == 2
     assert sorted(p.name for p in tmp_path.iterdir()) == ["crash.parts", "several.json"]
+
+
+def test_a_reader_tells_protocols_and_noises_apart(dataset, task):
+    """Studies ask one task by several protocols, and all their trainings share a reader."""
+    name, read = dataset.names()[0], reader.Reader()
+    fewer = dataclasses.replace(task, protocol=dataclasses.replace(task.protocol, query=task.protocol.query - 1))
+    loud = dataclasses.replace(task, noise=dataclasses.replace(task.noise, force_std=10.0))
+    first = read.subject(task, dataset, name)
+    assert len(read.subject(fewer, dataset, name).actions) == len(first.actions) - 1
+    assert read.subject(task, dataset, name) is first
+    quiet, other = (read.specimen(t, dataset, name).touches[0].value for t in (task, loud))
+    assert (quiet != other).any() and read.specimen(fewer, dataset, name) is read.specimen(task, dataset, name)

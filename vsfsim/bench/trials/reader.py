@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Hashable, Iterable
 
 from vsfsim.bench.method import Specimen
 from vsfsim.bench.protocol import record, specimen_of
 from vsfsim.bench.task import Task
 from vsfsim.bench.trials.subject import Subject
 from vsfsim.data.dataset import Dataset
-
-
-@dataclass(frozen=True)
-class _Known:
-    """What came of one file."""
-
-    specimen: Specimen
-    subject: Subject | None
-    """None until it was asked for."""
 
 
 class Reader:
@@ -31,7 +20,8 @@ class Reader:
     """
 
     def __init__(self) -> None:
-        self._known: dict[tuple[Path, str, str], _Known] = {}
+        self._specimens: dict[tuple[Hashable, ...], Specimen] = {}
+        self._subjects: dict[tuple[Hashable, ...], Subject] = {}
 
     def specimen(self, task: Task, dataset: Dataset, name: str) -> Specimen:
         """A training object as a method receives it.
@@ -42,11 +32,11 @@ class Reader:
         Raises:
             TaskError: it does not hold what the task reads.
         """
-        key = (dataset.path, task.name, name)
-        if key not in self._known:
+        key = _readings(task, dataset, name)
+        if key not in self._specimens:
             view = dataset.blind().load(name)
-            self._known[key] = _Known(specimen_of(view, record(view, task)), None)
-        return self._known[key].specimen
+            self._specimens[key] = specimen_of(view, record(view, task))
+        return self._specimens[key]
 
     def subject(self, task: Task, dataset: Dataset, name: str) -> Subject:
         """A test object as a method meets it.
@@ -57,16 +47,14 @@ class Reader:
         Raises:
             TaskError: it has too few touches, or not what the task reads.
         """
-        key = (dataset.path, task.name, name)
-        known = self._known.get(key)
-        if known is None or known.subject is None:
+        readings = _readings(task, dataset, name)
+        key = (*readings, task.protocol, task.primary)  # a study asks a task by a protocol of its own
+        if key not in self._subjects:
             view, places = dataset.shown(name)
             recording = record(view, task)
-            subject = Subject.of(view, places, recording, task, dataset)
-            specimen = specimen_of(view, recording) if known is None else known.specimen
-            known = self._known[key] = _Known(specimen, subject)
-        assert known.subject is not None
-        return known.subject
+            self._subjects[key] = Subject.of(view, places, recording, task, dataset)
+            self._specimens.setdefault(readings, specimen_of(view, recording))
+        return self._subjects[key]
 
     def read(self, task: Task, dataset: Dataset, *, test: Iterable[str], train: Iterable[str]) -> None:
         """Read views in advance.
@@ -82,3 +70,8 @@ class Reader:
             self.subject(task, dataset, name)
         for name in train:
             self.specimen(task, dataset, name)
+
+
+def _readings(task: Task, dataset: Dataset, name: str) -> tuple[Hashable, ...]:
+    """What decides how the touches of an object view read."""
+    return dataset.path, name, task.observation.name, task.noise
