@@ -58,14 +58,6 @@ def test_progress_is_a_bar_in_a_terminal_and_rare_lines_in_a_log(monkeypatch):
             assert first == "press: 0/4 kernel [modules]" and last == "press: 2/2 frames, 0 s left"
 
 
-def test_a_log_says_what_has_begun(monkeypatch, capsys):
-    """A training of minutes was reported as the test of the method's contract, which was over."""
-    progress = Progress("evaluate", interval=60.0)
-    for what in ((0, 1, "contract"), (0, 40, "meta-fit"), (1, 40, "first"), (2, 40, "second")):
-        progress(*what)
-    assert capsys.readouterr().err.splitlines() == ["evaluate: 0/1 contract", "evaluate: 0/40 meta-fit"]
-
-
 @pytest.mark.parametrize(("words", "message"), [
     (("evalute",), "unknown command 'evalute'. Did you mean 'evaluate'?"),
     (("evaluate", "--method", "gausian", "--task", "fewshot-shoes-mini-v1"),

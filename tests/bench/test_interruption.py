@@ -172,6 +172,9 @@ def test_a_lock_of_a_killed_evaluation_holds_nobody_up(tmp_path):
     with own(out):
         pass
     assert not list(tmp_path.iterdir())
+    with own(tmp_path / "new" / "folder" / "mine.json"):
+        pass
+    assert not list(tmp_path.iterdir()), "an evaluation that wrote nothing leaves no folder behind"
 
 
 def test_a_file_system_without_locks(tmp_path, monkeypatch):

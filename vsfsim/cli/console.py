@@ -12,7 +12,7 @@ from typing import Any
 
 
 class Progress:
-    """Progress of a command on stderr: rich's bar in a terminal, a line a stage and now and then in a log.
+    """Progress of a command on stderr: rich's bar in a terminal, now and then a line in a log.
 
     Use it as a context manager and call it with (done, in all, what).
 
@@ -58,10 +58,10 @@ class Progress:
         self._bar.update(self._bar.task_ids[0], completed=done, what=what)
 
     def _log(self, done: int, total: int, what: str) -> None:
-        now, begins = time.perf_counter(), total != self._total
-        if begins:  # Another stage, whose first step may take minutes.
+        now = time.perf_counter()
+        if total != self._total:  # Another stage begins.
             self._start, self._first, self._total = now, done, total
-        if begins or now - self._logged > self.interval:
+        if now - self._logged > self.interval:
             self._logged = now
             new = done - self._first
             left = f", {(now - self._start) / new * (total - done):.0f} s left" if new else ""

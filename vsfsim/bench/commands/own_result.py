@@ -23,6 +23,7 @@ def own(result: Path) -> Iterator[None]:
         MethodError: another evaluation writes it, or its folder cannot be written.
     """
     path = result.with_name(f".{result.name}.lock")
+    made = [folder for folder in (result.parent, *result.parent.parents) if not folder.exists()]
     try:
         result.parent.mkdir(parents=True, exist_ok=True)
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
@@ -39,6 +40,9 @@ def own(result: Path) -> Iterator[None]:
         yield
     finally:
         release(handle, path)
+        with contextlib.suppress(OSError):  # what the evaluation wrote stays, and so do its folders
+            for folder in made:
+                folder.rmdir()
 
 
 def _take(handle: int, result: Path) -> None:
