@@ -134,10 +134,11 @@ def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
     travel = np.array([0.001, 0.003, 0.006, 0.01, 0.015, 0.02])
     force, ends = beams(16, travel)
     theirs, their_ends, many, _ = solid(1, 0.008, travel)
-    # from 6 mm on, so that it does not matter that the six corners of a tube stand out of the circle by 0.6 mm
-    ratio = (force[3:, 0] - force[2, 0]) / (theirs[3:, 0] - theirs[2, 0]) - 1
-    moved, they_moved = (1e3 * (e[-1] - e[2]) for e in (ends, their_ends))
-    print(f"force from 6 to 10, 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; {force[-1, 0]:.4f} "
+    # from 10 mm on, so that it does not matter that the six corners of a tube stand out of the circle by 0.6 mm: at 6
+    # mm the capsule has two equilibria on them, 0.534 and 0.544 N, and the frames before decide which one it comes to
+    ratio = (force[4:, 0] - force[3, 0]) / (theirs[4:, 0] - theirs[3, 0]) - 1
+    moved, they_moved = (1e3 * (e[-1] - e[3]) for e in (ends, their_ends))
+    print(f"force from 10 to 15 and 20 mm, beams over {many} tetrahedra: {np.round(ratio, 4)}; {force[-1, 0]:.4f} "
           f"and {theirs[-1, 0]:.4f} N in all")
     print("ends, mm, beams:", np.round(moved, 3).tolist(), "tetrahedra:", np.round(they_moved, 3).tolist())
     # a hexagon of the circle's area is 0.8 % stiffer in bending; the fork of beams is a point, that of tetrahedra a
