@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 from conftest import TASK
 
-from vsfsim.bench.commands import own_result
 from vsfsim.bench.commands.evaluate import evaluate
 from vsfsim.bench.commands.own_result import own
 from vsfsim.bench.predictions import questions, score_predictions
 from vsfsim.bench.result import Result
 from vsfsim.core.errors import MethodError
+from vsfsim.core.system import file_lock
 
 HERE = Path(__file__).parent
 WORDS = ["evaluate", "--method", "slow_method:Slow", "--task", "toy-v1.toml", "--dataset", "toy"]
@@ -181,6 +181,6 @@ def test_a_file_system_without_locks(tmp_path, monkeypatch):
     def refuse(handle, *, wait):
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(own_result, "lock", refuse)
+    monkeypatch.setattr(file_lock, "lock", refuse)
     with own(tmp_path / "mine.json"):
         pass

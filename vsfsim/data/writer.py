@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 from vsfsim.core.errors import DatasetError
-from vsfsim.core.system.file_lock import lock, release, sync_folder
+from vsfsim.core.system.file_lock import Held, release, sync_folder, take
 from vsfsim.data.dataset import (
     FORMAT,
     LOCK,
@@ -204,41 +204,18 @@ class DatasetWriter:
     def _take_lock(self) -> int:
         """A lock on dataset.lock: the system lets go of it when we die, so a stale lock cannot outlive its
         process."""
-        path = self.path / LOCK
         try:
-            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
-        except OSError as error:
-            raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Choose "
-                               f"another --out.") from error
-        try:
-            lock(handle, wait=False)
-        except OSError:
-            holder = _content(handle) or "unknown"
-            os.close(handle)
-            raise DatasetError(f"folder {self.path} is being written by process {holder}. Wait for it, stop it, or "
+            handle, before = take(self.path / LOCK, unlocked=False)
+        except Held as held:
+            raise DatasetError(f"folder {self.path} is being written by process {held}. Wait for it, stop it, or "
                                f"choose another --out.") from None
-        if not path.exists() or path.stat().st_ino != os.fstat(handle).st_ino:
-            os.close(handle)  # its last holder finished and removed it while we waited
-            return self._take_lock()
-        before = _content(handle)
-        if before:
-            self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
-        try:
-            os.ftruncate(handle, 0)
-            os.lseek(handle, 0, os.SEEK_SET)
-            os.write(handle, f"{os.getpid()}\n".encode())
         except OSError as error:
-            os.close(handle)
             raise DatasetError(f"folder {self.path} cannot be written: {error.strerror}. Free some space or choose "
                                f"another --out.") from error
+        if before:
+            self.notes.append(f"process {before} died while it wrote {self.path}; going on where it stopped.")
         _HELD.add(handle)
         return handle
-
-
-def _content(handle: int) -> str:
-    """The process id in a lock's file."""
-    os.lseek(handle, 0, os.SEEK_SET)
-    return os.read(handle, 64).decode(errors="replace").strip()
 
 
 def describe(path: Path) -> Entry:

@@ -45,11 +45,12 @@ def differences(found: Record, known: Record) -> list[str]:
     other = _other_shape(found, known)
     if other:
         return [other]
-    out = _other_views(found, known)
+    floors = _floors(known)
+    out = _other_views(found, known, floors)
     total = sum(len(e.of_touches) for e in known.entries)
     marks = touches = ends = 0
     first = ""
-    for name, odd in _odd_touches(found, known):
+    for name, odd in _odd_touches(found, known, floors):
         if known.again is not None and _OF_PHYSICS.issuperset(odd):
             ends += 1
         elif MARK in odd and _OF_MARKED.issuperset(odd):
@@ -62,7 +63,7 @@ def differences(found: Record, known: Record) -> list[str]:
     if marks > OTHER_MARKS * total:
         out.append(f"{marks} of {total} touches have other frames that did not converge")
     if known.again is not None:
-        out += _beyond(known.again, ends / max(total, 1), _size_apart(found, known))
+        out += _beyond(known.again, ends / max(total, 1), _size_apart(found, known, floors))
     return out
 
 
@@ -72,18 +73,18 @@ def again(found: Record, known: Record) -> Again:
     Raises:
         TaskError: they are not the same views or the same planned touches.
     """
-    other = _other_shape(found, known)
-    wrong = [other] if other else _other_views(found, known)
+    other, floors = _other_shape(found, known), _floors(known)
+    wrong = [other] if other else _other_views(found, known, floors)
     ends = 0
-    for name, odd in _odd_touches(found, known) if not wrong else ():
+    for name, odd in _odd_touches(found, known, floors) if not wrong else ():
         if not _OF_PHYSICS.issuperset(odd):
             wrong.append(f"{name}: {', '.join(odd)}")
         ends += 1
     if wrong:
         raise TaskError(f"the two datasets of task {known.task} are not of the same planned touches: {wrong[0]}. Give "
                         f"one that `vsfsim generate` made on another machine with the operands of the task.")
-    return Again(ends / max(sum(len(e.of_touches) for e in known.entries), 1), _size_apart(found, known),
-                 found.made_by)
+    return Again(ends / max(sum(len(e.of_touches) for e in known.entries), 1),
+                 _size_apart(found, known, floors), found.made_by)
 
 
 def _beyond(measured: Again, touches: float, size: float) -> list[str]:
@@ -112,8 +113,8 @@ def _other_shape(found: Record, known: Record) -> str:
     return ""
 
 
-def _other_views(found: Record, known: Record) -> list[str]:
-    floors, views, first = _floors(known), 0, ""
+def _other_views(found: Record, known: Record, floors: Mapping[str, float]) -> list[str]:
+    views, first = 0, ""
     for one, other in zip(found.entries, known.entries, strict=True):
         wrong = _odd(one.kinds[:len(one.of_view)], one.of_view, other.of_view, floors)
         views += bool(wrong)
@@ -121,9 +122,8 @@ def _other_views(found: Record, known: Record) -> list[str]:
     return [f"{views} of {len(known.entries)} views differ ({plain(first)})"] if views else []
 
 
-def _odd_touches(found: Record, known: Record) -> Iterator[tuple[str, list[str]]]:
+def _odd_touches(found: Record, known: Record, floors: Mapping[str, float]) -> Iterator[tuple[str, list[str]]]:
     """Touches that differ, with the kinds of what differs."""
-    floors = _floors(known)
     for one, other in zip(found.entries, known.entries, strict=True):
         kinds = one.kinds[len(one.of_view):]
         for index, (a, b) in enumerate(zip(one.of_touches, other.of_touches, strict=True)):
@@ -132,9 +132,9 @@ def _odd_touches(found: Record, known: Record) -> Iterator[tuple[str, list[str]]
                 yield f"{one.name} touch {index}", odd
 
 
-def _size_apart(found: Record, known: Record) -> float:
+def _size_apart(found: Record, known: Record, floors: Mapping[str, float]) -> float:
     """Largest relative difference, over object views, of the root mean square of the readings [-]."""
-    floor, apart = _floors(known).get(READING, 0.0), [0.0]
+    floor, apart = floors.get(READING, 0.0), [0.0]
     for one, other in zip(found.entries, known.entries, strict=True):
         mine, theirs = _size(one), _size(other)
         apart.append(abs(mine - theirs) / max(theirs, floor, np.finfo(float).tiny))
@@ -149,6 +149,7 @@ def _size(entry: Entry) -> float:
 
 
 def _floors(known: Record) -> dict[str, float]:
+    """The size as which a smaller vector counts, by kind."""
     sizes: dict[str, list[float]] = {}
     for entry in known.entries:
         count = len(entry.of_view)

@@ -6,6 +6,7 @@ POSIX has `fcntl.flock`, Windows `msvcrt.locking`. Where there is neither, nothi
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +22,8 @@ try:
 except ImportError:  # not Windows
     msvcrt = None
 
+_BUSY = (errno.EAGAIN, errno.EACCES, errno.EDEADLK)
+"""What the system says of a lock that another process holds; on a file system without locks it says something else."""
 _FAR = 1 << 30
 """Place of the locked byte on Windows [byte], behind the content, which others may then read."""
 
@@ -46,6 +49,49 @@ def lock(handle: int, *, wait: bool) -> None:
             except OSError:
                 if not wait:
                     raise  # LK_LOCK itself gives up after ten seconds; a waiting process asks again
+
+
+class Held(Exception):
+    """Another process holds the lock; the message is its process id, or "unknown"."""
+
+
+def take(path: Path, *, unlocked: bool) -> tuple[int, str]:
+    """Lock the file ``path``, which is made if it is missing, and write our process id into it.
+
+    Args:
+        path: of the lock; `release` removes it.
+        unlocked: whether to go on on a file system without locks, else that counts as held by somebody unknown.
+
+    Returns:
+        The file descriptor, and the process id that was in the file: of a process that died while it held it, or "".
+
+    Raises:
+        Held: another process holds it.
+        OSError: the file cannot be written.
+    """
+    while True:
+        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            try:
+                lock(handle, wait=False)
+            except OSError as error:
+                if error.errno in _BUSY or not unlocked:
+                    raise Held(_content(handle) or "unknown") from None
+            if path.exists() and path.stat().st_ino == os.fstat(handle).st_ino:
+                before = _content(handle)
+                os.ftruncate(handle, 0)
+                os.lseek(handle, 0, os.SEEK_SET)
+                os.write(handle, f"{os.getpid()}\n".encode())
+                return handle, before
+        except BaseException:
+            os.close(handle)
+            raise
+        os.close(handle)  # its last holder ended and removed it while we opened it
+
+
+def _content(handle: int) -> str:
+    os.lseek(handle, 0, os.SEEK_SET)
+    return os.read(handle, 64).decode(errors="replace").strip()
 
 
 def sync_folder(folder: Path) -> None:
