@@ -68,7 +68,7 @@ def test_an_equilibrium_that_misses_the_work_of_the_body_is_marked(press, fricti
         balance.u.copy_(u)
         balance.elasticity.forces(*columns(balance))
         balance.reason[:] = Reason.NONE
-        branch.mark(balance.every, last=True)
+        branch.mark(balance.every, at(0.004), last=True)
         assert balance.reason[0] == reason
 
 
@@ -80,8 +80,22 @@ def test_a_step_that_misses_a_little_energy_is_made_again_in_shorter_ones(press,
     balance.elasticity.forces(*columns(balance))
     for last in (True, False):
         balance.reason[:] = Reason.NONE
-        branch.mark(balance.every, last=last)
+        branch.mark(balance.every, at(0.004), last=last)
         assert (balance.reason[0] == Reason.SNAPPED) == (doubtful and not last)
+
+
+@pytest.mark.parametrize(("other", "again"), [(1.0, False), (0.997, True)])
+def test_what_shorter_steps_find_again_is_not_doubted(press, other, again):
+    """The doubt was that the long step went elsewhere; another energy at the same pose is doubted as before."""
+    branch, balance = press(0.0, 0.004)
+    end, elsewhere = at(0.004), at(0.0035)
+    for scale, pose, doubted in ((0.99, end, True), (0.99, elsewhere, True), (0.99 * other, end, again)):
+        balance.u *= scale
+        balance.elasticity.forces(*columns(balance))
+        balance.u /= scale
+        balance.reason[:] = Reason.NONE
+        branch.mark(balance.every, pose, last=False)
+        assert (balance.reason[0] == Reason.SNAPPED) == doubted
 
 
 def columns(balance):
@@ -102,7 +116,7 @@ def test_a_body_that_turns_is_not_asked_for_its_work(press):
     balance.u.zero_()
     balance.elasticity.forces(*columns(balance))
     balance.reason[:] = Reason.NONE
-    branch.mark(balance.every, last=True)
+    branch.mark(balance.every, turned, last=True)
     assert balance.reason[0] == Reason.NONE
 
 
@@ -130,8 +144,8 @@ def test_half_a_step_begins_in_equilibrium_with_the_points_of_the_failed_one(blo
         bar(self, columns, before, pose)
         unbalanced.append(float(self._balance.evaluate(columns)["measure"].max()))
 
-    def fails_once(self, columns, *, last):
-        mark(self, columns, last=last)
+    def fails_once(self, columns, pose, *, last):
+        mark(self, columns, pose, last=last)
         marked.append(columns)
         if len(marked) == 2:
             self._balance.reason[:] = Reason.SNAPPED

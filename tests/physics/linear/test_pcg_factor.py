@@ -129,6 +129,24 @@ def test_negative_curvature_is_told_in_units_of_the_preconditioner_and_a_shift_b
     assert x[:, 0].cpu().numpy() == pytest.approx(1.0 / (values + scale), rel=1e-9)
 
 
+def test_the_mode_of_negative_curvature_is_a_way_down_as_long_as_its_curvature_says(device):
+    """Of a diagonal matrix with one negative entry; the column without one has no mode. The mode goes down at first
+    order and at second, and its end is where a parabola of that curvature, turned over, has its bottom."""
+    values = np.stack([np.linspace(1.0, 4.0, 30), np.linspace(1.0, 4.0, 30)], axis=1)
+    values[7, 1] = -0.5
+    matrix = torch.as_tensor(values, device=device)
+    right = torch.ones((30, 2), dtype=torch.float64, device=device)
+    mode = torch.zeros_like(right)
+    limit = torch.full((2,), 1e-12, dtype=torch.float64, device=device)
+    x, _, met = pcg.solve(lambda p, which: (matrix if which is None else matrix[:, which]) * p, lambda r, _: r.clone(),
+                          right, tolerance=limit, iterations=100, mode=mode)
+    assert float(met[0]) == 0.0 and not mode[:, 0].any() and float(met[1]) > 0.0
+    p, residual = mode[:, 1], right[:, 1] - matrix[:, 1] * x[:, 1]
+    slope, curvature = float(p @ residual), float(p @ (matrix[:, 1] * p))
+    assert slope > 0.0 > curvature
+    assert -curvature == pytest.approx(slope, rel=1e-9)
+
+
 def test_the_iteration_limit_is_kept(systems, device):
     matrix, right = systems
     _, done, _ = solve(by_numpy(matrix, device), nothing, right, device, 1e-12, 7)

@@ -15,6 +15,7 @@ SNAP = 0.05
 _DOUBTFUL = 0.005  # share of that energy that makes a step doubtful, which can be made in shorter ones [-]
 _ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
 _SAME = 1e-2  # relative difference of least det F under which two crushed equilibria at one pose are the same
+_SAME_ENERGY = 1e-4  # the same of the energy that the bodies have put into the object, under two doubtful ones
 
 
 class Branch:
@@ -36,10 +37,12 @@ class Branch:
         self._way: torch.Tensor | None = None  # of the bodies in the step (B, K, 3) [m]
         self._smooth = _SmoothForce()
         self._crushed: dict[int, tuple[bytes, float]] = {}  # of touches: a pose and the least det F found there
+        self._doubtful: dict[tuple[int, bytes], float] = {}  # energies found by a touch at a pose [J]
 
     def begin(self) -> None:
         """Begin a step: nothing is known of its equilibria."""
         self._crushed.clear()
+        self._doubtful.clear()
         self._balance.least[:] = self._kept[:] = -float("inf")
 
     def bar(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray) -> None:
@@ -92,12 +95,13 @@ class Branch:
         """Let ``columns`` (k,) go where they will."""
         self._balance.least[columns] = -float("inf")
 
-    def mark(self, columns: torch.Tensor, *, last: bool) -> None:
-        """Mark equilibria of ``columns`` (k,) that miss energy.
+    def mark(self, columns: torch.Tensor, pose: np.ndarray, *, last: bool) -> None:
+        """Mark equilibria of ``columns`` (k,) at ``pose`` (B, K, 4, 4) that miss energy.
 
         A step that is not the ``last`` resort is made again in shorter ones if it is doubtful only: without friction
         it has stored less than a smooth force between its ends would have, by more than that estimate may be wrong. A
-        long step may end in another equilibrium than short ones, where the surface has slid around an edge, say.
+        long step may end in another equilibrium than short ones, where the surface has slid around an edge, say. Where
+        short ones have found the same, there is no doubt any more.
 
         The bodies have done the work of their force along the step, at the least that of the smaller of the forces at
         its ends. The object stores it, or friction has taken it up: the limits times the ways of slip, at the larger
@@ -115,11 +119,25 @@ class Branch:
         stored = self._stored(columns)
         lacks = stored + taken < self._kept[columns] + work
         if not last and not contact.has_friction:
-            lacks |= self._kept[columns].isfinite() & self._smooth.lacks(
+            doubtful = self._kept[columns].isfinite() & self._smooth.lacks(
                 columns, self._way[columns], force, stored + contact.energy(columns), self._rest[columns])
+            lacks |= doubtful & ~self._known(columns, pose, stored, doubtful)
         missing = lacks.cpu().numpy()
         host = columns.cpu().numpy()
         balance.reason[host[missing & (balance.reason[host] == Reason.NONE)]] = Reason.SNAPPED
+
+    def _known(self, columns: torch.Tensor, pose: np.ndarray, stored: torch.Tensor,
+               doubtful: torch.Tensor) -> torch.Tensor:
+        """Which of the equilibria of ``columns`` (k,), with energies ``stored`` (k,) [J], were found before at ``pose``
+        (B, K, 4, 4) in this step (k,) bool. The ``doubtful`` ones (k,) are noted."""
+        out = torch.zeros_like(doubtful)
+        for k in doubtful.nonzero()[:, 0].tolist():
+            touch, energy = int(columns[k]), float(stored[k])
+            here = touch, pose[touch].tobytes()
+            known = self._doubtful.get(here)
+            out[k] = known is not None and abs(known - energy) <= _SAME_ENERGY * abs(energy - float(self._rest[touch]))
+            self._doubtful[here] = energy
+        return out
 
     def _stored(self, columns: torch.Tensor) -> torch.Tensor:
         """Energy of object and weight in the states that were evaluated last (k,) [J]."""

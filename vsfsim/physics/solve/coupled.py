@@ -28,6 +28,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve import path
 from vsfsim.physics.solve.frames import Frames, Reason, SolverOptions
 from vsfsim.physics.solve.newton import State
+from vsfsim.physics.solve.prediction import Known
 from vsfsim.physics.solve.touches import FAR, Rows, Solver
 
 _STRIDE = 0.15  # of the sensor's `scale`: way in one step, so that a wall that is met lies in its nearer part
@@ -242,11 +243,11 @@ class CoupledSolver(Solver):
             contact.predict_candidates(failed, balance.u)
             super()._equilibrium(failed, pose, begin, deadline)
 
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor,
-                 pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray,
+                 here: Known | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
         # the condensed problem costs as much as a Newton step here, and the extrapolation is the better guess except
         # where the path turns, where there is only the other one
-        return super()._guesses(now, last, pose)[-1:]
+        return super()._guesses(now, last, pose, here)[-1:]
 
     def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
         # the condensed problem finds the contact of a soft pair from anywhere; a measure of 1 is often just a membrane

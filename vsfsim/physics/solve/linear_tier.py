@@ -168,5 +168,6 @@ def first_force(equilibria: Sequence[Any], last: torch.Tensor, pose: np.ndarray,
             return k.force
     if len(known) < 2:
         return last
-    (p0, _, f0), (p1, _, f1) = known[-2:]
-    return f1 + torch.as_tensor(path.ratio(p0, p1, pose), device=last.device)[:, None] * (f1 - f0)
+    first, second = known[-2:]
+    ratio = torch.as_tensor(path.ratio(first.pose, second.pose, pose), device=last.device)
+    return second.force + ratio[:, None] * (second.force - first.force)

@@ -27,10 +27,9 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
+from vsfsim.physics.solve.step import correct, farther
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
-_CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
-_OF_STEP = 0.01  # error of that correction with friction, over the length of the step
 _SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3  # of negative curvature: least, from which on it creeps; times
 _SECOND = 10  # conjugate-gradient iterations of a step's second-order correction, which takes 2 to 4
 # steps in a row, shorter than this, that points on the wrong side of a body may cost before a touch counts as lost
@@ -98,10 +97,11 @@ class Equilibrium:
         with clock.measure("forces"):
             self.elasticity.forces(index, wp.from_torch(self.u))
         moved = self.u[:, columns]
-        self._evaluate_contact(columns, moved)
+        self.evaluate_contact(columns, moved)
         return self._state(columns, moved)
 
-    def _evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
+    def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
+        """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
         dof = self.contact.dof[columns]
         self.contact.evaluate(columns,
                               moved.gather(0, dof.clamp(min=0).T).T.to(torch.float64) * self.contact.mask[columns])
@@ -112,7 +112,7 @@ class Equilibrium:
             return state
         self.contact.update_friction(columns)
         moved = self.u[:, columns]
-        self._evaluate_contact(columns, moved)
+        self.evaluate_contact(columns, moved)
         out = self._state(columns, moved)
         out["measure"] = out["measure"] + self.contact.friction_residual(columns) / self._acting(out["contact"])
         return out
@@ -201,15 +201,20 @@ class Equilibrium:
             for projected, which in ((True, fresh & convex), (False, fresh & ~convex)):
                 if bool(which.any()):
                     self._tangent(active[which], projected=projected)
-            direction, steps, curved, stiffness = self._descend(active, state["residual"][:, open_], ~far,
-                                                                idle[open_] > 0)
+            direction, steps, curved, stiffness, mode = self._descend(active, state["residual"][:, open_], ~far,
+                                                                      idle[open_] > 0)
             self.newton[host] += 1
             self.cg[host] += steps.cpu().numpy()
             follows = self.contact.coulomb[active] > 0.0
             plain = direction
             if self.contact.shifts or not bool(follows.all()):
-                plain = self._correct(active, direction, stiffness, state["residual"][:, open_])
+                plain = correct(self, active, direction, stiffness, state["residual"][:, open_])
             plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
+            slow = (idle[open_] > 0).nonzero()[:, 0]
+            if self._conservative and len(slow):
+                plain[:, slow] = farther(self, active[slow], plain[:, slow], (direction[:, slow], mode[:, slow]),
+                                         stiffness[slow], state["residual"][:, open_[slow]],
+                                         state["wrong_side"][open_[slow]])
             moved = self._step(active, open_, (plain, direction), state, tolerance)
             lost = (follows & ~moved).nonzero()[:, 0]
             if len(lost):
@@ -235,14 +240,20 @@ class Equilibrium:
         self.reason[columns[balanced & (state["det"] < CRUSHED)].cpu().numpy()] = Reason.CRUSHED
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
+    @property
+    def _conservative(self) -> bool:
+        """Whether the potential tells which of two states of a solid is the better one: there is no friction."""
+        return self.contact.shifts and not self.contact.has_friction
+
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
         with clock.measure("tangents"):
             self.elasticity.tangent(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u), projected=projected)
 
     def _descend(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                 creeps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any]:
+                 creeps: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, Any, torch.Tensor]:
         """Directions of descent (3 n, k) [m], the iterations that they took (k,), which met negative curvature (k,)
-        bool, and the contact stiffness that they were found with.
+        bool, the contact stiffness that they were found with, and modes of negative curvature to follow (3 n, k) [m], 0
+        for none.
 
         A tangent with negative curvature is shifted until it has none, in units of the preconditioner (Nocedal and
         Wright 2006, algorithm 3.3); later iterations begin with a part of that shift. Along a mode that is just
@@ -251,11 +262,16 @@ class Equilibrium:
 
         Before that the geometric term of the contact is left out, without which the tangent is convex under a ball that
         is deep in a body: its surface may slide around the ball, and the equilibrium that is nearest is a saddle. Where
-        the residual ``creeps`` (k,) bool, the shift leads on from there.
+        the residual ``creeps`` (k,) bool, the shift leads on from there, or without friction the mode itself, along
+        which the potential tells how far (Steihaug 1983, with a line search in place of a trust region).
         """
         shift = self._shift[columns]
-        direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift)
+        mode = torch.zeros((len(self.u), len(columns)), dtype=self.real, device=self.device)
+        direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift, mode=mode)
         curved = negative > 0.0
+        if self._conservative:
+            negative[creeps] = 0.0
+        mode[:, ~creeps] = 0.0
         shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
         at = (curved & ~creeps).nonzero()[:, 0]
         if self.contact.shifts and len(at):
@@ -280,44 +296,17 @@ class Equilibrium:
                 columns[left], residual[:, left], torch.zeros_like(near[left]))
             steps[left] += more
         self._shift[columns] = shift
-        return direction, steps, curved, stiffness
+        return direction, steps, curved, stiffness, mode
 
     def _direction(self, columns: torch.Tensor, residual: torch.Tensor, near: torch.Tensor,
-                   iterations: int | None = None, shift: torch.Tensor | None = None,
+                   iterations: int | None = None, shift: torch.Tensor | None = None, mode: torch.Tensor | None = None,
                    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         opt = self.options
         left = self._aim * self._acts[columns] / _size(residual) if self.model.keeps_volume else None
         return newton_direction(self.elasticity, self.contact, columns, residual.to(self.real), near=near,
                                 iterations=iterations or opt.cg, plain=opt.cg_plain, deadline=self._deadline,
-                                tolerance=linear_tolerance(opt, near, left), shift=shift, factors=self.factors)
-
-    def _correct(self, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
-                 residual: torch.Tensor) -> torch.Tensor:
-        """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
-
-        The condensed problem removes the difference between the true contact forces at the end of the step and the
-        linearised ones. Where the contact stays the same this changes nothing. The body responds as at rest in it, so a
-        body that has become stiffer is corrected too far: where that takes away most of the descent along the
-        direction, the direction stays as it is.
-        """
-        contact = self.contact
-        at = contact.dof[columns].clamp(min=0).T
-        mask = contact.mask[columns]
-        change = direction.gather(0, at).T.to(torch.float64) * mask
-        base = self.u[:, columns].gather(0, at).T.to(torch.float64) * mask + change
-        pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
-        slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
-        fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
-        with clock.measure("contact"):
-            force, error = contact.condensed(columns, base, pushed, iterations=30, tolerance=fine if slides else 1e-5)
-        useful = (error < 0.1) & (force != 0.0).any(dim=1)
-        if bool(useful.any()):
-            corrected = direction.clone()
-            corrected[:, useful] += contact.response.patch(columns[useful], force[useful]).to(direction.dtype)
-            falls = ((residual * corrected).sum(dim=0)
-                     >= (_DESCENDS if slides else _CORRECTED) * (residual * direction).sum(dim=0))
-            direction = torch.where(falls, corrected, direction)
-        return direction
+                                tolerance=linear_tolerance(opt, near, left), shift=shift, factors=self.factors,
+                                mode=mode)
 
     def _step(self, columns: torch.Tensor, at: torch.Tensor, directions: tuple[torch.Tensor, torch.Tensor],
               state: State, tolerance: float) -> torch.Tensor:

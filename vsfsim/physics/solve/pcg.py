@@ -28,7 +28,8 @@ def column_dots(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
 
 def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, tolerance: torch.Tensor,
           iterations: int, plain: bool = False, deadline: float = float("inf"),
-          shift: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+          shift: torch.Tensor | None = None,
+          mode: torch.Tensor | None = None) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Solve (A + ``shift`` M) x = ``right`` from x = 0.
 
     Args:
@@ -42,6 +43,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         deadline: `time.perf_counter` after which no iteration begins [s]; x is then what was reached, a direction of
             descent all the same.
         shift: of each column (k,) [-], none by default. It costs no product with M: M p follows from the residuals.
+        mode: takes the direction of negative curvature of each column that meets one (3 n, k): descent, as long as the
+            step would be if the curvature were positive.
 
     Returns:
         x (3 n, k), iterations of each column (k,), and the negative curvature that each met, -p.(A + shift M) p / p.M p
@@ -69,6 +72,9 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         if bool(bad.any()):
             met = torch.where(bad, (-pap / column_dots(p, mp).clamp(min=1e-300)).clamp(min=_LEAST), 0.0)
             negative[slice(None) if which is None else which] += met
+            if mode is not None:
+                at = bad.nonzero()[:, 0]
+                mode[:, at if which is None else which[at]] = p[:, at] * (rz / (-pap).clamp(min=1e-300))[at].to(p.dtype)
         steps[slice(None) if which is None else which] += running
         if step == 0:
             x += p * bad

@@ -197,7 +197,7 @@ class Solver:
     def _remember(self, pose: np.ndarray, force: torch.Tensor) -> None:
         """Keep this equilibrium for later frames to begin from: all of them without friction, the last two with it."""
         self._contact_force = force
-        self._equilibria.append(Known(pose, self._balance.u.clone(), force))
+        self._equilibria.append(Known(pose, self._balance.u.clone(), force, self.contact.dof))
         most = _EQUILIBRIA_BYTES["cpu" if self.device == "cpu" else "cuda"]
         if self.contact.has_friction or self._equilibria[0].u.nbytes * len(self._equilibria) > most:
             del self._equilibria[:-2]
@@ -246,19 +246,22 @@ class Solver:
                     return
         self._predict(columns, pose)
 
-    def _predict(self, columns: torch.Tensor, pose: np.ndarray) -> None:
-        """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4), from their present displacements."""
+    def _predict(self, columns: torch.Tensor, pose: np.ndarray, here: Known | None = None) -> None:
+        """Begin ``columns`` at a prediction for the bodies' ``pose`` (B, K, 4, 4); ``here``: see `_guesses`."""
         balance, contact = self._balance, self.contact
         balance.evaluate(columns)
         last = contact.recall(self._contact_force)
         meets = columns[contact.touches(columns) | (last[columns] != 0.0).any(dim=1)]
         if len(meets):
-            predict(balance, meets, self._guesses(balance.u.clone(), last, pose))
+            predict(balance, meets, self._guesses(balance.u.clone(), last, pose, here))
 
-    def _guesses(self, now: torch.Tensor, last: torch.Tensor,
-                 pose: np.ndarray) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """What a step may begin from, see `prediction.guesses`."""
-        return guesses(self._equilibria, (now, last), pose, self.contact, self._contact_force.shape)
+    def _guesses(self, now: torch.Tensor, last: torch.Tensor, pose: np.ndarray,
+                 here: Known | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """See `prediction.guesses`; ``here`` is the last equilibrium, if it is given."""
+        known = self._equilibria
+        if here and known and not np.array_equal(known[-1].pose, here.pose):
+            known = [known[-1], here]
+        return guesses(known, (now, last), pose, self.contact)
 
     def _reach(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
                deadline: float, halvings: int, friction: Any) -> None:
@@ -268,19 +271,19 @@ class Solver:
         The present displacements are the first guess. Touches that fail are approached again in half steps.
         """
         balance, contact = self._balance, self.contact
-        # from where a half step begins Newton's method turns elements of a nearly incompressible body inside out
-        predicts = (halvings < self.options.halvings and self.model.keeps_volume and contact.shifts
-                    and not contact.has_friction)
+        # where a half step begins the bodies overlap the object by all of it, and Newton's method goes far astray
+        predicts = halvings < self.options.halvings and contact.shifts and not contact.has_friction
         if predicts:
             self._contact_force = contact.remember(balance.every)  # at ``before``, where `Branch.bar` was last
+            here = Known(before, begin, self._contact_force, contact.dof)
         contact.begin_step(before, begin)
         contact.move(pose, columns)
         if predicts:
-            self._predict(columns, pose)
+            self._predict(columns, pose, here)
         if halvings == 0:
             self._branch.lift(columns)  # a body may snap
         self._equilibrium(columns, pose, begin, deadline)
-        self._branch.mark(columns, last=halvings + _DOUBTS <= self.options.halvings)
+        self._branch.mark(columns, pose, last=halvings + _DOUBTS <= self.options.halvings)
         asked = columns.cpu().numpy()
         hopeless = balance.exhausted(asked) | self._branch.repeats(columns, pose)
         again = (balance.reason[asked] != Reason.NONE) & ~hopeless
@@ -301,8 +304,7 @@ class Solver:
             contact.move(pose, failed)
             balance.reason[host] = Reason.TIME
             return
-        # friction remembers a step that failed, and a body that snapped does not come back: what follows is no
-        # equilibrium of the true path
+        # friction remembers a step that failed, a body that snapped does not come back: what follows is not the path
         reason = balance.reason[host]
         ends = (reason != Reason.NONE) & contact.has_friction | (reason == Reason.SNAPPED)
         self._broken[host[ends]] = True
@@ -319,8 +321,7 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        # a body that went deep into a soft wall in one frame is approached through softer contact, which lets one
-        # through that touched before
+        # one that went deep into a soft wall in one frame is led by softer contact, which lets one that touched through
         far = columns[self._far_from_balance(state["measure"]) & ~(self._touched[columns] & contact.shifts)]
         if len(far):
             self._lead(far, begin, deadline)
