@@ -27,7 +27,7 @@ from vsfsim.physics.model import Model
 from vsfsim.physics.solve.direction import linear_tolerance, newton_direction
 from vsfsim.physics.solve.elasticity import Elasticity
 from vsfsim.physics.solve.frames import Reason, SolverOptions
-from vsfsim.physics.solve.step import correct, farther
+from vsfsim.physics.solve.step import LARGE, correct, farther
 from vsfsim.physics.solve.tangent_factor import TangentFactors
 
 _SHIFT, _MOST_SHIFT, _SHIFTS = 0.05, 1.0, 3  # of negative curvature: least, from which on it creeps; times
@@ -210,8 +210,8 @@ class Equilibrium:
             if self.contact.shifts or not bool(follows.all()):
                 plain = correct(self, active, direction, stiffness, state["residual"][:, open_])
             plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
-            slow = (idle[open_] > 0).nonzero()[:, 0]
-            if self._conservative and len(slow):
+            slow = ((idle[open_] > 0) & ~far).nonzero()[:, 0]
+            if self._conservative and len(slow) and self.contact.dof.shape[1] <= LARGE:
                 plain[:, slow] = farther(self, active[slow], plain[:, slow], (direction[:, slow], mode[:, slow]),
                                          stiffness[slow], state["residual"][:, open_[slow]],
                                          state["wrong_side"][open_[slow]])
@@ -269,9 +269,9 @@ class Equilibrium:
         mode = torch.zeros((len(self.u), len(columns)), dtype=self.real, device=self.device)
         direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift, mode=mode)
         curved = negative > 0.0
-        if self._conservative:
-            negative[creeps] = 0.0
-        mode[:, ~creeps] = 0.0
+        if self._conservative and self.contact.dof.shape[1] <= LARGE:
+            negative[creeps & near] = 0.0
+        mode[:, ~(creeps & near)] = 0.0
         shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)
         at = (curved & ~creeps).nonzero()[:, 0]
         if self.contact.shifts and len(at):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from vsfsim.physics.solve.newton import Equilibrium
 
 _RENEWALS = 2  # of the friction limits, after which their condensed problem is solved again
 _WILD = 1e-3  # error of a condensed problem from which on the guess as it is may be the better one
+_TIMES = (1.5, 2.0, 3.0)  # the first equilibrium, as a guess at the second where its correction leads astray
 _USEFUL = 0.1  # error of a condensed problem up to which its forces are better than none
 
 
@@ -74,33 +76,27 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
     """
     contact = balance.contact
     now, last = balance.u.clone(), guesses[0][1]
-    best = torch.full((len(columns),), float("inf"), dtype=torch.float64, device=balance.device)
-    wrong_side = torch.full_like(best, torch.iinfo(torch.int64).max, dtype=torch.int64)
-    chosen, pushed = now.clone(), last[columns].clone()
-    for base, force in guesses:
+    best, every = _Best(balance, columns), torch.ones_like(columns, dtype=torch.bool)
+    tries = list(guesses)
+    for number, (base, force) in enumerate(tries):
+        if number and time.perf_counter() > contact.deadline:
+            break
         with clock.measure("prediction"):
             change, error = contact.condensed(columns, contact.gather(base)[columns], force[columns], iterations=20,
                                               tolerance=1e-4)
+        moved = base[:, columns] + contact.response.patch(columns, change).to(balance.real)
+        best.offer(moved, force[columns] + change, every)
         # of a body that responds otherwise than at rest, near a bifurcation, say, the correction may lead anywhere
         wild = error > _WILD
-        for part in (1.0, 0.0) if contact.shifts and base is not guesses[0][0] and bool(wild.any()) else (1.0,):
-            corrected = part * change
-            balance.u[:, columns] = base[:, columns] + contact.response.patch(columns, corrected).to(balance.real)
-            state = balance.evaluate(columns)
-            state["potential"][state["potential"] < balance.least[columns]] = float("inf")
-            better = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side)
-                                                           & (state["potential"] < best))
-            better &= wild | (part == 1.0)
-            best = torch.where(better, state["potential"], best)
-            wrong_side = torch.where(better, state["wrong_side"], wrong_side)
-            chosen[:, columns[better]] = balance.u[:, columns[better]]
-            pushed[better] = (force[columns] + corrected)[better]
+        if not (contact.shifts and bool(wild.any())):
+            continue
+        if number:
+            best.offer(base[:, columns], force[columns], wild)
+        elif len(guesses) == 1:
+            tries += [(times * base, times * force) for times in _TIMES]
+    best.offer(now[:, columns], last[columns], every, present=True)
     balance.u.copy_(now)
-    state = balance.evaluate(columns)
-    stay = (state["wrong_side"] < wrong_side) | ((state["wrong_side"] == wrong_side) & (state["potential"] <= best))
-    chosen[:, columns[stay]] = now[:, columns[stay]]
-    pushed[stay] = last[columns[stay]]
-    balance.u.copy_(chosen)
+    balance.u[:, columns], pushed = best.u, best.force
     if not (contact.has_friction and contact.shifts):
         return
     _renew(balance, columns)
@@ -112,6 +108,38 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
         balance.u[:, columns] += contact.response.patch(columns, change).to(balance.real)
         pushed += change
         _renew(balance, columns)
+
+
+class _Best:
+    """The state of least potential among those on offer for the touches ``columns`` (k,), and of these the one with the
+    fewest points on the wrong side of a body."""
+
+    u: torch.Tensor
+    """Its displacements (3 n, k) [m]."""
+    force: torch.Tensor
+    """Its contact forces on the patches (k, 3 s) [N]."""
+
+    def __init__(self, balance: Equilibrium, columns: torch.Tensor):
+        self._balance, self._columns = balance, columns
+        self._potential = torch.full((len(columns),), float("inf"), dtype=torch.float64, device=balance.device)
+        self._wrong_side = torch.full_like(columns, torch.iinfo(torch.int64).max, dtype=torch.int64)
+        self.u, self.force = balance.u[:, columns], balance.contact.no_force()[columns]
+
+    def offer(self, u: torch.Tensor, force: torch.Tensor, which: torch.Tensor, *, present: bool = False) -> None:
+        """Take a state for those of ``which`` (k,) bool that it is better for. The ``present`` one wins where it is as
+        good, and is no other branch, which the others may be."""
+        balance = self._balance
+        balance.u[:, self._columns] = u
+        state = balance.evaluate(self._columns)
+        potential, wrong_side = state["potential"], state["wrong_side"]
+        if not present:
+            potential[potential < balance.least[self._columns]] = float("inf")
+        less = potential <= self._potential if present else potential < self._potential
+        better = which & ((wrong_side < self._wrong_side) | ((wrong_side == self._wrong_side) & less))
+        self._potential = torch.where(better, potential, self._potential)
+        self._wrong_side = torch.where(better, wrong_side, self._wrong_side)
+        self.u = torch.where(better, u, self.u)
+        self.force = torch.where(better[:, None], force, self.force)
 
 
 def _renew(balance: Equilibrium, columns: torch.Tensor) -> None:

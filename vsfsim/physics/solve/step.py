@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
+LARGE = 1500
+"""Unknowns of a patch from which on a condensed problem costs more than the linear system whose step it corrects."""
 _TIMES = (0.01, 1000.0)  # shortest and longest step along a mode, over that which its curvature suggests
 
 
@@ -33,8 +35,10 @@ def correct(balance: Equilibrium, columns: torch.Tensor, direction: torch.Tensor
     pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
     slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
+    large = base.shape[1] > LARGE
     with clock.measure("contact"):
-        force, error = contact.condensed(columns, base, pushed, iterations=30, tolerance=fine if slides else 1e-5)
+        force, error = contact.condensed(columns, base, pushed, iterations=10 if large else 30,
+                                         tolerance=fine if slides else 1e-3 if large else 1e-5)
     useful = (error < 0.1) & (force != 0.0).any(dim=1)
     if bool(useful.any()):
         corrected = direction.clone()
