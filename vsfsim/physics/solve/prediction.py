@@ -76,7 +76,7 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
     """
     contact = balance.contact
     now, last = balance.u.clone(), guesses[0][1]
-    best, every = _Best(balance, columns), torch.ones_like(columns, dtype=torch.bool)
+    best, every = _Best(balance, columns, last[columns]), torch.ones_like(columns, dtype=torch.bool)
     tries = list(guesses)
     for number, (base, force) in enumerate(tries):
         if number and time.perf_counter() > contact.deadline:
@@ -119,11 +119,11 @@ class _Best:
     force: torch.Tensor
     """Its contact forces on the patches (k, 3 s) [N]."""
 
-    def __init__(self, balance: Equilibrium, columns: torch.Tensor):
+    def __init__(self, balance: Equilibrium, columns: torch.Tensor, force: torch.Tensor):
         self._balance, self._columns = balance, columns
         self._potential = torch.full((len(columns),), float("inf"), dtype=torch.float64, device=balance.device)
         self._wrong_side = torch.full_like(columns, torch.iinfo(torch.int64).max, dtype=torch.int64)
-        self.u, self.force = balance.u[:, columns], balance.contact.no_force()[columns]
+        self.u, self.force = balance.u[:, columns], force
 
     def offer(self, u: torch.Tensor, force: torch.Tensor, which: torch.Tensor, *, present: bool = False) -> None:
         """Take a state for those of ``which`` (k,) bool that it is better for. The ``present`` one wins where it is as
