@@ -111,8 +111,8 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
 
 
 class _Best:
-    """The state of least potential among those on offer for the touches ``columns`` (k,), and of these the one with the
-    fewest points on the wrong side of a body."""
+    """Of the states on offer for the touches ``columns`` (k,) those with the fewest points on the wrong side of a body,
+    and of these the one of least potential."""
 
     u: torch.Tensor
     """Its displacements (3 n, k) [m]."""

@@ -321,7 +321,7 @@ class Solver:
     def _equilibrium(self, columns: torch.Tensor, pose: np.ndarray, begin: torch.Tensor, deadline: float) -> None:
         balance, contact = self._balance, self.contact
         state = balance.evaluate(columns)
-        # one that went deep into a soft wall in one frame is led by softer contact, which lets one that touched through
+        # softer contact leads a body that goes deep into a soft wall in one frame, and lets one through that touched it
         far = columns[self._far_from_balance(state["measure"]) & ~(self._touched[columns] & contact.shifts)]
         if len(far):
             self._lead(far, begin, deadline)
