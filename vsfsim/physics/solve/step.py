@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import torch
 
 from vsfsim.physics import clock
-
-if TYPE_CHECKING:
-    from vsfsim.physics.solve.newton import Equilibrium
+from vsfsim.physics.contact.interface import Contact
 
 _CORRECTED, _DESCENDS = 0.3, 1e-3  # of the slope along a direction that its correction must keep; with friction
 _OF_STEP = 0.01  # error of that correction with friction, over the length of the step
@@ -18,7 +16,24 @@ LARGE = 1500
 _TIMES = (0.01, 1000.0)  # shortest and longest step along a mode, over that which its curvature suggests
 
 
-def correct(balance: Equilibrium, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
+class Balance(Protocol):
+    """What is asked of the touches whose steps these are, see `newton.Equilibrium`."""
+
+    u: torch.Tensor
+    """Displacements (3 n, B) [m]."""
+    least: torch.Tensor
+    """Potential under which a state lies on another branch (B,) [J]."""
+    contact: Contact
+    """The contact."""
+
+    def evaluate(self, columns: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
+
+    def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
+        """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
+
+
+def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, stiffness: torch.Tensor,
             residual: torch.Tensor) -> torch.Tensor:
     """Correct Newton's step for the contact at its end: it was found for the points that touch at its beginning.
 
@@ -49,7 +64,7 @@ def correct(balance: Equilibrium, columns: torch.Tensor, direction: torch.Tensor
     return direction
 
 
-def farther(balance: Equilibrium, columns: torch.Tensor, step: torch.Tensor, way: tuple[torch.Tensor, torch.Tensor],
+def farther(balance: Balance, columns: torch.Tensor, step: torch.Tensor, way: tuple[torch.Tensor, torch.Tensor],
             stiffness: torch.Tensor, residual: torch.Tensor, wrong_side: torch.Tensor) -> torch.Tensor:
     """The step (3 n, k) [m] of least potential among ``step`` and further ones, where the potential falls so slowly
     that an equilibrium is far.
@@ -81,7 +96,7 @@ def farther(balance: Equilibrium, columns: torch.Tensor, step: torch.Tensor, way
         best[:, at[good]], least[at[good]] = longer[:, good], new["potential"][good]
         return good
 
-    every = torch.arange(len(columns), device=balance.device)
+    every = torch.arange(len(columns), device=balance.u.device)
     good = falls(every, 1.0)
     for at, factor in ((every[good], 2.0), (every[~good & mode], 0.25)):
         times = factor
