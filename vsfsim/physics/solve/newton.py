@@ -211,7 +211,7 @@ class Equilibrium:
                 plain = correct(self, active, direction, stiffness, state["residual"][:, open_])
             plain = plain if self.contact.shifts else torch.where(follows, direction, plain)
             slow = ((idle[open_] > 0) & ~far).nonzero()[:, 0]
-            if self._conservative and len(slow) and self.contact.dof.shape[1] <= LARGE:
+            if self._follows_modes and len(slow):
                 plain[:, slow] = farther(self, active[slow], plain[:, slow], (direction[:, slow], mode[:, slow]),
                                          stiffness[slow], state["residual"][:, open_[slow]],
                                          state["wrong_side"][open_[slow]])
@@ -241,9 +241,10 @@ class Equilibrium:
         self.reason[columns[balanced & (state["det"] <= 0.0)].cpu().numpy()] = Reason.INVERTED
 
     @property
-    def _conservative(self) -> bool:
-        """Whether the potential tells which of two states of a solid is the better one: there is no friction."""
-        return self.contact.shifts and not self.contact.has_friction
+    def _follows_modes(self) -> bool:
+        """Whether a line search follows modes of negative curvature: without friction the potential tells which of two
+        states of a solid is the better one, and on a patch that is not large what is tried costs little."""
+        return self.contact.shifts and not self.contact.has_friction and self.contact.dof.shape[1] <= LARGE
 
     def _tangent(self, columns: torch.Tensor, *, projected: bool) -> None:
         with clock.measure("tangents"):
@@ -269,7 +270,7 @@ class Equilibrium:
         mode = torch.zeros((len(self.u), len(columns)), dtype=self.real, device=self.device)
         direction, steps, negative, stiffness = self._direction(columns, residual, near, shift=shift, mode=mode)
         curved = negative > 0.0
-        if self._conservative and self.contact.dof.shape[1] <= LARGE:
+        if self._follows_modes:
             negative[creeps & near] = 0.0
         mode[:, ~(creeps & near)] = 0.0
         shift *= torch.where((shift > _SHIFT) | curved, 0.25, 0.0)

@@ -50,7 +50,7 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
     slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
-    large = base.shape[1] > LARGE
+    large = contact.shifts and base.shape[1] > LARGE
     with clock.measure("contact"):
         force, error = contact.condensed(columns, base, pushed, iterations=10 if large else 30,
                                          tolerance=fine if slides else 1e-3 if large else 1e-5)
