@@ -77,7 +77,7 @@ class Dome:
         near = np.flatnonzero(((at >= low) & (at <= high)).all(axis=1))
         cell = (np.minimum((at[near] - low) / (high - low) * _CELLS, _CELLS - 1).astype(int) * [_CELLS, 1]).sum(axis=1)
         corners, z = self.points[self.faces][:, :, :2], self.points[self.faces][:, :, 2]
-        inverse = np.linalg.inv(np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2))
+        inverse = self._inverses
         # triangles whose box meets a cell
         first, last = ((corners.min(axis=1) - low) / (high - low) * _CELLS
                        - 1e-6).astype(int), ((corners.max(axis=1) - low) / (high - low) * _CELLS + 1e-6).astype(int)
@@ -95,6 +95,12 @@ class Dome:
             held = inside[rows, best] >= -1e-9
             out[part[held]] = np.einsum("kc,kc->k", weight[rows, best], z[mine[best]])[held]
         return out
+
+    @cached_property
+    def _inverses(self) -> np.ndarray:
+        """From places of the rim plane to coordinates along two edges of each triangle (F, 2, 2) [1/m]."""
+        corners = self.points[self.faces][:, :, :2]
+        return np.linalg.inv(np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2))
 
     def table(self) -> dict[str, Any]:
         """As JSON values; `read_dome` takes them back."""
