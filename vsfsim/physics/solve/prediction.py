@@ -91,7 +91,7 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
         if not (contact.shifts and bool(wild.any())):
             continue
         if number:
-            best.offer(base[:, columns], force[columns], wild)
+            best.offer(base[:, columns].to(balance.real), force[columns], wild)  # it may be of single precision yet
         elif len(guesses) == 1:
             tries += [(times * base, times * force) for times in _TIMES]
     best.offer(now[:, columns], last[columns], every, present=True)
