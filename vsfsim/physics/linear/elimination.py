@@ -62,6 +62,8 @@ class Order:
     """Column of nodes of every block (b,), ascending in each row."""
     bytes: float
     """Memory of a factor while it is made [byte]."""
+    work: float
+    """Multiplications of an elimination for each number that it stores [-]; a solve reads every number twice."""
 
     def __init__(self, matrix: sp.bsr_matrix, points: np.ndarray):
         self.start, self.neighbours = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
@@ -92,6 +94,8 @@ class Order:
             [f.own for f in tree], [f.boundary for f in tree], [np.array(f.children, np.int32) for f in tree])]
         self._own = [_unknowns(front.own) for front in tree]
         self.bytes = 2.0 * entries + 8.0 * (self._room + self._wide**2)
+        p, q = self.tables[:, 0].astype(float), self.tables[:, 2].astype(float)
+        self.work = float((p**3 / 1.5 + p**2 * q + p * q**2).sum()) / max(entries, 1)
 
     def find(self, row: np.ndarray, column: np.ndarray) -> np.ndarray:
         """Numbers of the blocks of the nodes ``row`` and ``column`` (same shape); -1 where there is none."""

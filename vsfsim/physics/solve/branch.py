@@ -12,7 +12,7 @@ from vsfsim.physics.solve.newton import Equilibrium
 
 SNAP = 0.05
 """Share of the energy that the bodies have put into the object, which a step may lose [-]."""
-_DOUBTFUL = 0.005  # share of that energy that makes a step doubtful, which can be made in shorter ones [-]
+_DOUBTFUL = 0.0075  # share of that energy that makes a step doubtful, which can be made in shorter ones [-]
 _ROUNDING = 1e-4  # of the elastic energy, which single precision may lose [-]
 _SAME = 1e-2  # relative difference of least det F under which two crushed equilibria at one pose are the same
 _SAME_ENERGY = 1e-4  # the same of the energy that the bodies have put into the object, under two doubtful ones

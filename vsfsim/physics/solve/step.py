@@ -52,7 +52,7 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
     large = contact.shifts and base.shape[1] > LARGE
     with clock.measure("contact"):
-        force, error = contact.condensed(columns, base, pushed, iterations=10 if large else 30,
+        force, error = contact.condensed(columns, base, pushed, iterations=4 if large else 30,
                                          tolerance=fine if slides else 1e-3 if large else 1e-5)
     useful = (error < 0.1) & (force != 0.0).any(dim=1)
     if bool(useful.any()):

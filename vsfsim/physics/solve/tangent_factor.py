@@ -33,6 +33,7 @@ _FEW = 4  # touches of a batch: each has a factor of its own
 _USUAL = 10  # conjugate gradients of a linear system that are no reason for another factor
 # those beyond `_USUAL` after which a factor is made: of one frame with the rest-state factor, and of all with an own
 _FIRST, _AGAIN = 60, 60
+_WORK = 6.5  # `Order.work` for each iteration that a factor costs, measured on bodies of 6,000 to 34,000 nodes
 _BYTES = 1e9  # of a factor while it is made
 # of the local factor: usual iterations, and those beyond them after which it is made; its nodes at most, and the
 # least displacement gradient there
@@ -105,12 +106,13 @@ class TangentFactors:
             self._most[b] = max(self._most[b], number)
 
     def drop(self, columns: torch.Tensor) -> bool:
-        """Drop the factors of the touches ``columns`` (k,) until the next frame; whether one of them had any."""
+        """Drop the factors of the touches ``columns`` (k,) until the next frame, but let one that had a factor of the
+        whole have a local one instead; whether one of them had any."""
         had = False
         for b in columns.tolist():
             had |= self._own[b] is not None or self._local[b] is not None
-            self._own[b], self._local[b] = None, None
-            self._lost[b] = self._no_local[b] = True
+            self._no_local[b] |= self._own[b] is None
+            self._own[b], self._local[b], self._lost[b] = None, None, True
         return had
 
     def renew(self, columns: torch.Tensor, u: torch.Tensor, deadline: float) -> torch.Tensor:
@@ -121,7 +123,13 @@ class TangentFactors:
         if not self._serves or not self._contact.symmetric:
             return made
         for k, b in enumerate(columns.tolist()):
-            if self._near_spent[b] > self._near and not self._no_local[b] and time.perf_counter() < deadline:
+            whole = self._spent[b] > (_FIRST if self._own[b] is None else _AGAIN) and not self._lost[b]
+            # it has its turn before another local factor where it would not have cost more; one that would not be ready
+            # in time is not begun
+            whole = (whole and (self._no_local[b] or self._spent[b] > self._order.work / _WORK)
+                     and time.perf_counter() + self._duration() <= deadline)
+            if not whole and self._near_spent[b] > self._near and not self._no_local[b] and (
+                    time.perf_counter() < deadline):
                 if self._local[b] is None:
                     self._spent[b] = 0  # before a factor of the whole the local one has its turn
                 with clock.measure("local factors"):
@@ -129,10 +137,8 @@ class TangentFactors:
                 made[k], self._near_spent[b] = True, 0
                 self._no_local[b] = self._local[b] is None
                 self._softening[b] = float(self._contact.softening[b])
-            if made[k] or self._lost[b] or self._spent[b] <= (_FIRST if self._own[b] is None else _AGAIN):
+            if not whole:
                 continue
-            if time.perf_counter() + self._duration() > deadline:
-                continue  # it would not be ready
             with clock.measure("tangent factors"):
                 self._own[b] = self._make(columns[k:k + 1], u)
             made[k] = True

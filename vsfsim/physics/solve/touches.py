@@ -43,7 +43,7 @@ _EQUILIBRIA_BYTES = {"cpu": 1e9, "cuda": 16e9}  # of equilibria that a later fra
 _NEARLY = 0.03  # measure under which a state that is not finished is a better start than the equilibrium before it
 _UNFINISHED = (Reason.ITERATIONS, Reason.TIME, Reason.STALLED)
 _DOUBTS = 2  # times that a step is halved because its energy is doubtful, and no more
-_GROWTHS = 8  # times that the patch may grow in a step, cuts of its faces included
+_GROWTHS, _GROWING = 10, 0.03  # solves of a step while the patch grows, cuts of its faces included; their tolerance
 
 
 class Solver:
@@ -239,11 +239,10 @@ class Solver:
         self._branch.bar(columns, before, pose)
         contact.begin_step(before, balance.u)
         contact.move(pose, columns)
-        if not contact.has_friction:
-            for known in reversed(self._equilibria):
-                if np.array_equal(known.pose, pose):
-                    balance.u.copy_(known.u)
-                    return
+        for known in reversed([] if contact.has_friction else self._equilibria):
+            if np.array_equal(known.pose, pose):
+                balance.u.copy_(known.u)
+                return
         self._predict(columns, pose)
 
     def _predict(self, columns: torch.Tensor, pose: np.ndarray, here: Known | None = None) -> None:
@@ -259,9 +258,8 @@ class Solver:
                  here: Known | None = None) -> list[tuple[torch.Tensor, torch.Tensor]]:
         """See `prediction.guesses`; ``here`` is the last equilibrium, if it is given."""
         known = self._equilibria
-        if here and known and not np.array_equal(known[-1].pose, here.pose):
-            known = [known[-1], here]
-        return guesses(known, (now, last), pose, self.contact)
+        apart = here and known and not np.array_equal(known[-1].pose, here.pose)
+        return guesses([known[-1], here] if apart else known, (now, last), pose, self.contact)
 
     def _reach(self, columns: torch.Tensor, before: np.ndarray, pose: np.ndarray, begin: torch.Tensor,
                deadline: float, halvings: int, friction: Any) -> None:
@@ -326,14 +324,15 @@ class Solver:
         if len(far):
             self._lead(far, begin, deadline)
             state = balance.evaluate(columns)
+        aim, host = balance.options.tolerance, columns.cpu().numpy()
         for _ in range(_GROWTHS):
-            balance.solve(columns, state, balance.options.tolerance, deadline)
+            balance.solve(columns, state, aim, deadline)
             lost = columns[~torch.isfinite(state["measure"])]
             if len(lost):
                 balance.u[:, lost] = begin[:, lost]
                 balance.evaluate(lost)
             if time.perf_counter() > deadline:  # no time to look where the bodies are
-                balance.reason[columns.cpu().numpy()] = Reason.TIME
+                balance.reason[host] = Reason.TIME
                 return
             grown = contact.extend_patch(columns, pose, balance.u, touched=self._touched)
             intruded = columns[contact.intruded(columns)]
@@ -344,11 +343,14 @@ class Solver:
                 balance.u[:, closed] = begin[:, closed]
                 state = balance.evaluate(columns)
             balance.reason[lost.cpu().numpy()] = Reason.NOT_FINITE
-            if not grown:
+            loose = aim > balance.options.tolerance and not balance.reason[host].all()
+            # a nearly incompressible body takes ten to twenty iterations to an equilibrium that the next points change
+            aim = max(balance.options.tolerance, _GROWING if grown and self.model.keeps_volume else 0.0)
+            if not grown and not loose:
                 at = intruded.cpu().numpy()
                 balance.reason[at[balance.reason[at] == Reason.NONE]] = Reason.INTRUSION
                 return
-        balance.reason[columns.cpu().numpy()] = Reason.PATCH
+        balance.reason[host] = Reason.PATCH
 
     def _lead(self, columns: torch.Tensor, begin: torch.Tensor, deadline: float) -> None:
         """Bring ``columns`` near equilibrium through softer contact, from the displacements ``begin`` (3 n, B) [m].
@@ -370,11 +372,9 @@ class Solver:
         balance.least = least
 
     def _far_from_balance(self, measure: torch.Tensor) -> torch.Tensor:
-        """Which touches are so far from equilibrium at the start of a step, by their ``measure`` (k,), that softer
-        contact should lead the way (k,) bool. A nearly incompressible body predicted with a lower bulk stiffness
-        is far off by its change of volume alone, which the first step removes."""
-        far = (measure - 1.0).abs() < 0.03
-        return far if self.model.keeps_volume else far | (measure > FAR)
+        """Which touches are so far off, by their ``measure`` (k,), that softer contact should lead the way (k,) bool. A
+        nearly incompressible body begins far off by its change of volume alone."""
+        return ((measure - 1.0).abs() < 0.03) | ((measure > FAR) & (not self.model.keeps_volume))
 
     def _linear_frame(self, before: np.ndarray, pose: np.ndarray, deadline: float) -> Rows:
         """One frame of the `linear` tier."""
