@@ -5,6 +5,7 @@ import ctypes
 import numpy as np
 import pytest
 import scipy.sparse as sp
+import torch
 
 from vsfsim.core.errors import MeshError
 from vsfsim.core.shape import Sphere
@@ -113,3 +114,48 @@ def test_a_local_factor_is_the_schwarz_method_and_refuses_an_indefinite_part(cap
         LocalFactor(sp.csr_matrix(a[at] - 200.0 * np.eye(30)[at]), at, touched=at)
     ctypes.CDLL(None).fflush(None)
     assert capfd.readouterr().out == "", "CHOLMOD's warning went into the user's table or JSON"
+
+
+@pytest.fixture
+def factors(block):
+    """The factors of a pressed block, at the beginning of a frame."""
+    poses = np.tile(np.eye(4), (1, 1, 1, 1))
+    poses[0, 0, :3, 3] = 0.003, 0.001, 0.045 - 0.0006
+    solver = Solver(block((0.06, 0.06, 0.03), 0.015), Sphere(0.015), options=SolverOptions(seconds=1e9))
+    assert solver.run(poses).converged.all()
+    solver._balance.reset_counts()
+    return solver._balance.factors
+
+
+def note(factors, number):
+    """Note a linear system of so many iterations: whether a factor of the whole is made then, and a local one."""
+    before = factors._own[0], factors._local[0]
+    factors.count(torch.tensor([0]), torch.tensor([number]), torch.tensor([0.0]))
+    factors.renew(torch.tensor([0]), torch.zeros(len(factors._model.free), 1, dtype=torch.float64), float("inf"))
+    return factors._own[0] is not before[0], factors._local[0] not in (None, before[1])
+
+
+def test_a_factor_of_the_whole_has_its_turn_before_yet_another_local_one(factors, monkeypatch):
+    """Local factors that took 17 to 60 iterations were made again in every step, and never one of the whole (cells
+    ee1cc93f7ff3 and 1905bbb0a1a2 of the stability map: 150 iterations for 3)."""
+    monkeypatch.setattr(factors, "_make", lambda *a: object())
+    monkeypatch.setattr(factors, "_make_local", lambda *a: object())
+    assert note(factors, 30) == (False, True)
+    due = max(tangent_factor._FIRST, factors._order.work / tangent_factor._WORK)
+    spent = 0
+    while spent <= due:
+        assert factors._own[0] is None
+        made = note(factors, 30)
+        spent += 30 - tangent_factor._USUAL
+    assert made == (True, False)
+
+
+def test_a_touch_whose_factor_of_the_whole_was_dropped_has_a_local_one(factors, monkeypatch):
+    """It went on with the factor at rest, 150 iterations a step (cell 674e54049ed1: 7 s for 2)."""
+    monkeypatch.setattr(factors, "_make", lambda *a: pytest.fail("another one of the whole"))
+    monkeypatch.setattr(factors, "_make_local", lambda *a: object())
+    factors._own[0] = object()
+    assert factors.drop(torch.tensor([0])) and factors.of(0) is None
+    assert note(factors, 150) == (False, True)
+    factors.drop(torch.tensor([0]))
+    assert note(factors, 150) == (False, False), "the local one did not help either"
