@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
-from scipy.spatial import cKDTree
 
 from vsfsim.core import signed_distance
 from vsfsim.core.chain import Chain
@@ -75,15 +72,10 @@ def _from_dome(local: np.ndarray, dome: Dome) -> np.ndarray:
     near = np.flatnonzero(((local >= low) & (local <= high)).all(axis=1))
     if not len(near):
         return out
-    away = _vertices(dome).query(local[near])[0]
     at = local[near]
+    away = dome.to_vertices(at)
     beside = np.flatnonzero((at[:, 2] >= 0.0) & (at[:, 2] <= dome.height))  # the others are over or behind the skin
     under = beside[at[beside, 2] <= dome.heights(at[beside, :2])]
     away[under] *= -1.0
     out[near] = away
     return out
-
-
-@lru_cache(maxsize=4)
-def _vertices(dome: Dome) -> cKDTree:
-    return cKDTree(dome.points)

@@ -1,4 +1,4 @@
-"""The front of a soft sensor in a dataset: a surface mesh in the mount's frame. NumPy alone, so that a method needs no
+"""The front of a soft sensor in a dataset: a surface mesh in the mount's frame. NumPy and SciPy, so that a method needs no
 simulator."""
 
 from __future__ import annotations
@@ -95,6 +95,16 @@ class Dome:
             held = inside[rows, best] >= -1e-9
             out[part[held]] = np.einsum("kc,kc->k", weight[rows, best], z[mine[best]])[held]
         return out
+
+    def to_vertices(self, points: np.ndarray) -> np.ndarray:
+        """Distance of ``points`` (k, 3) [m] to the nearest vertex (k,) [m]."""
+        return self._tree.query(points)[0]
+
+    @cached_property
+    def _tree(self) -> Any:
+        from scipy.spatial import cKDTree  # inside: see core/rotation.py
+
+        return cKDTree(self.points)
 
     @cached_property
     def _inverses(self) -> np.ndarray:
