@@ -1,5 +1,5 @@
-"""The front of a soft sensor in a dataset: a surface mesh in the mount's frame. NumPy and SciPy, so that a method needs no
-simulator."""
+"""The front of a soft sensor in a dataset: a surface mesh in the mount's frame. NumPy and SciPy, so that a method needs
+no simulator."""
 
 from __future__ import annotations
 
