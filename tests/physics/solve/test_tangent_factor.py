@@ -151,7 +151,8 @@ def test_a_factor_of_the_whole_has_its_turn_before_yet_another_local_one(factors
 
 
 def test_a_touch_whose_factor_of_the_whole_was_dropped_has_a_local_one(factors, monkeypatch):
-    """It went on with the factor at rest, 150 iterations a step (cell 674e54049ed1: 7 s for 2)."""
+    """It went on with the factor at rest, 150 iterations a step (cell 674e54049ed1 of the stability map, where one of
+    the whole rounds to an indefinite one)."""
     monkeypatch.setattr(factors, "_make", lambda *a: pytest.fail("another one of the whole"))
     monkeypatch.setattr(factors, "_make_local", lambda *a: object())
     factors._own[0] = object()

@@ -50,6 +50,8 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     pushed = contact.nodal(columns) - (stiffness @ change[:, :, None])[:, :, 0]
     slides = contact.has_friction and contact.shifts  # Newton's own step may throw points past their anchors
     fine = _OF_STEP * change.abs().amax(dim=1) / base.abs().amax(dim=1).clamp(min=1e-9)
+    # 2 to 4 directions serve large patches as well as one another, 10 cost half of a frame (cells 8f428925ce77 and
+    # 68c57cd61969 of the stability map)
     large = contact.shifts and base.shape[1] > LARGE
     with clock.measure("contact"):
         force, error = contact.condensed(columns, base, pushed, iterations=4 if large else 30,

@@ -123,13 +123,8 @@ class TangentFactors:
         if not self._serves or not self._contact.symmetric:
             return made
         for k, b in enumerate(columns.tolist()):
-            whole = self._spent[b] > (_FIRST if self._own[b] is None else _AGAIN) and not self._lost[b]
-            # it has its turn before another local factor where it would not have cost more; one that would not be ready
-            # in time is not begun
-            whole = (whole and (self._no_local[b] or self._spent[b] > self._order.work / _WORK)
-                     and time.perf_counter() + self._duration() <= deadline)
-            if not whole and self._near_spent[b] > self._near and not self._no_local[b] and (
-                    time.perf_counter() < deadline):
+            whole, late = self._is_due(b, deadline), time.perf_counter() >= deadline
+            if not whole and self._near_spent[b] > self._near and not self._no_local[b] and not late:
                 if self._local[b] is None:
                     self._spent[b] = 0  # before a factor of the whole the local one has its turn
                 with clock.measure("local factors"):
@@ -148,6 +143,15 @@ class TangentFactors:
             self._spent[b] = self._near_spent[b] = 0
             self._tried[b], self._most[b] = self._most[b], 0
         return made
+
+    def _is_due(self, touch: int, deadline: float) -> bool:
+        """Whether a touch is to have a factor of the whole now: before another local one where its iterations have cost
+        as much. One that would not be ready in time is not begun."""
+        spent = self._spent[touch]
+        if self._lost[touch] or spent <= (_FIRST if self._own[touch] is None else _AGAIN):
+            return False
+        return bool((self._no_local[touch] or spent > self._order.work / _WORK)
+                    and time.perf_counter() + self._duration() <= deadline)
 
     @functools.cached_property
     def _rest(self) -> RestFactor:
