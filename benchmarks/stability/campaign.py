@@ -51,7 +51,7 @@ def finished(file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
     return rows
 
 
-def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[str]:
+def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[Verdict]:
     """Begin ``file`` with the verdicts of ``before``, whose limit was shorter, but for cells that ended at that limit.
 
     A frame that ends within a limit ends within a longer one, with the same result.
@@ -62,7 +62,7 @@ def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[s
         circumstances: as for `finished`, with the longer limit.
 
     Returns:
-        Keys of all cells of ``before``.
+        All verdicts of ``before``.
 
     Raises:
         VsfsimError: ``before`` is no such file, its limit is not shorter, or it was made under other circumstances.
@@ -78,7 +78,13 @@ def take_over(before: Path, file: Path, circumstances: dict[str, Any]) -> list[s
         kept = [v for v in known if v.outcome is not Outcome.LATE and Reason.TIME.text not in v.reasons]
         rows = (circumstances, *(v.table() for v in kept))
         write_atomic(file, "".join(json.dumps(row) + "\n" for row in rows).encode())
-    return [v.cell.key for v in known]
+    return known
+
+
+def updated(known: Sequence[Verdict], again: Sequence[Verdict]) -> tuple[list[Verdict], int]:
+    """``known`` with the verdicts of ``again`` in their places, and how many cells are not in ``again``."""
+    newer = {v.cell.key: v for v in again}
+    return [newer.get(v.cell.key, v) for v in known], sum(v.cell.key not in newer for v in known)
 
 
 def _first_line(file: Path) -> dict[str, Any]:

@@ -47,8 +47,8 @@ def _changed(cell: Cell) -> set[str]:
     return {f.name for f in KINDS[cell.kind] if cell.factors[f.name] != f.default}
 
 
-def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measurement:
-    """Shares of the outcomes, and every cell that is not converged."""
+def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any], notes: Sequence[str] = ()) -> Measurement:
+    """Shares of the outcomes, and every cell that is not converged, with notes on how they were made."""
     rows = [_shares("all cells", verdicts),
             _shares("friction <= 1, depth <= 50 %", [v for v in verdicts if v.cell.moderate]),
             *(_shares(kind, [v for v in verdicts if v.cell.kind == kind]) for kind in KINDS)]
@@ -87,7 +87,7 @@ def measurement(verdicts: Sequence[Verdict], settings: dict[str, Any]) -> Measur
                                    "seconds": sum(v.seconds for v in verdicts)},
                           notes=["a cell is converged if all its frames are, marked if one is marked; it is wrong in "
                                  "silence if a frame that is called converged contradicts a check of "
-                                 "benchmarks/stability/checks.py"])
+                                 "benchmarks/stability/checks.py", *notes])
 
 
 def _shares(name: str, verdicts: Sequence[Verdict]) -> dict[str, Any]:

@@ -163,14 +163,19 @@ def test_a_longer_limit_makes_only_the_cells_that_ended_at_the_shorter_one(tmp_p
     with pytest.raises(VsfsimError, match=r"does not exist"):
         campaign.take_over(tmp_path / "none", file, {"limit": 4.0, "device": "cpu"})
     known = campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
-    assert known == [c.key for c in cells[:4]]
+    assert [v.cell.key for v in known] == [c.key for c in cells[:4]]
     kept = [v.cell.key for v in campaign.finished(file, {"limit": 4.0, "device": "cpu"})]
     assert kept == [cells[0].key, cells[2].key]
     # what was made since then stays
     with file.open("a") as out:
         out.write(json.dumps(verdict(cells[1]).table()) + "\n")
     campaign.take_over(before, file, {"limit": 4.0, "device": "cpu"})
-    assert len(campaign.finished(file, {"limit": 4.0, "device": "cpu"})) == 3
+    again = campaign.finished(file, {"limit": 4.0, "device": "cpu"})
+    assert len(again) == 3
+    # a cell that was not made again counts as it was at the shorter limit
+    together, left = campaign.updated(known, again)
+    assert left == 1
+    assert [v.outcome for v in together] == [Outcome.CONVERGED, Outcome.CONVERGED, Outcome.MARKED, Outcome.LATE]
 
 
 def test_shares_by_time():

@@ -144,7 +144,15 @@ def test_a_fork_of_beams_is_a_fork_of_tetrahedra():
     # a hexagon of the circle's area is 0.8 % stiffer in bending; the fork of beams is a point, that of tetrahedra a
     # body of about a radius, 4 % of a branch
     assert np.abs(ratio).max() < 0.03
-    assert np.abs(moved - they_moved).max() < 0.02 * np.abs(they_moved).max()
+    off = np.abs(moved - they_moved) / np.abs(they_moved).max()
+    assert off[:, 0].max() < 0.02
+    # Across the push the ends follow the direction of the force. The capsule meets a ridge of the tube up to 0.7 mm
+    # beside the place where it meets a round one, which turns the force by that over its radius of 20 mm: by 0.033 and
+    # 0.019 to either side on 1,026 and 2,052 tetrahedra, by 0.026 and 0.033 on 4,104 and 8,208 of twelve-sided tubes.
+    turned = theirs[-1, 2] / theirs[-1, 0] - force[-1, 2] / force[-1, 0]
+    print(f"direction of the force {turned:.3f} rad, ends along and across the push {np.round(off.max(axis=0), 4)}")
+    assert abs(turned) < 0.05
+    assert off[:, 1:].max() < 0.04
 
 
 def tip_compliance(rings: int, step: float) -> np.ndarray:

@@ -23,7 +23,9 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
               longer_than: Annotated[Path | None, typer.Option(metavar="FOLDER",
                                                                help="Take over what an earlier run, with a shorter "
                                                                     "limit, has in this folder, and make only its "
-                                                                    "cells that ended at that limit.")] = None,
+                                                                    "cells that ended at that limit, or those of them "
+                                                                    "that --cell or --kind names; the others count as "
+                                                                    "they were.")] = None,
               budget: Annotated[str | None, typer.Option(metavar="TIME",
                                                          help="Begin no new cell after this time, e.g. 90s, 10m, 2h; "
                                                               "default: make all cells.")] = None,
@@ -67,19 +69,27 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     try:
         out.mkdir(parents=True, exist_ok=True)
         circumstances = {"version": vsfsim.__version__, "commit": commit()}
+        known, conditions = [], {"limit": limit, "device": device, **circumstances}
         if longer_than is not None:
-            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl",
-                                       {"limit": limit, "device": device, **circumstances})
-            cells = [c for c in cells if c.key in known]
+            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl", conditions)
+            theirs = {v.cell.key for v in known}
+            # the cells that the goal counts come first, for a run with a budget
+            cells = sorted((c for c in cells if c.key in theirs), key=lambda c: not c.moderate)
         with Progress("stability") as progress:
             verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
                                     budget=seconds, progress=progress, circumstances=circumstances)
+        notes = []
+        if longer_than is not None:
+            verdicts, left = campaign.updated(known, campaign.finished(out / "cells.jsonl", conditions))
+            notes = [f"{left} cells that ended at the limit of {longer_than} were not made again and count as they "
+                     f"were there"] if left else []
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
                           f"folder.") from None
     verdicts = results.scaled(verdicts)
-    settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(cells), "device": device}
-    found = results.measurement(verdicts, settings)
+    settings = {"seed": seed, "limit": limit, "kind": kind, "cells_of_the_design": len(known) or len(cells),
+                "device": device}
+    found = results.measurement(verdicts, settings, notes)
     results.picture(verdicts, picture or out / "stability.png")
     report(found.text(), found.record(), json or out / "stability.json", indent=1)
     if any(v.outcome in (Outcome.WRONG, Outcome.CRASHED, Outcome.LATE) for v in verdicts):
