@@ -37,6 +37,15 @@ def test_a_preset_knows_the_observation():
     assert shoes.stem == "sbml.paper"
 
 
+def test_a_preset_knows_what_is_asked():
+    """Forces on a membrane tell a field where matter is, and the pressure alone what the next touch will read."""
+    mask, readings = (preset("neural-vsf", "tuned", "pressure", answer) for answer in ("mask", "readings"))
+    assert (mask.parameters.get("skin", True), readings.parameters["skin"]) == (True, False)
+    rows = {row.stem: row for row in choices("pressure", answer="readings")}
+    assert rows["neural-vsf.tuned"] == readings
+    assert not any(isinstance(value, dict) for row in (mask, readings) for value in row.parameters.values())
+
+
 @pytest.mark.parametrize("answer", [Answer.MASK, Answer.POSE, Answer.READINGS])
 def test_methods_that_cannot_give_a_tasks_answer_are_left_out(answer):
     needs = {Answer.MASK: "stiffness", Answer.POSE: "locate", Answer.READINGS: "predict"}[answer]
@@ -62,7 +71,7 @@ def test_all_rows_are_made_once_and_a_failure_does_not_end_them(task, toy_datase
     rows = [Choice("toy_methods:Constant", "paper", {"value": 2.0}), Choice("toy_methods:Crashes", "tuned", {}),
             Choice("toy_methods:Constant", "tuned", {"value": 3.0})]
     # the toys have no table of presets; what a row asks for is what is used
-    monkeypatch.setattr("vsfsim.bench.commands.evaluate.chosen", lambda name, preset, observation: rows[0])
+    monkeypatch.setattr("vsfsim.bench.commands.evaluate.chosen", lambda *asked: rows[0])
     found = list(command.evaluate_all(task, rows, tmp_path, dataset=toy_dataset.path, seeds=1))
     assert [one.state for one in found[::2]] == ["made", "made"] and "KeyError: 'toe'" in found[1].state
     assert found[0].path.name == "toy_methods:Constant.paper.json" and found[1].result is None

@@ -54,7 +54,8 @@ def evaluate(method: str | type, task: str | Path | Task, dataset: str | Path | 
     wanted = task if isinstance(task, Task) else load_task(task)
     data = open_dataset(wanted, dataset.path if isinstance(dataset, Dataset) else dataset)
     if preset:
-        parameters = {**chosen(name, preset, wanted.observation.name).parameters, **(parameters or {})}
+        parameters = {**chosen(name, preset, wanted.observation.name, wanted.metric.answer.value).parameters,
+                      **(parameters or {})}
     options: dict[str, Any] = {"parameters": parameters, "preset": preset,
                                "seeds": seeds, "progress": progress, "isolation": isolation}
     if processes > 1 and out is None:

@@ -36,8 +36,14 @@ def _table() -> dict[str, Any]:
     return parse_toml(read_text(path, "presets", MethodError), path, "presets", MethodError)
 
 
-def preset(method: str, name: str, observation: str) -> Choice:
+def preset(method: str, name: str, observation: str, answer: str = "readings") -> Choice:
     """The settings of a method for tasks with an observation.
+
+    Args:
+        method: its name.
+        name: of the preset.
+        observation: name of what is read.
+        answer: what is asked of it, a value of `vsfsim.bench.metrics.Answer`.
 
     Raises:
         MethodError: the method has no presets, or not this one.
@@ -50,8 +56,12 @@ def preset(method: str, name: str, observation: str) -> Choice:
     if name not in known:
         raise MethodError(f"--preset is '{name}', but {method} has {' and '.join(known)}. {did_you_mean(name, known)}")
     given = table[method][name]
-    settings = {key: value for key, value in given.items() if not isinstance(value, dict)}
-    return Choice(method, name, {**settings, **given.get(observation, {})})
+    of_observation = given.get(observation, {})
+    return Choice(method, name, {**_values(given), **_values(of_observation), **of_observation.get(answer, {})})
+
+
+def _values(table: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in table.items() if not isinstance(value, dict)}
 
 
 def on_device(choice: Choice, device: str) -> Choice:
@@ -70,5 +80,5 @@ def choices(observation: str, device: str = "", answer: str = "readings") -> lis
     out = []
     for method, table in _table().items():
         if observation in table.get("observations", [observation]) and answer in table.get("answers", [answer]):
-            out += [on_device(preset(method, name, observation), device) for name in PRESETS if name in table]
+            out += [on_device(preset(method, name, observation, answer), device) for name in PRESETS if name in table]
     return out
