@@ -204,7 +204,7 @@ class Study:
         Raises:
             MethodError: it has no such preset.
         """
-        # a row of the task's leaderboard is asked for what the task's metric scores, a variant of its own for the study's
+        # a row of a leaderboard is asked for what its task's metric scores, a variant of its own for the study's
         metric = task.metric if self.is_row(variant) else METRICS[self.metric]
         known = chosen(variant.method, variant.preset, task.observation.name, metric.answer.value)
         return dataclasses.replace(known, parameters={**known.parameters, **variant.parameters})
