@@ -170,7 +170,7 @@ def features(task: Annotated[str,
                                                         "once, after everything was chosen.")] = False,
              out: JsonFile = None) -> None:
     """Choose SBML's features and noise on training objects alone: error of every pair on objects left out."""
-    from benchmarks.features import measure
+    from benchmarks.choices.features import measure
     from vsfsim.bench.task import load_task, open_dataset
     from vsfsim.data.dataset import Dataset
 
@@ -179,6 +179,26 @@ def features(task: Annotated[str,
     _report(measure(wanted, data, features=tuple(feature or ("local", "local-full", "xyzrgb")),
                     noises=tuple(noise or (1.0, 3.0, 10.0)), folds=folds, seeds=seeds, settings=parameters_of(settings),
                     on_test=on_test, progress=step), out)
+
+
+@app.command("field-settings")
+def field_settings(dataset: Annotated[Path, typer.Option(help="Objects that the task does not ask: of its scene, with "
+                                                              "another seed.")],
+                   task: Annotated[str, typer.Option(help="Of a bubble's pressure.")] = "fewshot-shoes-v2-punyo-v1",
+                   variant: Annotated[list[str] | None,
+                                      typer.Option(help="Only these settings; may be given again.")] = None,
+                   trainings: Annotated[int, typer.Option(min=1, help="Of each field.")] = 2,
+                   device: Annotated[str, typer.Option(help="Torch device of the network.")] = "cpu",
+                   out: JsonFile = None) -> None:
+    """Choose settings of the neural and grid fields on other objects: error after five touches and after all."""
+    from benchmarks.choices.field_settings import VARIANTS, measure
+    from vsfsim.bench.task import load_task
+    from vsfsim.data.dataset import Dataset
+
+    for name in variant or []:
+        check_choice("--variant", name, VARIANTS)
+    _report(measure(load_task(task), Dataset.open(dataset), variants=tuple(variant or VARIANTS), trainings=trainings,
+                    device=device, progress=step), out)
 
 
 @app.command("pressure-law")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks.features import choose, report
+from benchmarks.choices.features import choose, report
 from vsfsim.baselines.gaussian import GaussianAverage
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen

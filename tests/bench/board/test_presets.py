@@ -39,10 +39,10 @@ def test_a_preset_knows_the_observation():
 
 def test_a_preset_knows_what_is_asked():
     """Forces on a membrane tell a field where matter is, and the pressure alone what the next touch will read."""
-    mask, readings = (preset("neural-vsf", "tuned", "pressure", answer) for answer in ("mask", "readings"))
+    mask, readings = (preset("grid-vsf", "tuned", "pressure", answer) for answer in ("mask", "readings"))
     assert (mask.parameters.get("skin", True), readings.parameters["skin"]) == (True, False)
     rows = {row.stem: row for row in choices("pressure", answer="readings")}
-    assert rows["neural-vsf.tuned"] == readings
+    assert rows["grid-vsf.tuned"] == readings
     assert not any(isinstance(value, dict) for row in (mask, readings) for value in row.parameters.values())
 
 
