@@ -6,21 +6,21 @@ some touches of each object are predicted from five others, and from all others.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from benchmarks.measurement import Column, Measurement, Progress, Table
-from vsfsim.baselines.field_vsf import GridVsf, NeuralVsf
-from vsfsim.bench.commands.presets import preset
-from vsfsim.bench.method import build_method, parameters_of
+from vsfsim.bench.board.compare import interval
+from vsfsim.bench.commands.presets import on_device, preset
+from vsfsim.bench.method import build_method, find_method, parameters_of
 from vsfsim.bench.protocol import Recording, record
+from vsfsim.bench.reading_metrics import rmse_ratio, touch_errors
 from vsfsim.bench.task import Task
 from vsfsim.core.errors import MethodError
 from vsfsim.data.dataset import Dataset
 
-CLASSES: Mapping[str, Callable[..., Any]] = {"neural-vsf": NeuralVsf, "grid-vsf": GridVsf}
 VARIANTS: Mapping[str, tuple[str, str, Mapping[str, Any]]] = {
     "neural-vsf, forces on vertices": ("neural-vsf", "tuned", {"skin": True, "octaves": 4}),
     "neural-vsf (paper), forces on vertices": ("neural-vsf", "paper", {"skin": True}),
@@ -41,7 +41,7 @@ FEW = 5  # touches
 
 def measure(task: Task, dataset: Dataset, *, variants: Sequence[str] = tuple(VARIANTS), query: int = 8,
             trainings: int = 2, device: str = "cpu", progress: Progress = lambda _: None) -> Measurement:
-    """Root mean square error over that of predicting zero, of each variant on each object, mean over trainings.
+    """Error over that of predicting zero (`rmse_ratio`) of each variant on each object view, mean over trainings.
 
     Args:
         task: what a reading is and its noise.
@@ -53,14 +53,15 @@ def measure(task: Task, dataset: Dataset, *, variants: Sequence[str] = tuple(VAR
         progress: called with what is going on.
 
     Raises:
-        MethodError: the dataset has the task's own objects, or a view has too few touches.
+        MethodError: the dataset has the task's own objects, or a view has too few touches or reads nothing in those
+            that are predicted.
     """
     own, found = task.dataset, dataset.recipe
     if (found.scene, found.seed) == (own.scene, own.seed):
         raise MethodError(f"measure field-settings: {dataset.path} has objects of {task.name} itself (scene "
                           f"'{found.scene}', seed {found.seed}), on which no setting may be chosen. Make others: "
                           f"`vsfsim generate {own.scene} --seed {own.seed + 1} --out FOLDER`.")
-    errors: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in variants}
+    errors: dict[str, tuple[dict[str, float], dict[str, float]]] = {name: ({}, {}) for name in variants}
     for name in dataset.names():
         view = dataset.load(name)
         recording = record(view, task)
@@ -72,8 +73,8 @@ def measure(task: Task, dataset: Dataset, *, variants: Sequence[str] = tuple(VAR
         for variant, (few, every) in errors.items():
             progress(f"{name}: {variant}")
             for support, out in ((pool[:FEW], few), (pool, every)):
-                out.append(float(np.mean([_ratio(_method(task, variant, seed, device), view.view, recording, support,
-                                                 asked) for seed in range(trainings)])))
+                out[name] = float(np.mean([_ratio(_method(task, variant, seed, device), view.view, recording, support,
+                                                  asked) for seed in range(trainings)]))
     rows = [{"name": name, "few": _mean(few), "all": _mean(every)} for name, (few, every) in errors.items()]
     columns = (Column("name", "settings"), Column("few.mean", f"{FEW} touches", "1", form=".3f"),
                Column("few.error", "±", "1", form=".3f"), Column("all.mean", "all others", "1", form=".3f"),
@@ -86,23 +87,25 @@ def measure(task: Task, dataset: Dataset, *, variants: Sequence[str] = tuple(VAR
 
 def _method(task: Task, name: str, seed: int, device: str):
     method, of, given = VARIANTS[name]
-    chosen = {**preset(method, of, task.observation.name).parameters, **given, "seed": seed}
-    if method == "neural-vsf":
-        chosen["device"] = device
-    return build_method(CLASSES[method], parameters_of(CLASSES[method], chosen))
+    chosen = on_device(preset(method, of, task.observation.name), "" if device == "cpu" else device)
+    found = find_method(method)
+    return build_method(found, parameters_of(found, {**chosen.parameters, **given, "seed": seed}))
 
 
 def _ratio(method, view, recording: Recording, support: Sequence[int], asked: Sequence[int]) -> float:
     method.adapt(view, [recording.readings[i] for i in support])
-    answers = method.predict([recording.queries[i].action for i in asked])
-    squares = np.zeros(2)
-    for answer, query in zip(answers, (recording.queries[i] for i in asked), strict=True):
-        clean = query.clean[query.scored]
-        squares += ((answer[query.scored] - clean) ** 2).sum(), (clean**2).sum()
-    return float(np.sqrt(squares[0] / squares[1]))
+    queries = [recording.queries[i] for i in asked if recording.queries[i].scored.any()]
+    sums = [{**touch_errors(answer, query.clean, query.scored), "ss": float(np.sum(query.clean[query.scored] ** 2)),
+             "object": recording.name}
+            for answer, query in zip(method.predict([query.action for query in queries]), queries, strict=True)]
+    ratio = rmse_ratio(sums)
+    if ratio is None:
+        raise MethodError(f"measure field-settings: the touches of {recording.name} that are predicted read nothing, "
+                          f"and have no error over that of predicting zero. Leave the object out.")
+    return ratio
 
 
-def _mean(values: Sequence[float]) -> dict[str, Any]:
+def _mean(values: Mapping[str, float]) -> dict[str, Any]:
     """Mean over object views, its standard error, and the values."""
-    error = np.std(values, ddof=1) / np.sqrt(len(values)) if len(values) > 1 else np.nan
-    return {"mean": float(np.mean(values)), "error": float(error), "of_each_view": list(values)}
+    mean, error = interval(values)
+    return {"mean": mean, "error": error, "of_each_view": dict(values)}

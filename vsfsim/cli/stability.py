@@ -68,21 +68,21 @@ def stability(out: Annotated[Path, typer.Option(help="Folder of the results; a r
     seconds = None if budget is None else _seconds(budget)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        circumstances = {"version": vsfsim.__version__, "commit": commit()}
-        known, conditions = [], {"limit": limit, "device": device, **circumstances}
+        circumstances = {"limit": limit, "device": device, "version": vsfsim.__version__, "commit": commit()}
+        known, notes = [], []
         if longer_than is not None:
-            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl", conditions)
+            known = campaign.take_over(longer_than / "cells.jsonl", out / "cells.jsonl", circumstances)
             theirs = {v.cell.key for v in known}
             # the cells that the goal counts come first, for a run with a budget
             cells = sorted((c for c in cells if c.key in theirs), key=lambda c: not c.moderate)
         with Progress("stability") as progress:
             verdicts = campaign.run(cells, out / "cells.jsonl", limit=limit, workers=workers or 2, device=device,
                                     budget=seconds, progress=progress, circumstances=circumstances)
-        notes = []
         if longer_than is not None:
-            verdicts, left = campaign.updated(known, campaign.finished(out / "cells.jsonl", conditions))
-            notes = [f"{left} cells that ended at the limit of {longer_than} were not made again and count as they "
-                     f"were there"] if left else []
+            verdicts, left = campaign.updated(known, campaign.finished(out / "cells.jsonl", circumstances))
+            if left:
+                notes.append(f"{left} cells that ended at the limit of {longer_than} were not made again and count as "
+                             f"they were there")
     except OSError as error:
         raise VsfsimError(f"--out is '{out}', where nothing can be written ({error.strerror}). Choose another "
                           f"folder.") from None
