@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from vsfsim.baselines import outer_loop
 from vsfsim.baselines.imaml import Imaml, ImamlVision
-from vsfsim.baselines.implicit_maml import Batch, Network, adapt, implicit_gradient, spread
+from vsfsim.baselines.implicit_maml import Batch, Network, Table, adapt, implicit_gradient
+from vsfsim.baselines.outer_loop import OuterLoop, Rates
 from vsfsim.bench.check import MOCK_TASK, check, report
 from vsfsim.bench.mock import mock_view
 from vsfsim.bench.protocol import record, specimen
@@ -53,7 +55,8 @@ def test_the_implicit_gradient_is_the_derivative_of_the_solved_inner_problem(tok
 def test_the_written_out_derivatives_are_those_of_automatic_differentiation(token):
     network, b = Network(2, 1, token=token, hidden=(5, 6), encoder=(4, 2)), batch(1, token=token)
     g = torch.Generator().manual_seed(3)
-    phi = [p + 0.3 * torch.randn(p.shape, generator=g, dtype=torch.float64) for p in spread(network.start(g), 2)]
+    phi = [p + 0.3 * torch.randn(p.shape, generator=g, dtype=torch.float64)
+           for p in (q.expand(2, *q.shape) for q in network.start(g))]
     v = [torch.randn(p.shape, generator=g, dtype=torch.float64) for p in phi]
     leaves = [p.clone().requires_grad_(True) for p in phi]
     expected = torch.autograd.grad(network.loss(leaves, b).sum(), leaves, create_graph=True)
@@ -80,8 +83,8 @@ def test_without_support_nothing_moves():
     network = Network(2, 1, token=0, hidden=(5,), encoder=())
     theta = network.start(torch.Generator().manual_seed(0))
     empty = Batch(torch.zeros(1, 1, 2, dtype=torch.float64), torch.zeros(1, 0), torch.zeros(1, 1, 1), torch.zeros(1, 1))
-    for a, b in zip(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0), spread(theta, 1)):
-        assert torch.equal(a, b)
+    for a, b in zip(adapt(network, theta, empty, rate=0.1, steps=5, regularisation=2.0), theta):
+        assert torch.equal(a[0], b)
 
 
 def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
@@ -98,6 +101,35 @@ def test_an_epoch_has_one_step_for_all_objects_or_one_for_each():
         learned.append(float(method._theta[-1].abs().sum()))
     start = float(method._network.start(torch.Generator().manual_seed(0))[-1].abs().sum())
     assert abs(learned[0] - start) == pytest.approx(1e-3, rel=1e-3) and abs(learned[1] - start) > 1.5e-3
+
+
+def test_recorded_steps_are_those_that_are_not(device, monkeypatch):
+    """On a GPU small steps are padded and replayed as a CUDA graph, and large ones are launched. Both learn what the
+    host does."""
+    task, learned = parse_task(MOCK_TASK, "mock"), []
+    train = [specimen(mock_view(i, split="train"), task) for i in range(5)]
+    for where, small in (("cpu", 0), (device, 0), (device, 10**9)):
+        monkeypatch.setattr(outer_loop, "_SMALL", small)
+        method = ImamlVision(epochs=3, inner_steps=4, cg_steps=3, tasks_per_step=2, device=where)
+        method.meta_fit(train)
+        learned.append(torch.cat([p.flatten() for p in method._theta]))
+    torch.testing.assert_close(learned[1], learned[0], rtol=1e-5, atol=1e-7)
+    torch.testing.assert_close(learned[2], learned[0], rtol=1e-5, atol=1e-7)
+
+
+def test_padding_changes_no_step():
+    network = Network(7, 2, token=0, hidden=(5,), encoder=())
+    g = np.random.default_rng(0)
+    table = Table([(g.normal(size=(n, 7)), g.normal(size=(n, 2))) for n in (3, 5, 2, 4)], torch.float64, "cpu")
+    learned = []
+    for width in (1, 20):
+        theta = [p.requires_grad_(True) for p in network.start(torch.Generator().manual_seed(0))]
+        loop = OuterLoop(network, theta, table, Rates(1e-2, 1e-2, 5, 2.0, 100.0, 4), longest=14, device="cpu")
+        sets = [np.array([0, 1])], [np.array([2, 3])]
+        for _ in range(3):
+            loop._move(*(table.gather(torch.as_tensor(table.rows(tasks, width)), torch.zeros(1, 0)) for tasks in sets))
+        learned.append(theta)
+    torch.testing.assert_close(learned[1], learned[0], rtol=1e-9, atol=1e-12)
 
 
 def test_single_precision_agrees_with_double():

@@ -25,9 +25,9 @@ from torch.nn import functional
 
 from vsfsim.core.errors import NoStiffnessError, VsfError
 from vsfsim.vsf.adam import Adam
-from vsfsim.vsf.fields.graphed_step import GraphedStep
 from vsfsim.vsf.fields.line_integrals import TotalForces, TotalTouch, VertexForces
 from vsfsim.vsf.fields.surface_touch import DenseTouch
+from vsfsim.vsf.graphed_step import GraphedStep
 
 
 class NerfField(nn.Module):
