@@ -234,6 +234,9 @@ class QuickFactor(RestFactor):
 class Response(Protocol):
     """How the body at rest responds to forces, for the touches of one run."""
 
+    took: float
+    """Time of the last `solve` on the host [s]; 0 before the first."""
+
     def solve(self, right: torch.Tensor) -> torch.Tensor:
         """Displacements (3 n, k) [m] under forces (3 n, k) [N] that are 0 where held."""
 
@@ -284,6 +287,7 @@ class _Sparse:
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str, exact: bool, lazy: bool):
         self._factor, self._dof = factor, dof
+        self.took = 0.0
         self._nodes = [np.asarray(d[d >= 0].cpu())[::3] // 3 for d in dof]
         width = dof.shape[1]
         few = self._few(width)
@@ -324,7 +328,10 @@ class _Sparse:
         return 0.5 * (self._compliance + self._compliance.mT)
 
     def solve(self, right: torch.Tensor) -> torch.Tensor:
-        return torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
+        began = time.perf_counter()
+        out = torch.as_tensor(self._factor.solve(right.detach().cpu().numpy()), device=right.device)
+        self.took = time.perf_counter() - began
+        return out
 
     def patch(self, touches: torch.Tensor, force: torch.Tensor) -> torch.Tensor:
         if self._whole is not None:
@@ -351,6 +358,8 @@ class _Sparse:
 
 class _Dense:
     """Products with the dense inverse on the GPU; forces on patches multiply only the columns of all patches."""
+
+    took = 0.0
 
     def __init__(self, factor: RestFactor, dof: torch.Tensor, device: str):
         self._inverse = factor.dense(device)

@@ -182,7 +182,8 @@ class Equilibrium:
                 break
             active = columns[open_]
             host = active.cpu().numpy()
-            if time.perf_counter() > deadline:
+            # an iteration needs a back-solve at least: one that would not end in time is not begun
+            if time.perf_counter() + self.contact.response.took > deadline:
                 self.reason[host] = Reason.TIME
                 break
             exhausted = torch.as_tensor(self.exhausted(host), device=self.device)
@@ -283,14 +284,14 @@ class Equilibrium:
             steps[at] += more
         for _ in range(_SHIFTS if self.contact.shifts else 0):
             at = ((negative > 0.0) & (shift < _MOST_SHIFT)).nonzero()[:, 0]
-            if not len(at):
+            if not len(at) or time.perf_counter() > self._deadline:
                 break
             shift[at] = torch.maximum(4.0 * shift[at] + 2.0 * negative[at], torch.full_like(shift[at], _SHIFT))
             direction[:, at], more, negative[at], _ = self._direction(columns[at], residual[:, at], near[at],
                                                                       shift=shift[at])
             steps[at] += more
         left = negative > 0.0
-        if bool(left.any()):
+        if bool(left.any()) and time.perf_counter() <= self._deadline:
             shift[left] = 0.0
             self._tangent(columns[left], projected=True)
             direction[:, left], more, _, stiffness[left] = self._direction(

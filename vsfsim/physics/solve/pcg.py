@@ -40,8 +40,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
         iterations: limit.
         plain: measure the residual by its length, which saves the last use of the preconditioner, instead of in the
             preconditioner's norm.
-        deadline: `time.perf_counter` after which no iteration begins [s]; x is then what was reached, a direction of
-            descent all the same.
+        deadline: `time.perf_counter` after which no iteration begins and the preconditioner is not used again [s]; x is
+            then what was reached, a direction of descent all the same.
         shift: of each column (k,) [-], none by default. It costs no product with M: M p follows from the residuals.
         mode: takes the direction of negative curvature of each column that meets one (3 n, k): descent, as long as the
             step would be if the curvature were positive.
@@ -87,6 +87,8 @@ def solve(multiply: Operator, precondition: Operator, right: torch.Tensor, *, to
             left = int(goes_on.sum())
             if left == 0 or step == iterations - 1:
                 break
+        if time.perf_counter() > deadline:
+            break
         z = precondition(r, which)
         fresh = column_dots(r, z)
         if not plain:

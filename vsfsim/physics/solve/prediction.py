@@ -101,6 +101,8 @@ def predict(balance: Equilibrium, columns: torch.Tensor, guesses: Sequence[tuple
         return
     _renew(balance, columns)
     for _ in range(_RENEWALS):
+        if time.perf_counter() > contact.deadline:
+            break
         with clock.measure("prediction"):
             change, error = contact.condensed(columns, contact.gather(balance.u)[columns], pushed, iterations=20,
                                               tolerance=1e-4)

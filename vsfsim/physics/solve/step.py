@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Protocol
 
 import torch
@@ -40,9 +41,11 @@ def correct(balance: Balance, columns: torch.Tensor, direction: torch.Tensor, st
     The condensed problem removes the difference between the true contact forces at the end of the step and the
     linearised ones. Where the contact stays the same this changes nothing. The body responds as at rest in it, so a
     body that has become stiffer is corrected too far: where that takes away most of the descent along the
-    direction, the direction stays as it is.
+    direction, the direction stays as it is. After the deadline of the frame nothing is corrected.
     """
     contact = balance.contact
+    if time.perf_counter() > contact.deadline:
+        return direction
     at = contact.dof[columns].clamp(min=0).T
     mask = contact.mask[columns]
     change = direction.gather(0, at).T.to(torch.float64) * mask

@@ -36,6 +36,11 @@ class PairResponse:
         self._object_compliance = self._object.compliance()
 
     @property
+    def took(self) -> float:
+        """Time of the object's last `Response.solve` [s]."""
+        return self._object.took
+
+    @property
     def _patch(self) -> PairPatch:
         return self._surfaces.patch
 
