@@ -37,12 +37,13 @@ def test_a_preset_knows_the_observation():
     assert shoes.stem == "sbml.paper"
 
 
-def test_a_preset_knows_what_is_asked():
+@pytest.mark.parametrize("field", ["grid-vsf", "neural-vsf"])
+def test_a_preset_knows_what_is_asked(field):
     """Forces on a membrane tell a field where matter is, and the pressure alone what the next touch will read."""
-    mask, readings = (preset("grid-vsf", "tuned", "pressure", answer) for answer in ("mask", "readings"))
+    mask, readings = (preset(field, "tuned", "pressure", answer) for answer in ("mask", "readings"))
     assert (mask.parameters.get("skin", True), readings.parameters["skin"]) == (True, False)
     rows = {row.stem: row for row in choices("pressure", answer="readings")}
-    assert rows["grid-vsf.tuned"] == readings
+    assert rows[f"{field}.tuned"] == readings
     assert not any(isinstance(value, dict) for row in (mask, readings) for value in row.parameters.values())
 
 
