@@ -40,7 +40,8 @@ class LinearTier:
     def __init__(self, balance: Equilibrium):
         self._balance, self._contact = balance, balance.contact
         model = balance.model
-        sag = model.factor.solve((model.load * model.free)[:, None])
+        load = (model.load * model.free)[:, None]
+        sag = model.factor.solve(load) if load.any() else np.zeros_like(load)  # a back-solve is as long as a frame
         self._sag = torch.as_tensor(np.repeat(sag, len(balance.every), axis=1), device=balance.device)
         self._last = list(self._contact.patches), self._contact.no_force()  # of the last frame that arrived
 
@@ -75,13 +76,15 @@ class LinearTier:
             start, *_ = self._arrive(before, pose, start, deadline, halvings)
             before = pose
         force, error, on_bodies = self._arrive(before, way[-1], start, deadline, halvings)
-        state = balance.evaluate(every)
+        det = balance.least_det(every)
+        balance.evaluate_contact(every, balance.u)
         u = balance.u.to(torch.float64)
         internal = self._times_stiffness(u)
         acting = spread(contact.dof, force, len(u))
-        state.update(internal=internal, contact=acting, residual=(balance.load + acting - internal) * balance.free,
-                     energy=0.5 * (u * internal).sum(dim=0), **on_bodies)
-        state["measure"] = torch.maximum(balance.measure(state["residual"], acting), error)
+        residual = (balance.load + acting - internal) * balance.free
+        state = {"internal": internal, "contact": acting, "residual": residual,
+                 "measure": torch.maximum(balance.measure(residual, acting), error), "det": det,
+                 "energy": 0.5 * (u * internal).sum(dim=0), "wrong_side": contact.wrong_side(every), **on_bodies}
         contact.end_step(every)
         return force, state
 

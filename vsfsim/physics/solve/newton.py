@@ -93,12 +93,19 @@ class Equilibrium:
 
     def evaluate(self, columns: torch.Tensor) -> State:
         """Forces, potential and residual of ``columns`` (k,) at the present displacements."""
-        index = wp.from_torch(columns.to(torch.int32))
-        with clock.measure("forces"):
-            self.elasticity.forces(index, wp.from_torch(self.u))
+        self._strain(columns)
         moved = self.u[:, columns]
         self.evaluate_contact(columns, moved)
         return self._state(columns, moved)
+
+    def least_det(self, columns: torch.Tensor) -> torch.Tensor:
+        """The least det F of ``columns`` (k,) at the present displacements (k,) [-]."""
+        self._strain(columns)
+        return wp.to_torch(self.elasticity.least_det)[columns].to(torch.float64)
+
+    def _strain(self, columns: torch.Tensor) -> None:
+        with clock.measure("forces"):
+            self.elasticity.forces(wp.from_torch(columns.to(torch.int32)), wp.from_torch(self.u))
 
     def evaluate_contact(self, columns: torch.Tensor, moved: torch.Tensor) -> None:
         """Evaluate the contact alone, at the displacements ``moved`` (3 n, k) [m] of ``columns`` (k,)."""
