@@ -189,7 +189,7 @@ class Equilibrium:
                 break
             active = columns[open_]
             host = active.cpu().numpy()
-            # an iteration needs a back-solve at least: one that would not end in time is not begun
+            # an iteration needs a back-solve at least: where one would not end in time it is not begun
             if time.perf_counter() + self.contact.response.took > deadline:
                 self.reason[host] = Reason.TIME
                 break
