@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -67,7 +67,8 @@ class Sbml(PosteriorAnswers):
         reach: width of the neighbourhoods in which springs deviate together from what the networks say [m]; 0:
             independently, as in the paper.
         max_particles: the most particles, drawn at random from those in the volume; 0 for all.
-        device: "cpu" or "cuda:0", for Warp and torch.
+        device: "cpu" or "cuda:0", where the prior is learned, and of the DINOv2 features; touches adapt on the host,
+            where trials can be forks.
     """
 
     def __init__(self, *, structure: str = "HE", features: str = "local", weights: str = "", prior: str = "",
@@ -93,7 +94,7 @@ class Sbml(PosteriorAnswers):
         self.second, self.networks, self.common_std = second, networks, common_std
         self.rate, self.epochs, self.patience, self.dropout, self.output = rate, epochs, patience, dropout, output
         self.validation, self.fit_std, self.noise_std, self.device = validation, fit_std, noise_std, device
-        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, device,
+        self.shelf = ObjectShelf(VsfSettings(spacing, friction, noise_std, margin, table_height, "cpu",
                                              noise_share=noise_share, band=band, reach=reach,
                                              max_particles=max_particles))
         self._search = PoseSearch(seed=seed)
@@ -104,6 +105,11 @@ class Sbml(PosteriorAnswers):
         self._width: Width | None = None  # of predicted readings; None for noise_std and noise_share
         self.training: list[Training] = []
         """How the training of each network went."""
+
+    @property
+    def trials_on_host(self) -> bool:
+        """Whether adapting and predicting need no GPU, so that trials may be forks of a process without one."""
+        return not self.features.startswith("dinov2")
 
     def meta_fit(self, specimens: Sequence[Specimen]) -> None:
         """Learn the prior from the training objects (eq. 15).
@@ -120,7 +126,8 @@ class Sbml(PosteriorAnswers):
         if not specimens:
             raise MethodError("sbml cannot learn a prior: there is no training object. Give a train split, or the "
                               "folder of a saved prior (--set prior=FOLDER).")
-        models = [self.shelf.get(s.view) for s in specimens]
+        shelf = self.shelf if self.device == "cpu" else ObjectShelf(replace(self.shelf.settings, device=self.device))
+        models = [shelf.get(s.view) for s in specimens]
         raw = [self._features(model, s.view) for model, s in zip(models, specimens)]
         self._normaliser = Normaliser.of(raw)
         parts = [Composition.of(self.structure, self._normaliser(f)) for f in raw]
@@ -150,6 +157,7 @@ class Sbml(PosteriorAnswers):
                     own.append((models[i], specimens[i], prior))
         self._level = Level.of(held_out) if held_out else Level()
         self._naive = spread.mean, spread.std**2
+        self._learned = [network.cpu() for network in self._learned]
         if own:
             self._width = Width.of([one for given in own for one in self._missed(*given)])
 
@@ -219,7 +227,7 @@ class Sbml(PosteriorAnswers):
             marks = (f"net{number}.", "net.")
             network.load_state_dict({name.partition(".")[2]: torch.as_tensor(value) for name, value in arrays.items()
                                      if name.startswith(marks)})
-            self._learned.append(network)
+            self._learned.append(network.cpu())
 
     def _blended(self, priors: Sequence[GaussianPrior], model: ParticleModel, view: View) -> GaussianPrior:
         return blended(priors, self._level, self._near(model, view), naive_mean=self._naive[0],

@@ -164,6 +164,18 @@ def test_one_prior_over_two_families(train, task):
     assert means[1] > 3.0 * means[0]
 
 
+def test_what_a_gpu_learns_is_what_the_host_learns(train, device, task):
+    if device == "cpu":
+        pytest.skip("the host alone learns here")
+    found = []
+    for where in ("cpu", device):
+        method = Sbml(**{**FAST, "epochs": 5}, dropout=0.0, device=where)  # dropout draws on the device
+        method.meta_fit(train)
+        found.append((method.training[0].train, error(method, task, range(3))))
+    np.testing.assert_allclose(found[1][0], found[0][0], rtol=1e-4)
+    assert found[1][1] == pytest.approx(found[0][1], rel=1e-3)
+
+
 def test_a_saved_prior_is_used_instead_of_learning(fitted, tmp_path, task):
     fitted.save(tmp_path)
     other = Sbml(**FAST, prior=str(tmp_path))

@@ -14,8 +14,8 @@ formed once, and S = diag(sqrt(d)),
     log det C = log det P,   C^-1 = 1 - A S P^-1 S A^T,   a_j^T C^-1 a_j = (1 - P^-1_jj) / d_j,   P = 1 + S G S
 
 which needs products of A with a few vectors only. Where many touches each move few of a block's particles, P is sparse,
-and a factor by `fronts` takes a hundredth of the work; its readings are then not reduced. The gradient has the closed
-form
+and a factor by `fronts` takes a hundredth of the work; its readings are then not reduced. A GPU factors the dense P in
+less time, and keeps no rows at all (`touch_blocks.GramBlock`). The gradient has the closed form
 
     dNLL/dmu = -A^T a,   dNLL/dd_j = 1/2 (a_j^T C^-1 a_j - (a_j^T a)^2),   a = C^-1 e,  a_j column j of A
 
@@ -32,7 +32,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from vsfsim.core.errors import VsfError
-from vsfsim.vsf.estimate.touch_blocks import Block, SparseBlock, particle_side
+from vsfsim.vsf.estimate.touch_blocks import FEW, Block, GramBlock, SparseBlock, particle_side
 
 _RANK = 1e-9
 """Singular values below this fraction of the largest are treated as zero: under a prior of a million times the noise
@@ -45,7 +45,7 @@ class Evidence:
 
     touched: np.ndarray
     """Particles that some reading moves (k,) int."""
-    blocks: tuple[Block | SparseBlock, ...]
+    blocks: tuple[Block | SparseBlock | GramBlock, ...]
     """Independent groups of touches."""
     constant: float
     """The part of the NLL that does not depend on the prior, in nats [-]."""
@@ -90,14 +90,18 @@ class Evidence:
         place[touched] = np.arange(len(touched))
         ag = (a @ g).toarray()
         constant = float(np.log(noise).sum()) + 0.5 * m * np.log(2.0 * np.pi)
-        blocks: list[Block | SparseBlock] = []
+        blocks: list[Block | SparseBlock | GramBlock] = []
         scale = np.abs(a.data).max() if a.nnz else 0.0
         for rows in _groups(a, touch):
             every = np.concatenate(rows)
             mine = a[every]
             moved = np.unique(mine.indices)
-            known = SparseBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every]) if (
-                device == "cpu" and dtype == torch.float64) else None
+            known: SparseBlock | GramBlock | None = None
+            if device != "cpu" and FEW < len(moved) <= len(every):
+                known = GramBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every],
+                                     device=device, dtype=dtype)
+            elif device == "cpu" and dtype == torch.float64:
+                known = SparseBlock.of(place[moved], sparse.csr_matrix(mine[:, moved]), b[every], ag[every])
             if known is not None:
                 blocks.append(known)
                 continue
@@ -142,11 +146,10 @@ class _MarginalNll(torch.autograd.Function):
         across = torch.zeros(s, dtype=mean.dtype, device=mean.device)
         kept = []
         for block in evidence.blocks:
-            e = block.value - block.predicted(mean[block.particle]) - block.shared @ group_mean
-            found = block.solved(var[block.particle], torch.cat([e[:, None], block.shared], dim=1))
-            value = value + 0.5 * (found.quadratic[0] + found.log_det)
-            inside = inside + block.shared.T @ found.inverse[:, 1:]
-            across = across + block.shared.T @ found.inverse[:, 0]
+            found = block.solved(mean[block.particle], var[block.particle], group_mean)
+            value = value + 0.5 * (found.quadratic + found.log_det)
+            inside = inside + found.inside
+            across = across + found.across
             kept.append((block, found))
         if s:
             small = torch.eye(s, dtype=mean.dtype, device=mean.device) + root[:, None] * inside * root
@@ -159,15 +162,14 @@ class _MarginalNll(torch.autograd.Function):
             shift = root * torch.cholesky_solve((root * across)[:, None], small_factor)[:, 0] if s else across
             pull = torch.zeros_like(group_mean)
             for block, found in kept:
-                alpha = found.inverse[:, 0] - found.inverse[:, 1:] @ shift
+                along, own = block.weighed(found, shift)
                 size = block.sizes(var[block.particle], found)
                 if s:
                     cross = torch.linalg.solve_triangular(small_factor,
-                                                          root[:, None] * block.gathered(found.inverse[:, 1:]).T,
+                                                          root[:, None] * block.crossed(found).T,
                                                           upper=False)
                     size = size - (cross * cross).sum(dim=0)
-                    pull = pull + block.shared.T @ alpha
-                along = block.gathered(alpha)
+                    pull = pull + own
                 grad_mean.index_add_(0, block.particle, -along)
                 grad_var.index_add_(0, block.particle, 0.5 * (size - along * along))
             if s:
