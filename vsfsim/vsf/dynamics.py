@@ -185,8 +185,10 @@ def _swept(particles: np.ndarray, probe: ProbeShape, poses: np.ndarray) -> np.nd
     if len(centre) == 0:
         return near
     low, high = centre.min(axis=0) - radius, centre.max(axis=0) + radius
-    box = np.flatnonzero(np.all((particles >= low) & (particles <= high), axis=1))
+    box = np.flatnonzero((particles[:, 0] >= low[0]) & (particles[:, 0] <= high[0]))
     points = particles[box]
+    inside = np.all((points[:, 1:] >= low[1:]) & (points[:, 1:] <= high[1:]), axis=1)  # of the few that are left
+    box, points = box[inside], points[inside]
     hit = np.zeros(len(box), bool)
     along = np.diff(centre, axis=0, append=centre[-1:])
     length = np.maximum((along**2).sum(axis=1), 1e-30)

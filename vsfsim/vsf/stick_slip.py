@@ -30,10 +30,12 @@ def stick_slip_kernel(real: type) -> tuple:
     shapes = sdf.functions(real, "vsfsim_stick_slip")
     distance, normal, vec3, vec4 = shapes.analytic_gap, shapes.analytic_normal, shapes.vec3, shapes.vec4
     mat33 = wp.types.matrix(shape=(3, 3), dtype=real)
-    # Number of bisections that reduce a bracket to the last digits of the type.
+    # Number of halvings that reduce a bracket to the last digits of the type.
     halvings = wp.constant(48 if real is wp.float64 else 22)
     # Relative tolerance of the cone: rounding error of a tangential force that should be zero.
     slack = wp.constant(real(1e-12 if real is wp.float64 else 1e-5))
+    # Excess at which a slide has ended, relative to the tangential force before it.
+    small = wp.constant(real(1e-13 if real is wp.float64 else 1e-6))
     # Length of the step that tests whether the spring force points out of the probe, relative to the displacement.
     test_step = wp.constant(real(1e-5 if real is wp.float64 else 1e-3))
 
@@ -79,16 +81,37 @@ def stick_slip_kernel(real: type) -> tuple:
             high = length
             # The force points into the probe, so its tangential part vanishes further along; double the bracket until
             # it has.
+            at_low = length - mu * un
+            at_high = excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t)
             for _widen in range(6):
-                if excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t) > real(0.0):
+                if at_high > real(0.0):
                     low = high
+                    at_low = at_high
                     high = high * real(2.0)
-            for _halve in range(halvings):
+                    at_high = excess(kind, size, mu, y, on_surface(kind, size, p + high * t), t)
+            # Regula falsi, in which an end that stays weighs half (Illinois): some ten steps where bisection takes all.
+            stayed = int(0)
+            for _step in range(halvings):
                 middle = real(0.5) * (low + high)
-                if excess(kind, size, mu, y, on_surface(kind, size, p + middle * t), t) > real(0.0):
+                if at_low - at_high > real(0.0):
+                    chord = low + (high - low) * (at_low / (at_low - at_high))
+                    if chord > low and chord < high:
+                        middle = chord
+                at = excess(kind, size, mu, y, on_surface(kind, size, p + middle * t), t)
+                if at > real(0.0):
                     low = middle
+                    at_low = at
+                    if stayed == 1:
+                        at_high = real(0.5) * at_high
+                    stayed = 1
                 else:
                     high = middle
+                    at_high = at
+                    if stayed == 2:
+                        at_low = real(0.5) * at_low
+                    stayed = 2
+                if at <= real(0.0) and at >= -small * length:
+                    break
             q = on_surface(kind, size, p + high * t)
             if wp.length_sq(q - y) >= wp.length_sq(u):
                 return p
